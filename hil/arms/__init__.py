@@ -1,0 +1,10 @@
+"""Published facts about built-in arms: neutral data that identification and mock may both read.
+
+Kinematics, limits, nominal masses and collision capsules come from the makers and carry their
+source in the YAML beside this file. Nothing here says what a *particular* robot is like: truth
+lives in the mock, estimates live in models.
+"""
+
+from hil.arms.description import ArmDescription, Capsule, arm_names, load_arm
+
+__all__ = ["ArmDescription", "Capsule", "arm_names", "load_arm"]

@@ -1,0 +1,139 @@
+"""Load an arm's published description from `hil/arms/<name>.yaml`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hil.errors import SpecError
+from hil.typing import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """A collision body: all points within `radius` of the segment from `a` to `b`.
+
+    Attributes:
+        link: 0 for the fixed base, 1…n for the links in their DH frames.
+        a, b: Ends of the axis in the link's frame [m].
+        radius: [m].
+    """
+
+    link: int
+    a: tuple[float, float, float]
+    b: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmDescription:
+    """An arm as its maker publishes it, in SI units and standard (distal) DH convention.
+
+    Attributes:
+        name: Key of the arm, e.g. `ur5`.
+        joint_names: Length n.
+        dh: (n, 4) rows of a [m], alpha [rad], d [m], theta offset [rad].
+        q_min, q_max: Position limits [rad], (n,).
+        qd_max, qdd_max: Velocity [rad/s] and acceleration [rad/s²] limits, (n,).
+        effort_max: Joint torque limits [N·m], (n,).
+        excite_min, excite_max: The range excitation uses unless a spec says otherwise [rad], (n,).
+        mass: (n,) nominal link masses [kg].
+        com: (n, 3) nominal centres of mass in the link's DH frame [m].
+        inertia: (n, 3, 3) nominal inertia about the centre of mass, DH axes [kg·m²].
+        gear_ratio: (n,) motor revolutions per joint revolution.
+        drive_gains: (n,) torque per motor current at the joint [N·m/A].
+        rate_hz: State and command rate of the controller [Hz].
+        payload_max_kg: Rated payload [kg].
+        capsules: Collision bodies, base and links.
+        sources: Where each number comes from, by topic.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    dh: FloatArray
+    q_min: FloatArray
+    q_max: FloatArray
+    qd_max: FloatArray
+    qdd_max: FloatArray
+    effort_max: FloatArray
+    excite_min: FloatArray
+    excite_max: FloatArray
+    mass: FloatArray
+    com: FloatArray
+    inertia: FloatArray
+    gear_ratio: FloatArray
+    drive_gains: FloatArray
+    rate_hz: float
+    payload_max_kg: float
+    capsules: tuple[Capsule, ...]
+    sources: dict[str, str]
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_names)
+
+
+def arm_names() -> tuple[str, ...]:
+    """Names of the built-in arms."""
+    folder = files("hil.arms")
+    return tuple(sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".yaml")))
+
+
+def load_arm(name: str) -> ArmDescription:
+    """The built-in arm called `name`.
+
+    Raises:
+        SpecError: There is no such arm.
+    """
+    if name not in arm_names():
+        raise SpecError(
+            f"there is no built-in arm {name!r}",
+            hint=f"built in are {', '.join(arm_names())}; a path to a URDF works too",
+        )
+    text = files("hil.arms").joinpath(f"{name}.yaml").read_text("utf-8")
+    return _from_dict(name, yaml.safe_load(text))
+
+
+def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
+    joints, links = raw["joints"], raw["links"]
+
+    def column(key: str, scale: float = 1.0) -> FloatArray:
+        return np.array([joint[key] for joint in joints], dtype=np.float64) * scale
+
+    degree = np.pi / 180
+    dh = np.array([[j["a_m"], j["alpha_deg"], j["d_m"], j["theta_deg"]] for j in joints])
+    dh[:, [1, 3]] *= degree
+    return ArmDescription(
+        name=name,
+        joint_names=tuple(joint["name"] for joint in joints),
+        dh=dh,
+        q_min=column("q_min_deg", degree),
+        q_max=column("q_max_deg", degree),
+        qd_max=column("qd_max_deg_s", degree),
+        qdd_max=column("qdd_max_deg_s2", degree),
+        effort_max=column("effort_max_nm"),
+        excite_min=column("excite_min_deg", degree),
+        excite_max=column("excite_max_deg", degree),
+        mass=np.array([link["mass_kg"] for link in links]),
+        com=np.array([link["com_m"] for link in links]),
+        inertia=np.array([_symmetric(link["inertia_kgm2"]) for link in links]),
+        gear_ratio=column("gear_ratio"),
+        drive_gains=column("drive_gain_nm_a"),
+        rate_hz=float(raw["rate_hz"]),
+        payload_max_kg=float(raw["payload_max_kg"]),
+        capsules=tuple(
+            Capsule(c["link"], tuple(c["a_m"]), tuple(c["b_m"]), c["radius_m"])
+            for c in raw["capsules"]
+        ),
+        sources=raw["sources"],
+    )
+
+
+def _symmetric(values: list[float]) -> FloatArray:
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=np.float64)

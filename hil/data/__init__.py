@@ -1,0 +1,10 @@
+"""Aligned arrays with units and conditions.
+
+Importing `hil.data` pulls in no recorder: reading run directories lives in `hil.data.load`,
+which only the callers above the identification import (ARCHITECTURE.md §5).
+"""
+
+from hil.data.dataset import Conditions, Dataset, rows_of
+from hil.data.prediction import Model, Prediction, Stream
+
+__all__ = ["Conditions", "Dataset", "Model", "Prediction", "Stream", "rows_of"]

@@ -1,0 +1,190 @@
+"""Aligned samples with units and conditions: the only thing an estimator ever sees.
+
+A `Dataset` is flat: every column holds all rows of all series behind each other, `offsets` says
+where each series begins, and `conditions[i]` says under which conditions series i was recorded.
+A *series* is what must never be torn apart by a split: a whole trajectory, or one dwell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.payload import Payload
+from hil.typing import BoolArray, FloatArray, IntArray
+
+SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Under which conditions one series was recorded.
+
+    Attributes:
+        id: Unique within the dataset, for tables and messages.
+        kind: What the robot was doing.
+        source: Run directory or file it came from.
+        trajectory: Trajectory number, −1 if none.
+        pose: Pose number, −1 if none.
+        approach: +1 or −1, the direction the pose was approached from; 0 if mixed or unknown.
+        load: Index into the spec's `loads`.
+        payload: The declared load.
+        payload_identified: The load as identified from data, if it was.
+        attempt: Recording attempt, from 0.
+        settled: False when a dwell ran into its time-out before the arm was at rest.
+    """
+
+    id: str
+    kind: SeriesKind
+    source: str = ""
+    trajectory: int = -1
+    pose: int = -1
+    approach: int = 0
+    load: int = 0
+    payload: Payload = field(default_factory=Payload)
+    payload_identified: Payload | None = None
+    attempt: int = 0
+    settled: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Samples of one robot.
+
+    Attributes:
+        robot: Robot model name or URDF path the recording declares.
+        joint_names: Length n, the order of every (N, n) column.
+        effort_kind: `current` [A] or `torque` [N·m].
+        columns: `t` (N,) and any of `q`, `qd`, `qdd`, `effort`, `temperature`, `effort_target`,
+            `q_target`, … each (N, n). `t`, `q` and `effort` are always there.
+        offsets: (S + 1,) row at which each series begins; the last entry is N.
+        conditions: One per series, length S.
+        drive_gains: Torque per current [N·m/A], (n,), or None when unknown.
+        drive_gains_source: Where the gains come from.
+    """
+
+    robot: str
+    joint_names: tuple[str, ...]
+    effort_kind: Literal["current", "torque"]
+    columns: Mapping[str, FloatArray]
+    offsets: IntArray
+    conditions: tuple[Conditions, ...]
+    drive_gains: FloatArray | None = None
+    drive_gains_source: str = ""
+
+    def __post_init__(self) -> None:
+        rows = {name: len(values) for name, values in self.columns.items()}
+        missing = {"t", "q", "effort"} - rows.keys()
+        if missing:
+            raise DataError(f"dataset lacks the columns {sorted(missing)}")
+        if len(set(rows.values())) != 1:
+            raise DataError(f"dataset columns differ in length: {rows}")
+        if len(self.offsets) != len(self.conditions) + 1 or self.offsets[-1] != rows["t"]:
+            raise DataError("dataset offsets do not match its conditions and rows")
+
+    def __len__(self) -> int:
+        return len(self.columns["t"])
+
+    def __getitem__(self, column: str) -> FloatArray:
+        try:
+            return self.columns[column]
+        except KeyError:
+            raise DataError(
+                f"the dataset has no column {column!r}",
+                hint=f"it has {', '.join(sorted(self.columns))}",
+            ) from None
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_names)
+
+    @property
+    def effort_unit(self) -> str:
+        """`A` or `N·m`."""
+        return "A" if self.effort_kind == "current" else "N·m"
+
+    def slices(self) -> Iterator[tuple[Conditions, slice]]:
+        """Each series' conditions and its rows."""
+        for i, condition in enumerate(self.conditions):
+            yield condition, slice(int(self.offsets[i]), int(self.offsets[i + 1]))
+
+    def series_index(self) -> IntArray:
+        """(N,) number of the series each row belongs to."""
+        return np.repeat(np.arange(len(self.conditions)), np.diff(self.offsets))
+
+    def select(self, keep: Callable[[Conditions], bool]) -> Dataset:
+        """The whole series whose conditions satisfy `keep`, in order."""
+        chosen = [i for i, condition in enumerate(self.conditions) if keep(condition)]
+        return self._take(chosen)
+
+    def of_kind(self, *kinds: SeriesKind) -> Dataset:
+        """The series of the given kinds."""
+        return self.select(lambda condition: condition.kind in kinds)
+
+    def with_columns(self, **columns: FloatArray) -> Dataset:
+        """A copy with columns added or replaced."""
+        return replace(self, columns={**self.columns, **columns})
+
+    def _take(self, chosen: Sequence[int]) -> Dataset:
+        spans = [np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]
+        rows = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
+        lengths = [len(span) for span in spans]
+        return replace(
+            self,
+            columns={name: values[rows] for name, values in self.columns.items()},
+            offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+            conditions=tuple(self.conditions[i] for i in chosen),
+        )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Dataset]) -> Dataset:
+        """Join datasets of the same robot; columns that not all of them have are dropped.
+
+        Raises:
+            DataError: Joints, effort kind or drive gains differ, or nothing was given.
+        """
+        if not parts:
+            raise DataError("no data: an empty list of datasets was given")
+        first = parts[0]
+        for part in parts[1:]:
+            _require_compatible(first, part)
+        shared = set.intersection(*(set(part.columns) for part in parts))
+        lengths = np.concatenate([np.diff(part.offsets) for part in parts])
+        return replace(
+            first,
+            columns={n: np.concatenate([part.columns[n] for part in parts]) for n in shared},
+            offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+            conditions=tuple(c for part in parts for c in part.conditions),
+        )
+
+
+def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
+    """The dataset with only the rows where `keep` (N,) is true; series may become shorter."""
+    counts = np.add.reduceat(np.append(keep, False).astype(np.int64), dataset.offsets[:-1])
+    counts[np.diff(dataset.offsets) == 0] = 0
+    return replace(
+        dataset,
+        columns={name: values[keep] for name, values in dataset.columns.items()},
+        offsets=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
+    )
+
+
+def _require_compatible(a: Dataset, b: Dataset) -> None:
+    for what in ("robot", "joint_names", "effort_kind"):
+        if getattr(a, what) != getattr(b, what):
+            raise DataError(
+                f"cannot pool data: {what} is {getattr(a, what)!r} in one source "
+                f"and {getattr(b, what)!r} in another",
+                hint="fit the sources separately",
+            )
+    if (a.drive_gains is None) != (b.drive_gains is None) or (
+        a.drive_gains is not None
+        and b.drive_gains is not None
+        and not np.allclose(a.drive_gains, b.drive_gains)
+    ):
+        raise DataError("cannot pool data: the sources declare different drive gains")

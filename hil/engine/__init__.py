@@ -1,0 +1,1 @@
+"""The run state machine: the only thing that moves a robot."""

@@ -1,0 +1,1 @@
+"""Dwell programs and Fourier excitation."""

@@ -1,0 +1,1 @@
+"""From spec, station and excitation to an immutable plan."""

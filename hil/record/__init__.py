@@ -1,0 +1,1 @@
+"""MCAP recording, columnar reading and the run directory."""

@@ -1,0 +1,135 @@
+"""What a robot is to `hil`: ten members, blocks of samples, no knowledge of the engine.
+
+Decision record 0001 checks the protocol on paper against UR moveJ and servoJ, CiA 402 CSP,
+upload-and-play over ADS, a virtual clock, and drivers that live in a child process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+from hil.payload import Payload
+from hil.typing import FloatArray, StructArray
+
+EffortKind = Literal["current", "torque"]
+ClockKind = Literal["wall", "virtual"]
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Which robot this is; stored in `start.json` and compared on resume."""
+
+    model: str
+    serial: str
+    firmware: str
+    driver: str
+    details: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What the robot offers, known without moving it.
+
+    Attributes:
+        joint_names: Names in the order of every array, length n.
+        rate_hz: Rate of state samples and of commanded trajectories [Hz].
+        effort_kind: Whether `effort` is a motor current [A] or a torque [N·m].
+        drive_gains: Torque per current [N·m/A] per joint, empty when unknown.
+        drive_gains_source: Where the gains come from.
+        clock: `virtual` robots advance only when read; time-outs then count device time.
+    """
+
+    joint_names: tuple[str, ...]
+    rate_hz: float
+    effort_kind: EffortKind
+    drive_gains: tuple[float, ...] = ()
+    drive_gains_source: str = ""
+    clock: ClockKind = "wall"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Joint limits the controller enforces; a plan may be stricter, never wider."""
+
+    q_min: FloatArray
+    q_max: FloatArray
+    qd_max: FloatArray
+    qdd_max: FloatArray
+    effort_max: FloatArray
+    """Torque limits [N·m]."""
+    payload_max_kg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """One piece of motion, ready to execute: sampled set-points at the robot's own rate.
+
+    The last set-point is held until the next segment starts. A driver that plans on its own
+    (moveJ) may use `q[-1]`, `speed` and `acceleration` instead of the samples.
+
+    Attributes:
+        index: Plan step index, echoed in the `segment` field of every state row.
+        kind: `move` (rest to rest), `trajectory` (follow exactly) or `hold`.
+        q, qd, qdd: Set-points, each (N, n); N ≥ 1, and N = 1 for `hold`.
+        speed: Largest joint speed on the way [rad/s].
+        acceleration: Largest joint acceleration on the way [rad/s²].
+    """
+
+    index: int
+    kind: Literal["move", "trajectory", "hold"]
+    q: FloatArray
+    qd: FloatArray
+    qdd: FloatArray
+    speed: float
+    acceleration: float
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """The ten members every driver implements.
+
+    Contract: `connect`, `stop` and `close` are idempotent; `stop` returns within 100 ms of wall
+    time with the arm decelerating or at rest, works from every state and never raises because the
+    robot is already stopped; a fault in the background surfaces in the next `read`.
+    """
+
+    @property
+    def identity(self) -> Identity:
+        """Who this is; raises `RobotConnectionError` before `connect`."""
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Rates, names and units; available before `connect`."""
+
+    @property
+    def limits(self) -> Limits:
+        """The controller's joint limits."""
+
+    def connect(self) -> None:
+        """Open the connection and start receiving state. Raises `RobotConnectionError`."""
+
+    def set_payload(self, payload: Payload) -> Payload:
+        """Tell the controller about the load and return what it reads back."""
+
+    def prepare(self, segment: Segment) -> None:
+        """Hand over the next segment (upload, validate). Raises `CommandRefused`."""
+
+    def start(self) -> None:
+        """Begin the prepared segment; it must start where the last one ended."""
+
+    def read(self, timeout_s: float = 1.0) -> StructArray:
+        """All state rows since the last call, at least one, in order, of `state_dtype(n)`.
+
+        Raises:
+            RobotTimeout: No sample arrived within `timeout_s` (device time on virtual clocks).
+            RobotFault: The controller reports a fault.
+            RobotConnectionError: The connection is gone.
+        """
+
+    def stop(self) -> None:
+        """Bring the arm to rest now, on a controlled ramp."""
+
+    def close(self) -> None:
+        """Stop if need be and release the robot."""

@@ -1,0 +1,1 @@
+"""pytest plug-in for people who test against hil's mocks."""

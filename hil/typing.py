@@ -1,0 +1,14 @@
+"""Array types used in signatures; shapes are given in docstrings as (N, n) etc."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+StructArray: TypeAlias = NDArray[Any]
+"""A structured array: one row per sample, named fields."""

@@ -1,0 +1,1 @@
+"""A mock robot, true to physics and to wire protocol."""
