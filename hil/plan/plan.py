@@ -1,0 +1,198 @@
+"""The plan: what the robot will do, as frozen data with a stable hash.
+
+Preview, estimates, preflight, execution and resume all consume this one object. Motions are kept
+as their few parameters, not as samples: `Motion.sample(rate_hz)` gives the set-points, always the
+same ones (decision record 0003).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+from hil.excite.motion import Motion, motion_from_dict
+from hil.payload import Payload
+
+PLAN_FORMAT = 1
+
+StepKind = Literal["payload", "warmup", "move", "dwell", "trajectory", "reference"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing the robot does.
+
+    Attributes:
+        index: Position in the plan; recorded with every sample.
+        kind: `move` gets somewhere, `dwell` and `reference` stand still and measure,
+            `trajectory` measures in motion, `warmup` moves without measuring, `payload` changes
+            the load (with a prompt for the operator).
+        motion: The commanded motion; None for `payload`.
+        pose, trajectory: Number of the pose or trajectory, −1 where there is none.
+        approach: +1 when every joint arrived from below, −1 from above, 0 otherwise.
+        load: Index into `Plan.loads`.
+        checkpoint: True when the run can be paused or resumed before this step.
+    """
+
+    index: int
+    kind: StepKind
+    motion: Motion | None = None
+    pose: int = -1
+    trajectory: int = -1
+    approach: int = 0
+    load: int = 0
+    checkpoint: bool = False
+
+    @property
+    def measures(self) -> bool:
+        """True for steps whose samples are used."""
+        return self.kind in ("dwell", "trajectory", "reference")
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form, without keys that say nothing."""
+        out: dict[str, Any] = {"index": self.index, "kind": self.kind, "load": self.load}
+        out |= {k: v for k in ("pose", "trajectory") if (v := getattr(self, k)) >= 0}
+        out |= {k: v for k in ("approach", "checkpoint") if (v := getattr(self, k))}
+        return out | ({"motion": self.motion.to_dict()} if self.motion else {})
+
+    @staticmethod
+    def from_dict(raw: dict[str, Any]) -> Step:
+        """Inverse of `to_dict`."""
+        motion = motion_from_dict(raw["motion"]) if "motion" in raw else None
+        return Step(**{**raw, "motion": motion})
+
+
+@dataclass(frozen=True, slots=True)
+class DwellRule:
+    """When a dwell is over: ten settled samples, at least `dwell_s`, at most `timeout_s`."""
+
+    dwell_s: float = 0.095
+    samples: int = 10
+    settle_rad_s: float = 0.002
+    timeout_s: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoadStep:
+    """A load of the plan and what the operator is told."""
+
+    payload: Payload
+    prompt: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An immutable program for one robot.
+
+    Attributes:
+        name: The experiment's name.
+        robot_model: Built-in arm or URDF the plan was made for.
+        joint_names: Length n.
+        rate_hz: Rate at which motions are sampled and states recorded.
+        steps: In order of execution; step i has index i.
+        loads: What `Step.load` points into.
+        dwell: When a dwell is over.
+        margins: Smallest distance to every limit (see `hil plan`), all ≥ 0.
+        condition_number: Column-scaled condition number of the base regressor on the plan's
+            measuring samples.
+    """
+
+    name: str
+    robot_model: str
+    joint_names: tuple[str, ...]
+    rate_hz: float
+    steps: tuple[Step, ...]
+    loads: tuple[LoadStep, ...]
+    dwell: DwellRule = DwellRule()
+    margins: dict[str, float] = field(default_factory=dict)
+    condition_number: float = float("nan")
+
+    def __iter__(self) -> Iterator[Step]:
+        return iter(self.steps)
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def waypoints(self) -> int:
+        """Number of distinct poses that are dwelt at (reference visits not counted)."""
+        return len({step.pose for step in self.steps if step.kind == "dwell"})
+
+    @cached_property
+    def duration_s(self) -> float:
+        """Estimated duration: motions plus the shortest possible dwells [s]."""
+        return sum(self.step_duration_s(step) for step in self.steps)
+
+    def step_duration_s(self, step: Step) -> float:
+        """Estimated duration of one step [s]; a dwell also needs a moment to settle."""
+        if step.motion is None:
+            return 0.0
+        if step.kind in ("dwell", "reference"):
+            return max(self.dwell.dwell_s, self.dwell.samples / self.rate_hz) + SETTLING_S
+        return step.motion.duration_s
+
+    @cached_property
+    def hash(self) -> str:
+        """sha256 of the canonical JSON of everything that moves the robot."""
+        raw = self.to_dict()
+        core = {k: v for k, v in raw.items() if k not in ("margins", "condition_number", "hash")}
+        text = json.dumps(core, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form; `from_dict` gives an equal plan back."""
+        return {
+            "hil_plan": PLAN_FORMAT,
+            "name": self.name,
+            "robot_model": self.robot_model,
+            "joint_names": list(self.joint_names),
+            "rate_hz": self.rate_hz,
+            "dwell": {
+                "dwell_s": self.dwell.dwell_s,
+                "samples": self.dwell.samples,
+                "settle_rad_s": self.dwell.settle_rad_s,
+                "timeout_s": self.dwell.timeout_s,
+            },
+            "loads": [_load_to_dict(load) for load in self.loads],
+            "margins": self.margins,
+            "condition_number": self.condition_number,
+            "steps": [step.to_dict() for step in self.steps],
+        }
+
+    @staticmethod
+    def from_dict(raw: dict[str, Any]) -> Plan:
+        """Inverse of `to_dict`."""
+        return Plan(
+            name=raw["name"],
+            robot_model=raw["robot_model"],
+            joint_names=tuple(raw["joint_names"]),
+            rate_hz=raw["rate_hz"],
+            steps=tuple(Step.from_dict(step) for step in raw["steps"]),
+            loads=tuple(_load_from_dict(load) for load in raw["loads"]),
+            dwell=DwellRule(**raw["dwell"]),
+            margins=raw["margins"],
+            condition_number=raw["condition_number"],
+        )
+
+
+SETTLING_S = 0.1
+"""Typical time an arm needs to come to rest after the set-point did [s]; for estimates only."""
+
+
+def _load_to_dict(load: LoadStep) -> dict[str, Any]:
+    p = load.payload
+    return {
+        "mass_kg": p.mass,
+        "com_m": list(p.com),
+        "inertia_kgm2": list(p.inertia),
+        "prompt": load.prompt,
+    }
+
+
+def _load_from_dict(raw: dict[str, Any]) -> LoadStep:
+    payload = Payload(raw["mass_kg"], tuple(raw["com_m"]), tuple(raw["inertia_kgm2"]))
+    return LoadStep(payload, raw["prompt"])
