@@ -1,0 +1,78 @@
+"""Observers see what happens and cannot hurt what moves.
+
+Each observer lives on its own thread behind a bounded queue. When it is slow the oldest event is
+dropped, when it raises it is switched off and the reason kept, and the control thread never waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+Event = Mapping[str, Any]
+
+
+class Observer(Protocol):
+    """Something that wants to know."""
+
+    def notify(self, event: Event) -> None:
+        """Called on the observer's own thread, one event at a time."""
+
+
+class ObserverThread:
+    """Isolates one observer."""
+
+    def __init__(self, observer: Observer, depth: int = 256) -> None:
+        self._observer = observer
+        self._events: queue.Queue[Event | None] = queue.Queue(depth)
+        self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
+        self.dropped = 0
+        self.failure: BaseException | None = None
+        self._thread.start()
+
+    def offer(self, event: Event | None) -> None:
+        """Hand over an event without ever waiting."""
+        while True:
+            try:
+                self._events.put_nowait(event)
+            except queue.Full:
+                with contextlib.suppress(queue.Empty):
+                    self._events.get_nowait()
+                    self.dropped += 1
+            else:
+                return
+
+    def close(self, timeout_s: float = 1.0) -> None:
+        """Let it finish what is queued, but not for longer than `timeout_s`."""
+        self.offer(None)
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        while (event := self._events.get()) is not None:
+            if self.failure is None:
+                try:
+                    self._observer.notify(event)
+                except Exception as error:  # an observer may fail in any way it likes
+                    self.failure = error
+
+
+class Observers:
+    """All observers of one run."""
+
+    def __init__(self, observers: tuple[Observer, ...] = ()) -> None:
+        self._threads = [ObserverThread(observer) for observer in observers]
+
+    def publish(self, event: Event) -> None:
+        """Tell everybody."""
+        for thread in self._threads:
+            thread.offer(event)
+
+    def close(self) -> list[str]:
+        """End all observers; returns what went wrong with any of them."""
+        for thread in self._threads:
+            thread.close()
+        failures = [f"observer failed: {t.failure!r}" for t in self._threads if t.failure]
+        return failures + [f"observer lost {t.dropped} events" for t in self._threads if t.dropped]
