@@ -1,0 +1,64 @@
+# Two commands do everything on a machine with Python ≥ 3.11 (with venv) and make:
+#   make demo   the main job on the embedded mock robot
+#   make test   the tests
+# System packages: python3 (≥ 3.11), python3-venv, make. Nothing else.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+RUNS ?= runs
+# One BLAS thread per process: with two, idle threads spin and cost more than they bring.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+
+.PHONY: help demo test test-fast wire lint types walls proof bench schema docs clean
+
+help:
+	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
+
+$(VENV)/.made:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python ≥ 3.11 is needed; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.demo: $(VENV)/.made pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mock]"
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.made pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mock,dev]"
+	@touch $@ $(VENV)/.demo
+
+demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock robot
+	$(BIN)/hil run experiments/ur5_fourier.yaml --runs $(RUNS)
+	$(BIN)/hil run experiments/ur5_dwell_650.yaml --runs $(RUNS)
+	$(BIN)/hil runs --runs $(RUNS)
+
+test: test-fast wire ## all tests (lint, types and walls are `make lint types walls`)
+
+test-fast: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not proof"
+
+wire: $(VENV)/.dev
+	$(BIN)/python -m pytest -m "wire and not proof" || [ $$? -eq 5 ]
+
+lint: $(VENV)/.dev ## ruff: style, docstrings, formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev ## mypy --strict
+	$(BIN)/mypy
+
+walls: $(VENV)/.dev ## import-linter contracts of ARCHITECTURE.md §5
+	$(BIN)/lint-imports
+
+proof: $(VENV)/.dev ## the long must-show runs
+	$(BIN)/python -m pytest -m proof --timeout 1800
+
+bench: $(VENV)/.dev ## every benchmark, each against a peer in the same run
+	$(BIN)/hil bench all
+
+clean: ## remove the virtual environment and caches (runs are kept)
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

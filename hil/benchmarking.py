@@ -1,0 +1,49 @@
+"""Find and run the benchmarks, which live in `benchmarks/` of a checkout and not in the wheel."""
+
+from __future__ import annotations
+
+import importlib.util
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from hil.errors import PluginError
+
+FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+
+
+def names() -> list[str]:
+    """Names of the benchmarks of this checkout.
+
+    Raises:
+        PluginError: `hil` is not running from a checkout.
+    """
+    if not FOLDER.is_dir():
+        raise PluginError(
+            "benchmarks are part of a checkout and this is an installed wheel",
+            hint="clone the repository and run `hil bench` there",
+        )
+    return sorted(f.stem for f in FOLDER.glob("*.py") if not f.stem.startswith("_"))
+
+
+def measure(name: str, *, quick: bool = False) -> dict[str, Any]:
+    """Run one benchmark and return `{name, figures, ratios}`.
+
+    Args:
+        name: As listed by `names`.
+        quick: Use the smaller problem, for tests.
+    """
+    if name not in names():
+        close = get_close_matches(name, names(), n=1)
+        did_you_mean = f"did you mean {close[0]!r}? " if close else ""
+        raise PluginError(
+            f"there is no benchmark {name!r}",
+            hint=f"{did_you_mean}there are {', '.join(names())}",
+        )
+    module_spec = importlib.util.spec_from_file_location(f"bench_{name}", FOLDER / f"{name}.py")
+    assert module_spec is not None
+    assert module_spec.loader is not None
+    module = importlib.util.module_from_spec(module_spec)
+    module_spec.loader.exec_module(module)
+    document: dict[str, Any] = module.run(quick=quick)
+    return document

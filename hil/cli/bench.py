@@ -1,0 +1,43 @@
+"""`hil bench`: speed and memory as ratios against a peer measured in the same run."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.output import JsonFlag, print_json, print_table
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(bench)
+
+
+def bench(
+    name: Annotated[str, typer.Argument(help="Benchmark; `list` names them, `all` runs all.")],
+    quick: Annotated[bool, typer.Option("--quick", help="A smaller problem.")] = False,
+    json: JsonFlag = False,
+) -> None:
+    """Measure; every ratio is against its peer in the same run."""
+    from hil import benchmarking
+
+    if name == "list":
+        for known in benchmarking.names():
+            typer.echo(known)
+        return
+    chosen = benchmarking.names() if name == "all" else [name]
+    documents = [benchmarking.measure(one, quick=quick) for one in chosen]
+    if json:
+        print_json(documents if name == "all" else documents[0])
+    else:
+        for document in documents:
+            _print(document)
+
+
+def _print(document: dict[str, Any]) -> None:
+    typer.echo(document["name"])
+    for part in ("figures", "ratios"):
+        rows = [(f"  {key}", f"{value:.4g}") for key, value in document[part].items()]
+        if rows:
+            print_table((f"  {part}", ""), rows)

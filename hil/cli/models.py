@@ -1,0 +1,112 @@
+"""`hil fit`, `hil evaluate`, `hil report`: pure functions of recorded data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.output import JsonFlag, print_json, print_table
+
+Sources = Annotated[
+    list[Path], typer.Argument(help="Run directories or MCAP files.", show_default=False)
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(fit)
+    app.command()(evaluate)
+    app.command()(report)
+
+
+def fit(
+    sources: Sources,
+    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
+    robot: Annotated[
+        str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
+    ] = "",
+    payload: Annotated[
+        str,
+        typer.Option(
+            "--payload",
+            help="Declared load as MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default what the data says.",
+        ),
+    ] = "",
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option("--validate", help="Held-out run or MCAP file; repeat for several."),
+    ] = None,
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Estimator parameter as NAME=VALUE (YAML value)."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Where the model folder is made.")
+    ] = Path("models"),
+    json: JsonFlag = False,
+) -> None:
+    """Fit an estimator to recordings and judge it on others."""
+    from hil import api
+
+    result = api.fit(
+        sources,
+        estimator=estimator,
+        robot=robot or None,
+        payload=payload or None,
+        validate=validate or (),
+        parameters=api.parse_parameters(options or ()),
+        out=out,
+    )
+    document = result.to_dict()
+    if json:
+        print_json(document)
+        return
+    typer.echo(f"{estimator}: fitted in {document['seconds']:.2f} s → {document['model']}")
+    _print_validation(document["validation"])
+
+
+def evaluate(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    sources: Sources,
+    json: JsonFlag = False,
+) -> None:
+    """Judge a saved model on recordings it has not seen."""
+    from hil import api
+
+    rows = api.evaluate(model, sources)
+    if json:
+        print_json({"model": str(model), "validation": rows})
+    else:
+        _print_validation(rows)
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Run directory.", show_default=False)],
+    json: JsonFlag = False,
+) -> None:
+    """Write (again) the HTML report of a run."""
+    from hil.report import render_report
+
+    page = render_report(run)
+    if json:
+        print_json({"run": str(run), "report": str(page)})
+    else:
+        typer.echo(str(page))
+
+
+def _print_validation(rows: list[dict[str, Any]]) -> None:
+    if not rows:
+        typer.echo("not validated; hold data out with: --validate SOURCE")
+        return
+    for row in rows:
+        unit, n = row["unit"], len(row["rmse_raw"])
+        typer.echo(f"validated on {row['source']} [{unit}]")
+        print_table(
+            ("RMSE", *(f"J{j + 1}" for j in range(n)), "mean"),
+            [
+                (label, *(f"{v:.4f}" for v in row[f"rmse_{key}"]), f"{row[f'mean_{key}']:.4f}")
+                for label, key in (("raw", "raw"), ("filtered", "filtered"))
+            ],
+        )

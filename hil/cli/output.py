@@ -1,0 +1,67 @@
+"""How verbs print: one JSON document with `--json`, otherwise text a person reads."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+SpecPath = Annotated[Path, typer.Argument(help="Experiment spec (YAML).", show_default=False)]
+StationOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--station",
+        help="Station file; by default $HIL_STATION, station.yaml beside the spec, or the "
+        "built-in mock bench.",
+    ),
+]
+RunsOption = Annotated[
+    Path, typer.Option("--runs", envvar="HIL_RUNS", help="Where run directories are kept.")
+]
+
+
+def print_json(document: Any) -> None:
+    """Print a document; NaN and infinity become null, since JSON has neither."""
+    typer.echo(json.dumps(_finite(document), ensure_ascii=False, indent=1))
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Columns separated by two blanks, as wide as needed; nothing is cut, so pipes get it all."""
+    table = [list(header), *[list(row) for row in rows]]
+    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
+    for row in table:
+        typer.echo("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+
+
+def duration(seconds: float) -> str:
+    """`75.0 s`, `12 min 5 s` or `1 h 19 min`."""
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 100:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def size(n_bytes: float) -> str:
+    """`1.2 MB` and the like, in powers of ten."""
+    for unit in ("B", "kB", "MB"):
+        if n_bytes < 1000:
+            return f"{n_bytes:.3g} {unit}"
+        n_bytes /= 1000
+    return f"{n_bytes:.3g} GB"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,101 @@
+"""`hil run`, `hil runs`, `hil show`: move the robot, and look at what came of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.output import (
+    JsonFlag,
+    RunsOption,
+    SpecPath,
+    StationOption,
+    duration,
+    print_json,
+    print_table,
+)
+from hil.errors import HilError, Rejected, exit_code_of
+
+RunArgument = Annotated[Path, typer.Argument(help="Run directory.", show_default=False)]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(run)
+    app.command()(runs)
+    app.command()(show)
+
+
+def run(
+    spec: SpecPath,
+    station: StationOption = None,
+    runs: RunsOption = Path("runs"),
+    operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
+    json: JsonFlag = False,
+) -> None:
+    """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
+    from hil import api
+    from hil.cli.progress import ProgressLines
+
+    bench = api.load_bench(spec, station)
+    if not json:
+        typer.echo(f"{bench.spec.name} on {bench.spec.robot} ({bench.source})", err=True)
+    report = api.run(bench, runs=runs, operator=operator, observers=(ProgressLines(),))
+    if json:
+        print_json(report.to_dict())
+    else:
+        _tell(report.run)
+    if report.error is not None:
+        _fail(report.error, json)
+    if report.verdict == "rejected":
+        raise Rejected(
+            f"the model of {report.run} missed its acceptance criteria",
+            hint=f"hil show {report.run}",
+        )
+
+
+def _fail(error: HilError, json: bool) -> None:
+    """The JSON document is out already: only the exit code and a line on stderr remain."""
+    if not json:
+        raise error
+    typer.echo(f"{type(error).__name__}: {error}", err=True)
+    raise typer.Exit(exit_code_of(error))
+
+
+def _tell(run: Path) -> None:
+    from hil.report.text import summary_lines
+
+    for line in summary_lines(run):
+        typer.echo(line)
+
+
+def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
+    """List run directories, newest last; interrupted and damaged ones too."""
+    from hil.record.rundir import list_runs
+
+    entries = [entry.to_dict() for entry in list_runs(runs)]
+    if json:
+        print_json(entries)
+    elif not entries:
+        typer.echo(f"no runs under {runs}; make one with: hil run SPEC")
+    else:
+        header = ("run", "status", "duration", "verdict")
+        print_table(
+            header,
+            [
+                (e["path"], e["status"], duration(e["duration_s"] or 0.0), e["verdict"] or "–")
+                for e in entries
+            ],
+        )
+
+
+def show(run: RunArgument, json: JsonFlag = False) -> None:
+    """Show one run: what it was, how it ended, what its models are worth."""
+    from hil import api
+
+    if json:
+        print_json(api.describe_run(run))
+    else:
+        _tell(run)

@@ -1,0 +1,85 @@
+"""`hil validate`, `hil plan`, `hil schema`: everything before the robot moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from hil.cli.output import (
+    JsonFlag,
+    SpecPath,
+    StationOption,
+    duration,
+    print_json,
+    print_table,
+    size,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(validate)
+    app.command()(plan)
+    app.command()(schema)
+
+
+def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = False) -> None:
+    """Check a spec and its station; all problems at once, with file, line and column."""
+    from hil import api
+
+    bench = api.load_bench(spec, station)
+    facts = {"spec": str(spec), "name": bench.spec.name, "station": bench.source, "valid": True}
+    if json:
+        print_json(facts)
+    else:
+        typer.echo(f"{spec}: valid ({bench.spec.excitation.kind}, robot {bench.spec.robot})")
+        typer.echo(f"station: {bench.source}")
+
+
+def plan(
+    spec: SpecPath,
+    station: StationOption = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", help="Where the picture of the motion goes.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Also write the plan itself (JSON).")
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
+    from hil import api
+
+    bench = api.load_bench(spec, station)
+    made = api.plan(bench)
+    preview = api.preview(made)
+    drawn = picture or Path(f"{bench.spec.name}.plan.svg")
+    api.draw_plan(made, drawn)
+    if out:
+        api.write_plan(made, out)
+    if json:
+        print_json({**preview, "picture": str(drawn)})
+        return
+    typer.echo(f"{bench.spec.name} on {bench.spec.robot} ({bench.source})")
+    rows = [
+        ("waypoints", str(preview["waypoints"])),
+        ("steps", str(len(made))),
+        ("duration", duration(preview["duration_s"])),
+        ("recording", size(preview["recording_bytes"])),
+        ("condition number", f"{preview['condition_number']:.1f}"),
+        *((f"margin: {key}", f"{value:.4g}") for key, value in preview["margins"].items()),
+        ("picture", str(drawn)),
+        ("plan hash", preview["hash"][:12]),
+    ]
+    print_table(("", ""), rows)
+
+
+def schema(
+    kind: Annotated[Literal["experiment", "station"], typer.Argument()] = "experiment",
+) -> None:
+    """Print the JSON Schema of a spec or station file, for editors."""
+    from hil.spec.schema import experiment_schema, station_schema
+
+    print_json(experiment_schema() if kind == "experiment" else station_schema())

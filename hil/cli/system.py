@@ -1,0 +1,80 @@
+"""`hil mock`, `hil doctor`, `hil plugins`: the bench itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.output import JsonFlag, print_json, print_table
+from hil.errors import PluginError
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(mock)
+    app.command()(doctor)
+    app.command()(plugins)
+
+
+def mock(
+    name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
+    model: Annotated[str, typer.Option(help="Arm the mock stands for.")] = "ur5",
+    seed: Annotated[int, typer.Option(help="Which individual robot it is.")] = 0,
+    profile: Annotated[str, typer.Option(help="`full` or `ideal` physics.")] = "full",
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="Write every true parameter to this file.")
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """List mock robots, or write the truth of one, for scoring what was identified."""
+    from hil import plugins as found
+
+    if name == "list":
+        entries = [
+            {"name": n, "description": found.load("hil.mocks", n).description}
+            for n in found.names("hil.mocks")
+        ]
+        if json:
+            print_json(entries)
+        else:
+            print_table(("mock", "what"), [(e["name"], e["description"]) for e in entries])
+        return
+    if truth is None:
+        raise PluginError(
+            f"the {name} mock runs inside `hil run`; there is nothing to start",
+            hint=f"to write its true parameters: hil mock {name} --truth truth.json",
+        )
+    found.load("hil.mocks", name)().write_truth(truth, model=model, seed=seed, profile=profile)
+    if json:
+        print_json({"truth": str(truth), "model": model, "seed": seed, "profile": profile})
+    else:
+        typer.echo(str(truth))
+
+
+def doctor(station: Annotated[Path | None, typer.Option()] = None, json: JsonFlag = False) -> None:
+    """Look at this machine: packages, plug-ins, disk, clock, and what is missing for what."""
+    from hil.doctor import examine
+
+    findings = examine(station)
+    if json:
+        print_json([f.to_dict() for f in findings])
+    else:
+        print_table(("", "what", "finding"), [(f.mark, f.what, f.finding) for f in findings])
+    if any(f.bad for f in findings):
+        raise typer.Exit(1)
+
+
+def plugins(json: JsonFlag = False) -> None:
+    """List drivers, estimators, excitations, checks and mocks; broken ones with the reason."""
+    from hil.plugins import describe_all
+
+    rows = describe_all()
+    if json:
+        print_json(rows)
+    else:
+        print_table(
+            ("group", "name", "from", "state"),
+            [(r["group"], r["name"], r["target"], r["error"] or "ok") for r in rows],
+        )
