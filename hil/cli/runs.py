@@ -39,10 +39,13 @@ def run(
     from hil import api
     from hil.cli.progress import ProgressLines
 
-    bench = api.load_bench(spec, station)
+    experiment = api.load(spec, station)
     if not json:
-        typer.echo(f"{bench.spec.name} on {bench.spec.robot} ({bench.source})", err=True)
-    report = api.run(bench, runs=runs, operator=operator, observers=(ProgressLines(),))
+        typer.echo(
+            experiment.title,
+            err=True,
+        )
+    report = api.run(experiment, runs=runs, operator=operator, observers=(ProgressLines(),))
     if json:
         print_json(report.to_dict())
     else:

@@ -29,13 +29,20 @@ def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = Fal
     """Check a spec and its station; all problems at once, with file, line and column."""
     from hil import api
 
-    bench = api.load_bench(spec, station)
-    facts = {"spec": str(spec), "name": bench.spec.name, "station": bench.source, "valid": True}
+    experiment = api.load(spec, station)
+    facts = {
+        "spec": str(spec),
+        "name": experiment.spec.name,
+        "station": experiment.station_source,
+        "valid": True,
+    }
     if json:
         print_json(facts)
     else:
-        typer.echo(f"{spec}: valid ({bench.spec.excitation.kind}, robot {bench.spec.robot})")
-        typer.echo(f"station: {bench.source}")
+        typer.echo(
+            f"{spec}: valid ({experiment.spec.excitation.kind}, robot {experiment.spec.robot})"
+        )
+        typer.echo(f"station: {experiment.station_source}")
 
 
 def plan(
@@ -52,17 +59,17 @@ def plan(
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
     from hil import api
 
-    bench = api.load_bench(spec, station)
-    made = api.plan(bench)
+    experiment = api.load(spec, station)
+    made = api.plan(experiment)
     preview = api.preview(made)
-    drawn = picture or Path(f"{bench.spec.name}.plan.svg")
+    drawn = picture or Path(f"{experiment.spec.name}.plan.svg")
     api.draw_plan(made, drawn)
     if out:
         api.write_plan(made, out)
     if json:
         print_json({**preview, "picture": str(drawn)})
         return
-    typer.echo(f"{bench.spec.name} on {bench.spec.robot} ({bench.source})")
+    typer.echo(experiment.title)
     rows = [
         ("waypoints", str(preview["waypoints"])),
         ("steps", str(len(made))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
@@ -70,11 +71,11 @@ def plugins(json: JsonFlag = False) -> None:
     """List drivers, estimators, excitations, checks and mocks; broken ones with the reason."""
     from hil.plugins import describe_all
 
-    rows = describe_all()
+    found = describe_all()
     if json:
-        print_json(rows)
+        print_json([dataclasses.asdict(p) for p in found])
     else:
         print_table(
             ("group", "name", "from", "state"),
-            [(r["group"], r["name"], r["target"], r["error"] or "ok") for r in rows],
+            [(p.group, p.name, p.distribution, p.error or "ok") for p in found],
         )

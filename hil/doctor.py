@@ -1,0 +1,116 @@
+"""What `hil doctor` looks at; nothing here may raise."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil import plugins
+from hil.errors import HilError
+
+EXTRAS = {
+    "mock": ("mujoco", "numba"),
+    "ur": ("rtde_control",),
+    "can": ("can", "canopen"),
+    "learn": ("torch",),
+    "fleet": ("distributed",),
+    "bags": ("rosbags",),
+}
+LOW_DISK_BYTES = 2e9
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        what: The thing.
+        finding: What was found, and how to mend it when bad.
+        level: `ok`, `note` or `bad`.
+    """
+
+    what: str
+    finding: str
+    level: str = "ok"
+
+    @property
+    def bad(self) -> bool:
+        """True when `hil` cannot do its main job."""
+        return self.level == "bad"
+
+    @property
+    def mark(self) -> str:
+        """A word, so that nothing depends on colour."""
+        return {"ok": "ok", "note": "note", "bad": "BAD"}[self.level]
+
+    def to_dict(self) -> dict[str, str]:
+        """JSON form."""
+        return {"what": self.what, "finding": self.finding, "level": self.level}
+
+
+def examine(station: Path | None = None) -> list[Finding]:
+    """Look at everything.
+
+    Args:
+        station: Also check this station file.
+    """
+    checks: list[Callable[[], Iterator[Finding]]] = [_python, _extras, _plugins, _disk, _clock]
+    findings = [finding for check in checks for finding in check()]
+    return findings + (list(_station(station)) if station else [])
+
+
+def _python() -> Iterator[Finding]:
+    version = ".".join(map(str, sys.version_info[:3]))
+    yield Finding("python", version, "ok" if sys.version_info >= (3, 11) else "bad")
+    yield Finding("hil", importlib.metadata.version("hil"))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    yield Finding("cores", str(cores))
+
+
+def _extras() -> Iterator[Finding]:
+    for extra, modules in EXTRAS.items():
+        missing = [m for m in modules if importlib.util.find_spec(m) is None]
+        if missing:
+            text = f'{", ".join(missing)} missing; for it: pip install "hil[{extra}]"'
+            yield Finding(f"extra {extra}", text, "note")
+        else:
+            yield Finding(f"extra {extra}", "installed")
+
+
+def _plugins() -> Iterator[Finding]:
+    broken = [row for row in plugins.describe_all() if row.error]
+    for row in broken:
+        yield Finding(f"plug-in {row.name}", row.error, "note")
+    if not broken:
+        yield Finding("plug-ins", "all load")
+
+
+def _disk() -> Iterator[Finding]:
+    free = shutil.disk_usage(Path.cwd()).free
+    text = f"{free / 1e9:.1f} GB free here"
+    yield Finding("disk", text, "ok" if free > LOW_DISK_BYTES else "bad")
+    writable = os.access(Path.cwd(), os.W_OK)
+    yield Finding("folder", "writable" if writable else "not writable", "ok" if writable else "bad")
+
+
+def _clock() -> Iterator[Finding]:
+    resolution = time.get_clock_info("monotonic").resolution
+    yield Finding("clock", f"monotonic, {resolution * 1e9:.0f} ns")
+
+
+def _station(path: Path) -> Iterator[Finding]:
+    from hil.spec.load import load_station
+
+    try:
+        station = load_station(path)
+    except HilError as error:
+        yield Finding("station", str(error), "bad")
+        return
+    yield Finding("station", f"{path}: robots {', '.join(station.robots)}")

@@ -1,0 +1,314 @@
+"""What the engine promises: every sample kept and judged, the robot stopped on every way out."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from kinematic_robot import KinematicRobot
+
+from hil.engine import TRANSITIONS, Engine, Observers, Outcome, RunState
+from hil.engine.interlocks import Threshold, from_spec
+from hil.engine.states import IllegalTransition, StateMachine
+from hil.errors import InterlockTripped, PreflightFailed, RecordingError, RobotFault, Stopped
+from hil.excite.motion import Hold, Line
+from hil.payload import Payload
+from hil.plan.plan import DwellRule, LoadStep, Plan, Step
+from hil.robot import Robot, Status
+from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
+from hil.typing import StructArray
+
+
+class ListSink:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.blocks: list[StructArray] = []
+        self.events: list[dict[str, Any]] = []
+
+    def put(self, rows: StructArray) -> None:
+        self.blocks.append(rows.copy())
+
+    def event(self, kind: str, **details: Any) -> None:
+        self.events.append({"kind": kind, **details})
+
+    @property
+    def rows(self) -> StructArray:
+        return np.concatenate(self.blocks)
+
+
+def line(a: float, b: float) -> Line:
+    return Line((a,) * 6, (b,) * 6, velocity=1.0, acceleration=1.4, jerk=14.0, rate_hz=125.0)
+
+
+def small_plan(prompt: str = "") -> Plan:
+    steps = (
+        Step(0, "payload"),
+        Step(1, "move", line(0.0, 0.3), checkpoint=True),
+        Step(2, "dwell", Hold((0.3,) * 6), pose=0, approach=1),
+        Step(3, "move", line(0.3, -0.2), checkpoint=True),
+        Step(4, "dwell", Hold((-0.2,) * 6), pose=1, approach=-1),
+    )
+    names = tuple(f"j{i + 1}" for i in range(6))
+    loads = (LoadStep(Payload(1.0), prompt),)
+    return Plan("small", "ur5", names, 125.0, steps, loads, DwellRule(samples=10))
+
+
+def engine(robot: KinematicRobot, sink: ListSink, **options: Any) -> Engine:
+    robot.connect()
+    return Engine(options.pop("plan", small_plan()), robot, sink, **options)
+
+
+def test_the_test_robot_is_a_robot() -> None:
+    assert isinstance(KinematicRobot(), Robot)
+
+
+def test_a_plan_runs_to_its_end_and_stops_the_robot() -> None:
+    robot, sink = KinematicRobot(), ListSink()
+    result = engine(robot, sink).run()
+    assert result.outcome is Outcome.COMPLETED
+    assert result.error is None
+    assert result.steps_done == 5
+    assert robot.calls[-1] == "stop"
+
+
+def test_every_row_the_robot_gave_is_recorded_once_and_in_order() -> None:
+    robot, sink = KinematicRobot(), ListSink()
+    result = engine(robot, sink).run()
+    times = sink.rows["device_time"]
+    assert len(times) == robot.ticks == result.samples
+    np.testing.assert_allclose(np.diff(times), 1 / 125.0, rtol=1e-9)
+
+
+def test_rows_carry_the_step_they_belong_to() -> None:
+    robot, sink = KinematicRobot(), ListSink()
+    engine(robot, sink).run()
+    dwell = sink.rows[sink.rows["segment"] == 2]
+    assert len(dwell) >= 10
+    np.testing.assert_allclose(dwell["q"], 0.3, atol=1e-12)
+
+
+def test_a_dwell_waits_until_ten_samples_are_at_rest() -> None:
+    def restless(block: StructArray) -> None:
+        block["qd"][(block["segment"] == 2) & (block["device_time"] < 2.0)] = 0.01
+
+    robot, sink = KinematicRobot(restless), ListSink()
+    result = engine(robot, sink).run()
+    dwell = sink.rows[sink.rows["segment"] == 2]
+    assert result.unsettled == ()
+    assert (np.abs(dwell["qd"][-10:]) < 0.002).all()
+
+
+def test_a_pose_that_never_settles_is_marked_and_left() -> None:
+    def restless(block: StructArray) -> None:
+        block["qd"][block["segment"] == 2] = 0.01
+
+    robot, sink = KinematicRobot(restless), ListSink()
+    result = engine(robot, sink).run()
+    assert result.outcome is Outcome.COMPLETED
+    assert result.unsettled == (2,)
+    assert {"kind": "dwell", "step": 2, "settled": False}.items() <= sink.events[
+        [e.get("step") == 2 and e["kind"] == "dwell" for e in sink.events].index(True)
+    ].items()
+
+
+@pytest.mark.parametrize(
+    ("spec", "field", "value"),
+    [
+        (TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05), "q", 0.6),
+        (TemperatureInterlock(kind="temperature", limit_c=70), "temperature", 71.0),
+        (SpeedInterlock(kind="speed", limit_deg_s=90), "qd", 1.6),
+    ],
+)
+def test_an_interlock_trips_on_a_single_sample(spec: Any, field: str, value: float) -> None:
+    def spike(block: StructArray) -> None:
+        if (block["segment"] == 3).any():
+            block[field][5, 2] = value
+
+    robot, sink = KinematicRobot(spike), ListSink()
+    result = engine(robot, sink, interlocks=from_spec([spec])).run()
+    assert result.outcome is Outcome.TRIPPED
+    assert isinstance(result.error, InterlockTripped)
+    assert "j3" in result.reason
+    assert spec.kind in result.reason
+    assert "prepare 4" not in robot.calls
+
+
+def test_an_interlock_violated_from_the_start_trips_before_anything_moves() -> None:
+    def hot(block: StructArray) -> None:
+        block["temperature"] = 90.0
+
+    robot, sink = KinematicRobot(hot), ListSink()
+    result = engine(robot, sink, interlocks=[Threshold("temperature", "temperature", 70, "°C")])
+    outcome = result.run().outcome
+    assert outcome is Outcome.TRIPPED
+    assert "start" not in robot.calls
+
+
+def test_the_fault_bit_trips_without_being_asked_for() -> None:
+    def fault(block: StructArray) -> None:
+        if (block["segment"] == 1).any():
+            block["status"] |= Status.FAULT
+
+    result = engine(KinematicRobot(fault), ListSink(), interlocks=from_spec([])).run()
+    assert result.outcome is Outcome.TRIPPED
+
+
+def test_what_a_robot_does_not_measure_does_not_trip() -> None:
+    def blind(block: StructArray) -> None:
+        block["temperature"] = np.nan
+
+    locks = [Threshold("temperature", "temperature", 70, "°C")]
+    assert engine(KinematicRobot(blind), ListSink(), interlocks=locks).run().error is None
+
+
+@pytest.mark.parametrize("at_step", [1, 2, 3, 4])
+def test_a_stop_request_is_obeyed_in_every_step(at_step: int) -> None:
+    def stop_now(block: StructArray) -> None:
+        if (block["segment"] == at_step).any():
+            running.request_stop("enough")
+
+    robot, sink = KinematicRobot(stop_now), ListSink()
+    running = engine(robot, sink)
+    result = running.run()
+    assert result.outcome is Outcome.STOPPED
+    assert result.steps_done == at_step
+    assert robot.calls[-1] == "stop"
+    assert f"prepare {at_step + 1}" not in robot.calls
+
+
+def test_a_stop_requested_before_the_start_moves_nothing() -> None:
+    robot = KinematicRobot()
+    running = engine(robot, ListSink())
+    running.request_stop("not today", by_signal=True)
+    result = running.run()
+    assert result.outcome is Outcome.STOPPED
+    assert isinstance(result.error, Stopped)
+    assert result.error.by_signal
+    assert robot.calls == ["stop"]
+
+
+def test_failed_preflight_moves_nothing() -> None:
+    def refuse() -> None:
+        raise PreflightFailed("no")
+
+    robot = KinematicRobot()
+    result = engine(robot, ListSink()).run(refuse)
+    assert result.outcome is Outcome.FAILED
+    assert "start" not in robot.calls
+
+
+def test_a_fault_while_reading_stops_the_robot_and_keeps_what_came_before() -> None:
+    def fault(block: StructArray) -> None:
+        if (block["segment"] == 3).any():
+            raise RobotFault("protective stop")
+
+    robot, sink = KinematicRobot(fault), ListSink()
+    result = engine(robot, sink).run()
+    assert result.outcome is Outcome.FAILED
+    assert robot.calls[-1] == "stop"
+    assert set(sink.rows["segment"]) >= {1, 2}
+
+
+def test_a_recorder_that_cannot_keep_the_data_ends_the_run() -> None:
+    class Full(ListSink):
+        def put(self, rows: StructArray) -> None:
+            super().put(rows)
+            if len(self.blocks) > 10:
+                raise RecordingError("disk full")
+
+    robot = KinematicRobot()
+    result = engine(robot, Full()).run()
+    assert isinstance(result.error, RecordingError)
+    assert robot.calls[-1] == "stop"
+
+
+def test_a_bug_still_stops_the_robot() -> None:
+    class Buggy(ListSink):
+        def put(self, rows: StructArray) -> None:
+            raise ZeroDivisionError
+
+    robot = KinematicRobot()
+    with pytest.raises(ZeroDivisionError):
+        engine(robot, Buggy()).run()
+    assert robot.calls[-1] == "stop"
+
+
+def test_a_stop_that_fails_does_not_hide_why_the_run_ended() -> None:
+    class Unstoppable(KinematicRobot):
+        def stop(self) -> None:
+            raise RobotFault("the line is dead")
+
+    def fault(block: StructArray) -> None:
+        if (block["segment"] == 1).any():
+            raise RobotFault("protective stop")
+
+    result = engine(Unstoppable(fault), ListSink()).run()
+    assert result.reason == "protective stop"
+    assert any("the line is dead" in note for note in result.notes)
+
+
+def test_a_load_is_mounted_only_when_the_operator_confirms() -> None:
+    asked: list[str] = []
+
+    def confirm(text: str) -> bool:
+        asked.append(text)
+        return True
+
+    robot = KinematicRobot()
+    plan = small_plan("Mount 1 kg")
+    assert engine(robot, ListSink(), plan=plan, prompt=confirm).run().error is None
+    assert asked == ["Mount 1 kg"]
+    refused = engine(KinematicRobot(), ListSink(), plan=plan, prompt=lambda text: False).run()
+    assert refused.outcome is Outcome.STOPPED
+
+
+def test_a_payload_that_reads_back_differently_ends_the_run() -> None:
+    class Deaf(KinematicRobot):
+        def set_payload(self, payload: Payload) -> Payload:
+            return replace(payload, mass=0.0)
+
+    result = engine(Deaf(), ListSink()).run()
+    assert result.outcome is Outcome.FAILED
+    assert "reads back" in result.reason
+
+
+def test_observers_that_raise_or_sleep_change_nothing() -> None:
+    class Raises:
+        def notify(self, event: Any) -> None:
+            raise RuntimeError("plot window closed")
+
+    class Sleeps:
+        def notify(self, event: Any) -> None:
+            time.sleep(0.2)
+
+    result = engine(KinematicRobot(), ListSink(), observers=Observers((Raises(), Sleeps()))).run()
+    assert result.outcome is Outcome.COMPLETED
+    assert any("plot window closed" in note for note in result.notes)
+
+
+def test_observers_run_on_their_own_threads() -> None:
+    seen: set[str] = set()
+
+    class Names:
+        def notify(self, event: Any) -> None:
+            seen.add(threading.current_thread().name)
+
+    engine(KinematicRobot(), ListSink(), observers=Observers((Names(),))).run()
+    assert seen
+    assert threading.current_thread().name not in seen
+
+
+def test_every_state_but_the_last_can_go_to_stopping() -> None:
+    for state, reachable in TRANSITIONS.items():
+        if state not in (RunState.STOPPING, RunState.DONE):
+            assert RunState.STOPPING in reachable
+
+
+def test_a_transition_outside_the_table_is_refused() -> None:
+    with pytest.raises(IllegalTransition):
+        StateMachine().to(RunState.RUNNING)
