@@ -6,110 +6,59 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hil.payload import Payload
+from hil.spec.excitation import Dwell, Excitation, Fourier
+from hil.spec.loads import Load
+from hil.spec.quantities import (
+    Finite,
+    FormatVersion,
+    Name,
+    NonNegative,
+    Percent,
+    Positive,
+    Seed,
+    Strict,
+    Whole,
+    mistake,
+)
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
-
-
-class Strict(BaseModel):
-    """Base of every spec part: immutable, and a key nobody knows is an error."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
-
-
-class Load(Strict):
-    """A body mounted at the flange for one pass of the excitation."""
-
-    mass_kg: NonNegative = 0.0
-    com_m: Vector3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the flange frame [m].")
-    inertia_kgm2: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        description="Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, flange axes.",
-    )
-    size_m: tuple[Positive, Positive] | None = Field(
-        None,
-        description="Length and radius of the payload's body along the flange axis, for collision "
-        "checks; a body is assumed from the mass when this is absent.",
-    )
-    prompt: str = Field("", description="What the operator is asked to do before this load.")
-
-    def payload(self) -> Payload:
-        """The same load as the robot and the estimators see it."""
-        return Payload(self.mass_kg, self.com_m, self.inertia_kgm2)
+__all__ = [
+    "Accept",
+    "Dwell",
+    "Excitation",
+    "ExperimentSpec",
+    "Fit",
+    "Fourier",
+    "GapsLimit",
+    "HoldOut",
+    "Interlock",
+    "Load",
+    "NrmseLimit",
+    "Record",
+    "Reference",
+    "RmseLimit",
+    "SpeedInterlock",
+    "TemperatureInterlock",
+    "TrackingErrorInterlock",
+    "Validate",
+    "WarmUp",
+]
 
 
 class WarmUp(Strict):
     """Motion before measuring, so that friction has settled at working temperature."""
 
-    duration_s: NonNegative = 60.0
+    duration_s: NonNegative = Field(60.0, description="How long; 0 switches it off.")
 
 
 class Reference(Strict):
     """One pose that is measured again and again inside a run, to see drift."""
 
-    every: int = Field(50, ge=0, description="Poses between two visits; 0 switches it off.")
+    every: Annotated[Whole, Field(ge=0)] = Field(
+        50, description="Poses between two visits; 0 switches it off."
+    )
     q_deg: tuple[Finite, ...] | None = Field(
         None, description="The pose; by default the first pose of the program."
     )
-
-
-class Dwell(Strict):
-    """A dwell program: go to many poses, stand still, measure."""
-
-    kind: Literal["dwell"]
-    waypoints: int = Field(650, ge=1, le=100_000)
-    file: str | None = Field(
-        None, description="CSV with the lab's own poses, one per row, one column per joint."
-    )
-    file_unit: Literal["deg", "rad"] = "deg"
-    dwell_s: Annotated[float, Field(ge=0.01, le=600)] = Field(
-        0.095, description="Shortest time at rest before the pose is left."
-    )
-    samples_per_dwell: int = Field(10, ge=2, le=10_000)
-    settle_rad_s: Positive = Field(
-        0.002, description="All joints slower than this over the samples means settled."
-    )
-    settle_timeout_s: Positive = Field(
-        3.0, description="After this the pose is marked as not settled and left."
-    )
-    seed: int = 7
-    max_velocity_deg_s: Positive = 60.0
-    max_acceleration_deg_s2: Positive = 80.0
-    max_jerk_deg_s3: Positive = 800.0
-    approach: Literal["both", "positive", "negative", "free"] = Field(
-        "both",
-        description="`both` dwells at every pose twice, arriving from below and from above in "
-        "every joint; `free` arrives as the way there happens to end.",
-    )
-    approach_deg: Positive = Field(3.0, description="How far the last stretch to a pose is.")
-    range_deg: tuple[tuple[Finite, Finite], ...] | None = Field(
-        None, description="Joint ranges poses are drawn from, one pair per joint."
-    )
-
-
-class Fourier(Strict):
-    """Finite Fourier series per joint (PINN paper eq. 29), at rest at both ends."""
-
-    kind: Literal["fourier"]
-    harmonics: int = Field(5, ge=2, le=50)
-    fundamental_hz: Positive = 0.1
-    periods: int = Field(1, ge=1, le=1000)
-    trajectories: int = Field(12, ge=1, le=1000)
-    seed: int = 7
-    max_velocity_deg_s: Positive = 100.0
-    max_acceleration_deg_s2: Positive = 300.0
-    max_jerk_deg_s3: Positive = Field(
-        2000.0, description="For the moves between trajectories, not inside them."
-    )
-    amplitude_deg: Positive = Field(90.0, description="Largest excursion from the centre.")
-    range_deg: tuple[tuple[Finite, Finite], ...] | None = None
-
-
-Excitation = Annotated[Dwell | Fourier, Field(discriminator="kind")]
 
 
 class Record(Strict):
@@ -121,25 +70,27 @@ class Record(Strict):
 class TrackingErrorInterlock(Strict):
     """Stop when a joint is further from its set-point than this."""
 
-    kind: Literal["tracking_error"]
-    limit_rad: Positive
-    action: Literal["stop"] = "stop"
+    kind: Literal["tracking_error"] = Field(description="This kind of interlock.")
+    limit_rad: Annotated[Positive, Field(le=1.0)] = Field(
+        description="Largest distance between measured and commanded position."
+    )
+    action: Literal["stop"] = Field("stop", description="What happens then.")
 
 
 class TemperatureInterlock(Strict):
     """Stop when a joint is hotter than this."""
 
-    kind: Literal["temperature"]
-    limit_c: Positive
-    action: Literal["stop"] = "stop"
+    kind: Literal["temperature"] = Field(description="This kind of interlock.")
+    limit_c: Annotated[Positive, Field(le=150.0)] = Field(description="Highest joint temperature.")
+    action: Literal["stop"] = Field("stop", description="What happens then.")
 
 
 class SpeedInterlock(Strict):
     """Stop when a joint moves faster than this."""
 
-    kind: Literal["speed"]
-    limit_deg_s: Positive
-    action: Literal["stop"] = "stop"
+    kind: Literal["speed"] = Field(description="This kind of interlock.")
+    limit_deg_s: Positive = Field(description="Highest joint speed.")
+    action: Literal["stop"] = Field("stop", description="What happens then.")
 
 
 Interlock = Annotated[
@@ -152,7 +103,7 @@ class Fit(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    estimator: str
+    estimator: str = Field(description="Name under `hil.estimators`, e.g. `static-wls`.")
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -163,76 +114,114 @@ class Fit(BaseModel):
 class HoldOut(Strict):
     """What is kept away from the fit and judged on, always whole poses, trajectories or loads."""
 
-    trajectories: int = Field(0, ge=0, description="How many of the last trajectories.")
-    poses_percent: Annotated[float, Field(ge=0, le=90)] = Field(
+    trajectories: Annotated[Whole, Field(ge=0)] = Field(
+        0, description="How many of the last trajectories."
+    )
+    poses_percent: Annotated[Percent, Field(le=90)] = Field(
         20.0, description="Share of the poses, drawn by seed, both approaches together."
     )
-    loads: tuple[int, ...] = Field((), description="Indices into `loads`, from 0.")
-    seed: int = 7
+    loads: tuple[Annotated[Whole, Field(ge=0)], ...] = Field(
+        (), description="Indices into `loads`, from 0."
+    )
+    seed: Seed = Field(7, description="Decides which poses are held out.")
 
 
 class Validate(Strict):
     """How the fitted models are judged."""
 
-    hold_out: HoldOut = HoldOut()
+    hold_out: HoldOut = Field(HoldOut(), description="What no estimator gets to see.")
 
 
 class RmseLimit(Strict):
     """Largest root-mean-square error accepted on the held-out data."""
 
-    max: Positive
-    unit: Literal["A", "N·m", "Nm"]
-    per: Literal["joint", "mean"] = "mean"
-    signal: Literal["raw", "filtered"] = "raw"
+    max: Positive = Field(description="The limit, in `unit`.")
+    unit: Literal["A", "N·m", "Nm"] = Field(description="What the robot's effort is measured in.")
+    per: Literal["joint", "mean"] = Field(
+        "mean", description="Whether every joint must keep the limit, or their mean."
+    )
+    signal: Literal["raw", "filtered"] = Field(
+        "raw", description="Whether the measured effort is low-pass filtered before comparing."
+    )
 
 
 class NrmseLimit(Strict):
     """Largest RMSE over the standard deviation of the signal."""
 
-    max: Positive
-    per: Literal["joint", "mean"] = "mean"
+    max: Positive = Field(description="The limit, without unit (0.1 is 10 %).")
+    per: Literal["joint", "mean"] = Field(
+        "mean", description="Whether every joint must keep the limit, or their mean."
+    )
 
 
 class GapsLimit(Strict):
     """Largest share of missing samples."""
 
-    max: NonNegative
+    max: NonNegative = Field(description="The limit, in percent of the samples expected.")
 
 
 class Accept(Strict):
     """Criteria for the verdict; with none, the verdict is `not judged`."""
 
-    rmse: RmseLimit | None = None
-    nrmse: NrmseLimit | None = None
-    gaps_percent: GapsLimit | None = None
+    rmse: RmseLimit | None = Field(None, description="On the held-out data, in the robot's unit.")
+    nrmse: NrmseLimit | None = Field(None, description="On the held-out data, without unit.")
+    gaps_percent: GapsLimit | None = Field(None, description="On the recording.")
 
 
 class ExperimentSpec(Strict):
     """One experiment, from excitation to acceptance."""
 
-    hil: Literal[1] = Field(description="Version of the spec format.")
-    name: Name
-    description: str = ""
+    hil: FormatVersion = Field(description="Version of the spec format.")
+    name: Name = Field(description="Names the run directories; letters, digits, `_`, `.`, `-`.")
+    description: str = Field("", description="What this is for; shown in the report.")
     robot: str = Field(description="A robot of the station.")
-    excitation: Excitation
-    loads: tuple[Load, ...] = Field((Load(),), min_length=1)
-    warm_up: WarmUp = WarmUp()
-    reference: Reference = Reference()
-    record: Record = Record()
-    interlocks: tuple[Interlock, ...] = (
-        TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05),
-        TemperatureInterlock(kind="temperature", limit_c=75.0),
+    excitation: Excitation = Field(description="What the arm does while it is measured.")
+    loads: tuple[Load, ...] = Field(
+        (Load(),), min_length=1, description="The excitation runs once with each of these."
     )
-    fit: tuple[Fit, ...] = ()
-    validation: Validate = Field(Validate(), alias="validate")
-    accept: Accept = Accept()
+    warm_up: WarmUp = Field(WarmUp(), description="Motion before measuring.")
+    reference: Reference = Field(Reference(), description="A pose visited again and again.")
+    record: Record = Field(Record(), description="What is recorded.")
+    interlocks: tuple[Interlock, ...] = Field(
+        (
+            TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05),
+            TemperatureInterlock(kind="temperature", limit_c=75.0),
+        ),
+        description="What stops the motion; a list given here replaces the default one.",
+    )
+    fit: tuple[Fit, ...] = Field((), description="The estimators to fit, each on the same data.")
+    validation: Validate = Field(
+        Validate(), alias="validate", description="How the fitted models are judged."
+    )
+    accept: Accept = Field(Accept(), description="When the result is good enough.")
 
     @model_validator(mode="after")
     def _loads_held_out_exist(self) -> ExperimentSpec:
-        missing = [i for i in self.validation.hold_out.loads if not 0 <= i < len(self.loads)]
-        if missing:
-            raise ValueError(
-                f"validate.hold_out.loads names load {missing[0]}, "
-                f"but there are {len(self.loads)} loads, counted from 0"
-            )
+        held, n = self.validation.hold_out.loads, len(self.loads)
+        at = ("validate", "hold_out", "loads")
+        for i, load in enumerate(held):
+            if load >= n:
+                message = f"there is no load {load}: `loads` has {n}, counted from 0"
+                raise mistake(message, *at, i)
+        if len(set(held)) == n:
+            raise mistake("holds out every load and leaves none to fit on", *at)
+        return self
+
+    @model_validator(mode="after")
+    def _trajectories_held_out_exist(self) -> ExperimentSpec:
+        held, at = self.validation.hold_out.trajectories, ("validate", "hold_out", "trajectories")
+        if held and isinstance(self.excitation, Dwell):
+            raise mistake("a dwell program has no trajectories: use poses_percent", *at)
+        if isinstance(self.excitation, Fourier) and held >= self.excitation.trajectories:
+            n = self.excitation.trajectories
+            raise mistake(f"holds out {held} of {n} trajectories and leaves none to fit on", *at)
+        return self
+
+    @model_validator(mode="after")
+    def _speed_interlock_lets_the_program_run(self) -> ExperimentSpec:
+        fastest = self.excitation.max_velocity_deg_s
+        for i, interlock in enumerate(self.interlocks):
+            if isinstance(interlock, SpeedInterlock) and interlock.limit_deg_s <= fastest:
+                message = f"must be above the {fastest:g} °/s of excitation.max_velocity_deg_s"
+                raise mistake(message, "interlocks", i, "limit_deg_s")
         return self

@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from hil.spec.experiment import Finite, Name, NonNegative, Positive, Strict, Vector3
+from hil.spec.quantities import (
+    Finite,
+    FormatVersion,
+    Name,
+    NonNegative,
+    Positive,
+    Strict,
+    Vector3,
+    mistake,
+)
+
+
+def _has_a_direction(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(vector):
+        raise mistake("must point somewhere; it is all zeros")
+    return vector
 
 
 class Wall(Strict):
     """A plane the arm must stay in front of."""
 
-    name: str = "wall"
-    point_m: Vector3
-    normal: Vector3 = Field(description="Points to the side where the arm may be.")
+    name: str = Field("wall", description="Shown when something comes too close.")
+    point_m: Vector3 = Field(description="Any point of the plane, in the robot's base frame.")
+    normal: Annotated[Vector3, AfterValidator(_has_a_direction)] = Field(
+        description="Points to the side where the arm may be; its length does not matter."
+    )
 
 
 class Box(Strict):
     """An axis-aligned obstacle in the robot's base frame."""
 
-    name: str = "box"
-    centre_m: Vector3
-    size_m: tuple[Positive, Positive, Positive]
+    name: str = Field("box", description="Shown when something comes too close.")
+    centre_m: Vector3 = Field(description="Its centre, in the robot's base frame.")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="Full lengths along x, y, z.")
 
 
 class Surroundings(Strict):
     """What stands around a robot, in its base frame."""
 
     table_z_m: Finite | None = Field(0.0, description="Height of the table top; null for none.")
-    walls: tuple[Wall, ...] = ()
-    boxes: tuple[Box, ...] = ()
+    walls: tuple[Wall, ...] = Field((), description="Planes the arm must stay in front of.")
+    boxes: tuple[Box, ...] = Field((), description="Obstacles the arm must stay out of.")
     clearance_m: NonNegative = Field(0.02, description="Least distance kept to everything.")
 
 
@@ -38,9 +55,14 @@ class StationRobot(Strict):
     """One robot of the bench."""
 
     driver: str = Field(description="Name under `hil.drivers`, e.g. `mock`, `ur`.")
-    model: str = Field(description="A built-in arm (`ur5`) or a path to a URDF.")
+    model: str = Field(
+        description="A built-in arm (`ur5`) or a path to a URDF; a relative path starts at the "
+        "folder of the station."
+    )
     options: dict[str, Any] = Field({}, description="The driver's own options.")
-    surroundings: Surroundings = Surroundings()
+    surroundings: Surroundings = Field(
+        Surroundings(), description="What the arm must not touch; by default a table at its base."
+    )
     gravity_m_s2: Vector3 = Field(
         (0.0, 0.0, -9.81), description="Gravity in the base frame: says how the arm is mounted."
     )
@@ -49,6 +71,8 @@ class StationRobot(Strict):
 class Station(Strict):
     """A bench: its robots by name."""
 
-    hil_station: Literal[1] = Field(description="Version of the station format.")
-    name: Name = "bench"
-    robots: dict[str, StationRobot] = Field(min_length=1)
+    hil_station: FormatVersion = Field(description="Version of the station format.")
+    name: Name = Field("bench", description="Which bench this is; stored with every run.")
+    robots: dict[Name, StationRobot] = Field(
+        min_length=1, description="The robots by the names that experiments use."
+    )

@@ -1,0 +1,157 @@
+"""Plug-ins by entry point: names cost nothing, code is imported only when it is asked for.
+
+A group such as `hil.estimators` maps names people write in a YAML file to `module:attribute`.
+What is broken is an error when it is named, and a line in `describe_all` otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from hil.errors import PluginError
+from hil.suggest import did_you_mean
+
+GROUPS = {
+    "hil.drivers": "robot driver",
+    "hil.mocks": "mock robot",
+    "hil.excitations": "excitation",
+    "hil.estimators": "estimator",
+    "hil.checks": "preflight check",
+    "hil.interlocks": "interlock",
+}
+"""What each entry-point group holds, in words."""
+
+EXTRA_OF_MODULE = {
+    "mujoco": "mock",
+    "numba": "mock",
+    "rtde_control": "ur",
+    "rtde_receive": "ur",
+    "rtde_io": "ur",
+    "can": "can",
+    "canopen": "can",
+    "torch": "learn",
+    "distributed": "fleet",
+    "rosbags": "bags",
+}
+"""The extra of this distribution that brings an optional top-level module."""
+
+
+@dataclass(frozen=True, slots=True)
+class PluginInfo:
+    """One registered plug-in, as `hil plugins` and `hil doctor` show it.
+
+    Attributes:
+        group, name: Where it is registered and under which name.
+        target: `module:attribute` it stands for.
+        distribution: Distribution and version that registered it, e.g. `hil 0.1.0`.
+        error: Why it cannot be used; empty when it loads (or was not tried).
+        hint: How to mend that.
+    """
+
+    group: str
+    name: str
+    target: str
+    distribution: str
+    error: str = ""
+    hint: str = ""
+
+
+def names(group: str) -> tuple[str, ...]:
+    """Names registered in a group, sorted; nothing is imported."""
+    return tuple(sorted({point.name for point in _registered(group)}))
+
+
+def load(group: str, name: str) -> Any:
+    """Import the plug-in called `name`.
+
+    Raises:
+        PluginError: No plug-in has that name, two distributions claim it, or its import fails
+            (the cause is in the message and in `__cause__`).
+    """
+    point = find(group, name)
+    try:
+        return point.load()
+    # A plug-in that calls sys.exit while it is imported must not end the whole program.
+    except (Exception, SystemExit) as error:
+        kind = _kind(group)
+        message = f"the {kind} {name!r} ({point.value}) does not load: {_cause(error)}"
+        raise PluginError(message, hint=_remedy(error, point)) from error
+
+
+def find(group: str, name: str) -> EntryPoint:
+    """The entry point called `name`, without importing it.
+
+    Raises:
+        PluginError: No plug-in has that name, or two distributions claim it.
+    """
+    points = [point for point in _registered(group) if point.name == name]
+    if not points:
+        known = names(group)
+        hint = did_you_mean(name, known) if known else "is hil installed, or just on the path?"
+        raise PluginError(f"there is no {_kind(group)} called {name!r}", hint=hint)
+    if len({point.value for point in points}) > 1:
+        claims = " and ".join(f"{_distribution(p)} ({p.value})" for p in points)
+        raise PluginError(
+            f"the {_kind(group)} {name!r} is claimed by {claims}", hint="uninstall one of them"
+        )
+    return points[0]
+
+
+def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:
+    """Every registered plug-in with what is wrong with it; never raises.
+
+    Args:
+        try_loading: Import each plug-in to see whether it works, which takes seconds and memory.
+    """
+    return tuple(
+        _describe(group, point, try_loading) for group in GROUPS for point in _registered(group)
+    )
+
+
+def _describe(group: str, point: EntryPoint, try_loading: bool) -> PluginInfo:
+    info = (group, point.name, point.value, _distribution(point))
+    if not try_loading:
+        return PluginInfo(*info)
+    try:
+        load(group, point.name)
+    except PluginError as error:
+        return PluginInfo(*info, error.message, error.hint)
+    return PluginInfo(*info)
+
+
+def _registered(group: str) -> list[EntryPoint]:
+    return sorted(entry_points(group=group), key=lambda point: (point.name, point.value))
+
+
+def _kind(group: str) -> str:
+    return GROUPS.get(group, f"{group} plug-in")
+
+
+def _distribution(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "an unknown distribution"
+
+
+def _cause(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def _remedy(error: BaseException, point: EntryPoint) -> str:
+    for missing in _missing_modules(error):
+        if extra := EXTRA_OF_MODULE.get(missing):
+            return f'pip install "hil[{extra}]"'
+        if missing == point.module.partition(".")[0]:
+            return f"{_distribution(point)} is installed incompletely: install it again"
+        return f"the module {missing!r} is missing: pip install the package that brings it"
+    return f"mend or uninstall {_distribution(point)}; `hil doctor` shows all plug-ins"
+
+
+def _missing_modules(error: BaseException) -> Iterator[str]:
+    """Top-level modules that could not be found, along the chain of causes."""
+    step: BaseException | None = error
+    while step is not None:
+        if isinstance(step, ModuleNotFoundError) and step.name:
+            yield step.name.partition(".")[0]
+        step = step.__cause__ or step.__context__

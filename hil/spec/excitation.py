@@ -1,0 +1,84 @@
+"""What a spec may ask the arm to do while it is measured."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hil.spec.quantities import Finite, JointRange, Positive, Seed, Strict, Whole
+
+
+class Dwell(Strict):
+    """A dwell program: go to many poses, stand still, measure."""
+
+    kind: Literal["dwell"] = Field(description="This kind of excitation.")
+    waypoints: Annotated[Whole, Field(ge=1, le=100_000)] = Field(
+        650, description="How many poses, well spread over the joint ranges."
+    )
+    file: str | None = Field(
+        None,
+        description="CSV with the lab's own poses, one per row, one column per joint; a relative "
+        "path starts at the folder of the spec. Replaces `waypoints`, `range_deg` and `seed`.",
+    )
+    file_unit: Literal["deg", "rad"] = Field("deg", description="Unit of the poses in `file`.")
+    dwell_s: Annotated[Finite, Field(ge=0.01, le=600)] = Field(
+        0.095, description="Shortest time at rest before the pose is left."
+    )
+    samples_per_dwell: Annotated[Whole, Field(ge=2, le=10_000)] = Field(
+        10, description="Settled samples taken at every pose."
+    )
+    settle_rad_s: Positive = Field(
+        0.002, description="All joints slower than this over the samples means settled."
+    )
+    settle_timeout_s: Positive = Field(
+        3.0, description="After this the pose is marked as not settled and left."
+    )
+    seed: Seed = Field(7, description="Decides which poses are drawn; the same seed, the same.")
+    max_velocity_deg_s: Positive = Field(60.0, description="Fastest any joint moves.")
+    max_acceleration_deg_s2: Positive = Field(80.0, description="Hardest any joint accelerates.")
+    max_jerk_deg_s3: Positive = Field(800.0, description="Fastest change of acceleration.")
+    approach: Literal["both", "positive", "negative", "free"] = Field(
+        "both",
+        description="`both` dwells at every pose twice, arriving from below and from above in "
+        "every joint; `free` arrives as the way there happens to end.",
+    )
+    approach_deg: Positive = Field(3.0, description="How far the last stretch to a pose is.")
+    range_deg: tuple[JointRange, ...] | None = Field(
+        None,
+        description="Joint ranges poses are drawn from, one pair per joint; by default those of "
+        "the arm.",
+    )
+
+
+class Fourier(Strict):
+    """Finite Fourier series per joint (PINN paper eq. 29), at rest at both ends."""
+
+    kind: Literal["fourier"] = Field(description="This kind of excitation.")
+    harmonics: Annotated[Whole, Field(ge=2, le=50)] = Field(
+        5, description="Sines and cosines per joint; two are used up for rest at both ends."
+    )
+    fundamental_hz: Positive = Field(
+        0.1, description="Frequency of the first harmonic; its inverse is the period."
+    )
+    periods: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+        1, description="How often each trajectory is repeated without a break."
+    )
+    trajectories: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+        12, description="How many different trajectories, each from rest to rest."
+    )
+    seed: Seed = Field(7, description="Decides which trajectories are drawn.")
+    max_velocity_deg_s: Positive = Field(100.0, description="Fastest any joint moves.")
+    max_acceleration_deg_s2: Positive = Field(300.0, description="Hardest any joint accelerates.")
+    max_jerk_deg_s3: Positive = Field(
+        2000.0, description="For the moves between trajectories, not inside them."
+    )
+    amplitude_deg: Positive = Field(90.0, description="Largest excursion from the centre.")
+    range_deg: tuple[JointRange, ...] | None = Field(
+        None,
+        description="Joint ranges the trajectories stay in, one pair per joint; by default those "
+        "of the arm.",
+    )
+
+
+Excitation = Annotated[Dwell | Fourier, Field(discriminator="kind")]

@@ -1,0 +1,51 @@
+"""The kinds of values specs are made of: numbers that are numbers, names, joint ranges."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+
+def mistake(message: str, *at: str | int) -> PydanticCustomError:
+    """The error a validator raises for values that are fine alone but not together.
+
+    Args:
+        message: What cannot be, in plain words.
+        at: Keys from the model that raises down to the value to be mended.
+    """
+    return PydanticCustomError("mistake", "{message}", {"message": message, "at": list(at)})
+
+
+def _number(value: Any) -> Any:
+    # Pydantic would take "3" for 3 and true for 1; in a file both are slips.
+    if isinstance(value, bool | str):
+        raise PydanticCustomError("not_a_number", "must be a number")
+    return value
+
+
+def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] >= pair[1]:
+        raise mistake(f"the range must go from low to high, not from {pair[0]:g} to {pair[1]:g}")
+    return pair
+
+
+_IsNumber = BeforeValidator(_number)
+
+Finite = Annotated[float, _IsNumber, Field(allow_inf_nan=False)]
+Positive = Annotated[float, _IsNumber, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, _IsNumber, Field(ge=0, allow_inf_nan=False)]
+Percent = Annotated[float, _IsNumber, Field(ge=0, le=100, allow_inf_nan=False)]
+Whole = Annotated[int, _IsNumber]
+Seed = Annotated[int, _IsNumber, Field(ge=0, le=2**32 - 1)]
+FormatVersion = Annotated[Literal[1], _IsNumber]
+Vector3 = tuple[Finite, Finite, Finite]
+JointRange = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+
+
+class Strict(BaseModel):
+    """Base of every spec part: immutable, and a key nobody knows is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)

@@ -1,0 +1,105 @@
+"""A parsed file that remembers where everything stood, and collects what is wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeAlias
+
+from hil.errors import SpecError
+
+Path: TypeAlias = tuple[str | int, ...]
+"""Keys and list indices from the top of the file to a value."""
+
+MOST_PROBLEMS = 50
+"""So many problems are written out; whoever has more mends these first."""
+
+
+class Mark(NamedTuple):
+    """A place in a file; line and column count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+class Problem(NamedTuple):
+    """One thing that is wrong: where, at which key, and what in plain words."""
+
+    mark: Mark
+    path: Path
+    message: str
+
+    def __str__(self) -> str:
+        path = dotted(self.path)
+        return f"{self.mark}: {path}: {self.message}" if path else f"{self.mark}: {self.message}"
+
+
+@dataclass
+class Source:
+    """The content of one YAML file as plain data, with the place of every key and value.
+
+    Attributes:
+        name: The file as the person named it; begins every message.
+        data: dicts, lists, strings, numbers, booleans and None.
+        keys: Where each key of a mapping stands.
+        values: Where each value begins.
+        problems: What was wrong with the YAML itself, although it could be parsed.
+    """
+
+    name: str
+    data: Any = None
+    keys: dict[Path, Mark] = field(default_factory=dict)
+    values: dict[Path, Mark] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+
+    def mark(self, path: Path, *, key: bool = False) -> Mark:
+        """The place of a value (or of its key), or else of the nearest thing around it."""
+        if key and path in self.keys:
+            return self.keys[path]
+        while path not in self.values and path:
+            path = path[:-1]
+        return self.values.get(path, Mark(self.name, 1, 1))
+
+    def at(self, path: Path) -> Any:
+        """The value at a path, None where there is nothing."""
+        value = self.data
+        for step in path:
+            try:
+                value = value[step]
+            except (KeyError, IndexError, TypeError):
+                return None
+        return value
+
+    def add(self, path: Path, message: str, *, key: bool = False) -> None:
+        """Note a problem with the value (or the key) at `path`."""
+        self.problems.append(Problem(self.mark(path, key=key), path, message))
+
+    def forget(self, path: Path) -> None:
+        """Drop the places of everything at and below `path`, because it is being replaced."""
+        for places in (self.keys, self.values):
+            for below in [p for p in places if p[: len(path)] == path]:
+                del places[below]
+
+
+def refuse(problems: list[Problem], hint: str = "") -> SpecError:
+    """The error that lists all problems in the order of the file."""
+    ordered = sorted(set(problems), key=lambda p: (p.mark, dotted(p.path), p.message))
+    lines = [str(problem) for problem in ordered[:MOST_PROBLEMS]]
+    if len(ordered) > MOST_PROBLEMS:
+        lines.append(f"… and {len(ordered) - MOST_PROBLEMS} more problems")
+    return SpecError("\n".join(lines), hint=hint)
+
+
+def dotted(path: Path) -> str:
+    """A path as people write it: `loads.1.mass_kg`."""
+    return ".".join(shown(str(step)) for step in path)
+
+
+def shown(value: object) -> str:
+    """A value for a message: on one line, printable, and not too long."""
+    text = value if isinstance(value, str) else repr(value)
+    text = "".join(c if c.isprintable() else "?" for c in text[:61])
+    return text if len(text) <= 60 else text[:57] + "…"
