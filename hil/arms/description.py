@@ -50,6 +50,7 @@ class ArmDescription:
         payload_max_kg: Rated payload [kg].
         capsules: Collision bodies, base and links.
         sources: Where each number comes from, by topic.
+        link_names: (n + 1,) what people call the base and the links, for messages.
     """
 
     name: str
@@ -71,6 +72,7 @@ class ArmDescription:
     payload_max_kg: float
     capsules: tuple[Capsule, ...]
     sources: dict[str, str]
+    link_names: tuple[str, ...]
 
     @property
     def n_joints(self) -> int:
@@ -131,6 +133,7 @@ def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
             for c in raw["capsules"]
         ),
         sources=raw["sources"],
+        link_names=("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1))),
     )
 
 
