@@ -1,0 +1,64 @@
+"""Which runs are there? A view of the disk that nothing damaged on it can break."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from hil.errors import DataError
+from hil.record.rundir import RunDirectory, RunStatus, numbered_runs
+
+
+@dataclass(frozen=True, slots=True)
+class RunListing:
+    """One line of the catalogue.
+
+    Attributes:
+        path: The run directory.
+        number: Its running number, 0 when somebody has renamed it.
+        date: Folder of the day it was started, ISO 8601.
+        robot: Folder of the robot.
+        status: How it ended, or `damaged`.
+        uid: Identity from the start document, empty when damaged.
+        problem: Why it is damaged, else empty.
+    """
+
+    path: Path
+    number: int
+    date: str
+    robot: str
+    status: RunStatus | Literal["damaged"]
+    uid: str = ""
+    problem: str = ""
+
+
+def list_runs(runs_root: Path) -> list[RunListing]:
+    """Every run under `runs_root`, by number; damaged directories are listed as such."""
+    root = Path(runs_root)
+    found = {*numbered_runs(root), *(start.parent for start in root.glob("*/*/*/start.json"))}
+    listings = [_listing(path) for path in found if path.is_dir()]
+    return sorted(listings, key=lambda run: (run.number, run.path))
+
+
+def _listing(path: Path) -> RunListing:
+    status, uid, problem = _state_of(path)
+    return RunListing(
+        path=path,
+        number=RunDirectory(path).number,
+        date=path.parents[1].name,
+        robot=path.parent.name,
+        status=status,
+        uid=uid,
+        problem=problem,
+    )
+
+
+def _state_of(path: Path) -> tuple[RunStatus | Literal["damaged"], str, str]:
+    try:
+        run = RunDirectory.open(path)
+        return run.status, str(run.start.get("uid", "")), ""
+    except DataError as error:
+        return "damaged", "", error.message
+    except OSError as error:
+        return "damaged", "", str(error)

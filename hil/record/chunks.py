@@ -1,0 +1,141 @@
+"""Inside one chunk of an MCAP file: decompress it, find its messages, lift them out as rows."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import get_chunk_data_stream
+
+from hil.record.cdr import CDR_HEADER
+from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, parse
+from hil.typing import BoolArray, IntArray, StructArray
+
+_LARGEST_CHUNK_BYTES = 1 << 30
+
+MESSAGE_HEAD = np.dtype(
+    [
+        ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+        ("log_time", "<u8"), ("publish_time", "<u8"), ("cdr", "<u4"),
+    ]
+)  # fmt: skip
+"""What stands before a fixed-size row: record header, message header, CDR header."""
+
+_LENGTH_BEFORE_ROW = MESSAGE_HEAD.itemsize - RECORD_HEADER.size
+_CDR = int.from_bytes(CDR_HEADER, "little")
+
+
+class ChunkContent(NamedTuple):
+    """What a walk through a chunk finds; offsets are those of the message records."""
+
+    schemas: list[Schema]
+    channels: list[Channel]
+    offsets: dict[int, list[int]]
+
+
+def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
+    """The decompressed, checksummed content of a chunk. Raises `Torn` when it is damaged."""
+    file.seek(span.offset)
+    chunk = parse(Chunk.read, file.read(span.length))
+    if chunk.uncompressed_size > _LARGEST_CHUNK_BYTES:
+        raise Torn(f"a chunk that claims {chunk.uncompressed_size} bytes")
+    try:
+        if chunk.compression == "zstd":
+            _require_claimed_size(chunk)
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(length)
+    except (McapError, ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
+        raise Torn(f"a chunk that does not decompress: {error}") from error
+
+
+def walk(data: bytes) -> ChunkContent:
+    """Find a chunk's records one after the other; for chunks without (whole) message indexes."""
+    content = ChunkContent([], [], defaultdict(list))
+    for opcode, offset, length in _records(data):
+        if opcode == Opcode.MESSAGE:
+            start = offset + RECORD_HEADER.size
+            channel = int.from_bytes(data[start : start + 2], "little")
+            content.offsets[channel].append(offset)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            body = data[offset + RECORD_HEADER.size :][:length]
+            if opcode == Opcode.SCHEMA:
+                content.schemas.append(parse(Schema.read, body))
+            else:
+                content.channels.append(parse(Channel.read, body))
+    return content
+
+
+def indexed_offsets(file: IO[bytes], span: ChunkSpan, of_topic: BoolArray) -> IntArray:
+    """Offsets of a topic's messages within the chunk, in file order, from its message indexes.
+
+    Args:
+        file: The open file.
+        span: The chunk.
+        of_topic: (65536,) true for the channel ids that belong to the topic.
+    """
+    found = [np.empty(0, np.int64)]
+    for channel, (offset, messages) in span.indexes.items():
+        if of_topic[channel]:
+            file.seek(offset)
+            entries = np.frombuffer(file.read(16 * messages), "<i8").reshape(-1, 2)
+            found.append(entries[:, 1])
+    return np.sort(np.concatenate(found))
+
+
+def rows_at(
+    data: bytes, offsets: IntArray, of_topic: BoolArray, dtype: np.dtype[Any]
+) -> StructArray:
+    """The rows of the messages at `offsets`, as raw `V{itemsize}` records.
+
+    Args:
+        data: Content of the chunk.
+        offsets: (N,) where the message records begin, ascending.
+        of_topic: (65536,) true for the channel ids that belong to the topic.
+        dtype: What a row must be.
+
+    Raises:
+        Torn: Something else than fixed-size CDR messages of the topic stands there.
+    """
+    size = dtype.itemsize
+    room = len(data) - MESSAGE_HEAD.itemsize - size
+    if not len(offsets):
+        return np.empty(0, f"V{size}")
+    if offsets[0] < 0 or offsets[-1] > room or (np.diff(offsets) <= 0).any():
+        raise Torn("a chunk whose messages overlap or lie outside it")
+    head = _at(data, offsets, MESSAGE_HEAD.itemsize).view(MESSAGE_HEAD)
+    whole = (head["opcode"] == Opcode.MESSAGE) & (head["length"] == _LENGTH_BEFORE_ROW + size)
+    if not (whole & of_topic[head["channel"]] & (head["cdr"] == _CDR)).all():
+        raise Torn(f"a chunk with messages that are not little-endian CDR of {size} bytes")
+    return _at(data, offsets + MESSAGE_HEAD.itemsize, size)
+
+
+def _at(data: bytes, offsets: IntArray, size: int) -> StructArray:
+    """Copies of `size` bytes from each offset: a gather over all overlapping windows."""
+    windows: StructArray = np.ndarray(len(data) - size + 1, f"V{size}", data, strides=(1,))
+    return windows[offsets]
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """(opcode, offset, length of content) of every record in a chunk."""
+    offset, end, head = 0, len(data), RECORD_HEADER.size
+    while offset < end:
+        if offset + head > end:
+            raise Torn("a chunk that ends within a record")
+        opcode, length = RECORD_HEADER.unpack_from(data, offset)
+        if offset + head + length > end:
+            raise Torn("a chunk that ends within a record")
+        yield opcode, offset, length
+        offset += head + length
+
+
+def _require_claimed_size(chunk: Chunk) -> None:
+    """A frame that announces another size than the chunk would allocate what it likes."""
+    announced = zstandard.frame_content_size(chunk.data)
+    if announced not in (-1, chunk.uncompressed_size):
+        raise ValueError(f"it claims {chunk.uncompressed_size} bytes and holds {announced}")

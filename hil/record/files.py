@@ -1,0 +1,113 @@
+"""Files that are either whole or not there: write, fsync, rename, fsync the directory."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import DataError, RecordingError
+
+
+def write_once(path: Path, content: bytes) -> None:
+    """Write a file that did not exist, so that a crash leaves all of it or none of it.
+
+    Raises:
+        RecordingError: It exists already (no file of a run is rewritten), or the disk refuses.
+    """
+    if path.exists():
+        raise RecordingError(
+            f"{path} exists already, and no file of a run is rewritten",
+            hint="write a new file, or start a new run",
+        )
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with draft.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.rename(path)
+        fsync_directory(path.parent)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def fsync_directory(directory: Path) -> None:
+    """Make creations and renames in a directory survive a power loss."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def json_line(value: Any) -> str:
+    """One line of strict JSON; what JSON has no word for becomes its nearest (NaN → null)."""
+    return json.dumps(_plain(value), ensure_ascii=False, allow_nan=False)
+
+
+def json_document(value: Any) -> bytes:
+    """An indented, strict JSON document."""
+    text = json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, indent=2)
+    return text.encode("utf-8", "backslashreplace") + b"\n"
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object a JSON file holds.
+
+    Raises:
+        DataError: The file is missing, unreadable, not JSON, or holds something else.
+    """
+    try:
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path} is not valid JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise DataError(f"{path} holds a {type(document).__name__}, not a JSON object")
+    return document
+
+
+def require_known_version(where: Path, document: Mapping[str, Any], key: str, known: int) -> None:
+    """Refuse what a newer hil has written.
+
+    Raises:
+        DataError: `document[key]` is no version number, or is higher than `known`.
+    """
+    try:
+        version = int(str(document[key]))
+    except (KeyError, ValueError):
+        raise DataError(f"{where} does not say which format it has ({key})") from None
+    if version > known:
+        raise DataError(
+            f"{where} was written by a newer hil: {key} is {version}, known here up to {known}",
+            hint="update hil (pip install --upgrade hil) and read it again",
+        )
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [_plain(item) for item in value]
+    return str(value)

@@ -1,0 +1,41 @@
+"""Events in the recording as `rcl_interfaces/msg/Log`, which every viewer's log panel shows.
+
+JSON messages with a `jsonschema` would be simpler, but rosbags refuses a whole file that holds
+one (KeyError on the schema encoding), and a `ros2` profile promises CDR. So the event's kind is
+the logger's name and the event itself is the message, as JSON text.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from hil.record.cdr import CDR_HEADER, cdr_string
+from hil.record.files import json_line
+
+EVENT_TOPIC = "/events"
+EVENT_SCHEMA = "rcl_interfaces/msg/Log"
+EVENT_TEXT = f"""\
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+{"=" * 80}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_INFO = 20
+
+
+def encode_event(event: Mapping[str, Any]) -> bytes:
+    """The CDR message of one event; it has `t` (Unix time [s]) and `kind`."""
+    stamp = max(0.0, float(event["t"]))
+    body = struct.pack("<iIB3x", int(stamp), int(stamp % 1.0 * 1e9), _INFO)
+    for text in (str(event["kind"]), json_line(event), "", ""):
+        body += cdr_string(text)
+    return CDR_HEADER + body + struct.pack("<I", 0)

@@ -1,0 +1,98 @@
+"""Where a run comes from: code, packages, machine, person. Never needs a network, never hangs."""
+
+from __future__ import annotations
+
+import getpass
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import subprocess
+import uuid
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+_GIT_TIMEOUT_S = 2.0
+
+
+def collect_provenance(directory: Path | None = None) -> dict[str, Any]:
+    """What `start.json` says about the circumstances.
+
+    Args:
+        directory: Where the person works; its git repository is recorded, if it is in one.
+    """
+    return {
+        "uid": str(uuid.uuid4()),
+        "started": utc_now(),
+        "operator": _operator(),
+        "host": platform.node(),
+        "pid": os.getpid(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "packages": package_versions(),
+        "git": git_state(directory or Path.cwd()),
+    }
+
+
+def utc_now() -> str:
+    """The present moment in UTC, ISO 8601 with milliseconds."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of `hil` and of the packages it may use, as far as they are installed."""
+    try:
+        requirements = importlib.metadata.requires("hil") or []
+    except importlib.metadata.PackageNotFoundError:
+        requirements = []
+    names = {name[0] for line in requirements if (name := re.match(r"[\w.-]+", line))}
+    versions = {name: _version(name) for name in sorted({"hil"} | names)}
+    return {name: version for name, version in versions.items() if version}
+
+
+def git_state(directory: Path) -> dict[str, Any] | None:
+    """Commit and whether tracked files differ from it, or None outside a repository.
+
+    `dirty` is None when git does not answer within two seconds.
+    """
+    sha = _git(directory, "rev-parse", "HEAD")
+    if not sha:
+        return None
+    changes = _git(directory, "status", "--porcelain", "--untracked-files=no")
+    return {"sha": sha, "dirty": None if changes is None else bool(changes)}
+
+
+def _git(directory: Path, *arguments: str) -> str | None:
+    git = shutil.which("git")
+    if git is None:
+        return None
+    try:
+        answer = subprocess.run(  # noqa: S603 - fixed arguments, no shell
+            [git, *arguments],
+            cwd=directory,
+            # A look at the repository must not take its index lock from the person using it.
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
+            capture_output=True,
+            text=True,
+            timeout=_GIT_TIMEOUT_S,
+            check=False,
+        )
+    except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
+        return None
+    return answer.stdout.strip() if answer.returncode == 0 else None
+
+
+def _operator() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError, ImportError):
+        return "unknown"
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

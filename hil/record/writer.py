@@ -1,0 +1,253 @@
+"""Writes one MCAP file; single-threaded, used by the recorder thread and by importers.
+
+The file is called `NN.mcap.partial` until it is finished. What explains the data (metadata,
+attachments) is written first, so that a torn file still says what it is. Chunks are 1 MiB, zstd.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import numpy as np
+from mcap.writer import Writer
+
+from hil.errors import RecordingError
+from hil.record.cdr import CDR_HEADER
+from hil.record.files import fsync_directory
+from hil.record.joint_state import (
+    JOINT_STATE_SCHEMA,
+    JOINT_STATE_TEXT,
+    JOINT_STATE_TOPIC,
+    JointStateView,
+)
+from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
+from hil.record.topic import STATE_TOPIC, Topic
+from hil.typing import StructArray
+
+FILE_FORMAT_VERSION = 1
+"""Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""
+
+FILE_METADATA = "hil"
+PARTIAL_SUFFIX = ".partial"
+_CHUNK_BYTES = 1024 * 1024
+_UINT32 = 0xFFFFFFFF
+
+
+class Attachment(NamedTuple):
+    """A file carried inside the recording: the spec, the plan, a calibration, a URDF."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+class McapWriter:
+    """One MCAP file with fixed-size records, JointStates for viewers and events.
+
+    A message's log time is the record's `host_time` (Unix), its publish time `device_time`; both
+    stand in the record itself as well, unrounded. Where the host time is NaN, the device time
+    is used for both.
+
+    Args:
+        path: Final path; the file is `path` + `.partial` until `finish`.
+        topics: The topics to be written.
+        metadata: Named records of text → text, written first.
+        attachments: Files to carry along, written next.
+        joint_names: When given, state rows also appear as JointStates under `/joint_states`.
+
+    Raises:
+        RecordingError: The file exists, finished or partial, or cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Sequence[Topic],
+        *,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        attachments: Sequence[Attachment] = (),
+        joint_names: Sequence[str] = (),
+    ) -> None:
+        self.path = Path(path)
+        self.topics = {topic.name: topic for topic in topics}
+        self._file = _create(self.path)
+        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        with self._refusal_named():
+            self._writer.start(profile="ros2")
+            self._add_provenance(metadata or {}, attachments)
+        self._channels = {topic.name: self._register(topic) for topic in topics}
+        self._channels[EVENT_TOPIC] = self._channel(EVENT_TOPIC, EVENT_SCHEMA, EVENT_TEXT)
+        self._joint_states: JointStateView | None = None
+        if joint_names and STATE_TOPIC in self.topics:
+            self._joint_states = self._register_joint_states(joint_names)
+        self._sequence = dict.fromkeys(self._channels, 0)
+        self.flush(durable=True)
+
+    @property
+    def partial_path(self) -> Path:
+        """Where the data is until the file is finished."""
+        return self.path.with_name(self.path.name + PARTIAL_SUFFIX)
+
+    def write(self, topic: str, rows: StructArray) -> None:
+        """Append rows of a topic, in the order given.
+
+        Raises:
+            RecordingError: The file has no such topic, the rows are of another dtype, or the
+                disk refuses.
+        """
+        require_rows_of(self.topics, topic, rows)
+        with self._refusal_named():
+            self._append(topic, rows, _with_cdr_header(rows))
+            if topic == STATE_TOPIC and self._joint_states is not None:
+                shown = self._joint_states.select(rows)
+                self._append(JOINT_STATE_TOPIC, shown, self._joint_states.encode(shown))
+
+    def write_event(self, event: Mapping[str, Any]) -> None:
+        """Append an event; `t` is its Unix time [s] and `kind` what happened."""
+        stamp = int(max(0.0, float(event["t"])) * 1e9)
+        self._add(EVENT_TOPIC, [encode_event(event)], [stamp], [stamp])
+
+    def flush(self, *, durable: bool) -> None:
+        """Hand everything to the kernel (survives a kill), or to the disk (survives power loss)."""
+        with self._refusal_named():
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            if durable:
+                os.fsync(self._file.fileno())
+
+    def finish(self) -> None:
+        """Write the index, make the file durable and give it its final name."""
+        with self._refusal_named():
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._file.close()
+            self.partial_path.rename(self.path)
+            fsync_directory(self.path.parent)
+
+    def abandon(self) -> None:
+        """Close without finishing; what was flushed stays readable in the partial file."""
+        # A full disk refuses the buffered rest once more on close; it is lost either way.
+        with contextlib.suppress(OSError, ValueError):
+            self._file.close()
+
+    def __enter__(self) -> McapWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.finish()
+        else:
+            self.abandon()
+
+    @contextlib.contextmanager
+    def _refusal_named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise RecordingError(
+                f"cannot write {self.partial_path}: {error.strerror or error}",
+                hint="mend or free the disk; all that was flushed before is kept in that file",
+            ) from error
+
+    def _add_provenance(
+        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    ) -> None:
+        version = {"format_version": str(FILE_FORMAT_VERSION)}
+        self._writer.add_metadata(FILE_METADATA, version | dict(metadata.get(FILE_METADATA, {})))
+        for name, record in metadata.items():
+            if name != FILE_METADATA:
+                self._writer.add_metadata(name, dict(record))
+        for item in attachments:
+            self._writer.add_attachment(0, 0, item.name, item.media_type, item.data)
+
+    def _register(self, topic: Topic) -> int:
+        return self._channel(
+            topic.name, topic.schema_name, topic.schema_text, topic.channel_metadata
+        )
+
+    def _channel(
+        self, name: str, schema: str, text: str, metadata: dict[str, str] | None = None
+    ) -> int:
+        schema_id = self._writer.register_schema(schema, "ros2msg", text.encode())
+        return self._writer.register_channel(name, "cdr", schema_id, metadata or {})
+
+    def _register_joint_states(self, joint_names: Sequence[str]) -> JointStateView:
+        topic = self.topics[STATE_TOPIC]
+        view = JointStateView(joint_names, topic.rate_hz)
+        self._channels[JOINT_STATE_TOPIC] = self._channel(
+            JOINT_STATE_TOPIC,
+            JOINT_STATE_SCHEMA,
+            JOINT_STATE_TEXT,
+            {"decimation": str(view.every), "unit.effort": topic.units.get("effort", "")},
+        )
+        return view
+
+    def _append(self, topic: str, rows: StructArray, messages: StructArray) -> None:
+        host, device = rows["host_time"], rows["device_time"]
+        log_times = _nanoseconds(np.where(np.isnan(host), device, host))
+        contents: list[bytes] = messages.view(f"V{messages.dtype.itemsize}").tolist()
+        self._add(topic, contents, log_times, _nanoseconds(device))
+
+    def _add(
+        self, topic: str, contents: list[bytes], log_times: list[int], publish_times: list[int]
+    ) -> None:
+        add, channel = self._writer.add_message, self._channels[topic]
+        first = self._sequence[topic]
+        self._sequence[topic] = first + len(contents)
+        for number, data in enumerate(contents):
+            sequence = (first + number) & _UINT32
+            add(channel, log_times[number], data, publish_times[number], sequence)
+
+
+def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -> None:
+    """Refuse rows that are not of the topic's dtype.
+
+    Raises:
+        RecordingError: There is no such topic, or the dtype differs.
+    """
+    topic = topics.get(name)
+    if topic is None:
+        raise RecordingError(
+            f"the recording has no topic {name}", hint=f"it has {', '.join(topics)}"
+        )
+    if rows.dtype != topic.dtype:
+        raise RecordingError(f"rows of {name} are {rows.dtype}, not {topic.dtype}")
+
+
+def _create(path: Path) -> Any:
+    partial = path.with_name(path.name + PARTIAL_SUFFIX)
+    for taken in (path, partial):
+        if taken.exists():
+            raise RecordingError(
+                f"{taken} exists already, and a recording is never appended to or replaced",
+                hint="record under the next number",
+            )
+    try:
+        return partial.open("xb")
+    except OSError as error:
+        raise RecordingError(f"cannot create {partial}: {error.strerror or error}") from error
+
+
+def _with_cdr_header(rows: StructArray) -> StructArray:
+    size = rows.dtype.itemsize
+    messages = np.empty(len(rows), [("cdr", f"V{len(CDR_HEADER)}"), ("row", f"V{size}")])
+    messages["cdr"] = np.void(CDR_HEADER)
+    messages["row"] = np.ascontiguousarray(rows).view(f"V{size}")
+    return messages
+
+
+def _nanoseconds(seconds: StructArray) -> list[int]:
+    """Times as MCAP stores them: whole nanoseconds, not negative; 0 where unknown."""
+    whole = np.clip(np.nan_to_num(seconds), 0.0, 9.2e9) * 1e9
+    nanoseconds: list[int] = whole.astype(np.int64).tolist()
+    return nanoseconds
