@@ -19,7 +19,7 @@ class Dwell(Strict):
     file: str | None = Field(
         None,
         description="CSV with the lab's own poses, one per row, one column per joint; a relative "
-        "path starts at the folder of the spec. Replaces `waypoints`, `range_deg` and `seed`.",
+        "path starts at the folder of the spec. `waypoints` then only has to agree with it.",
     )
     file_unit: Literal["deg", "rad"] = Field("deg", description="Unit of the poses in `file`.")
     dwell_s: Annotated[Finite, Field(ge=0.01, le=600)] = Field(
@@ -34,7 +34,7 @@ class Dwell(Strict):
     settle_timeout_s: Positive = Field(
         3.0, description="After this the pose is marked as not settled and left."
     )
-    seed: Seed = Field(7, description="Decides which poses are drawn; the same seed, the same.")
+    seed: Seed = Field(7, description="Decides which poses are drawn, and their order.")
     max_velocity_deg_s: Positive = Field(60.0, description="Fastest any joint moves.")
     max_acceleration_deg_s2: Positive = Field(80.0, description="Hardest any joint accelerates.")
     max_jerk_deg_s3: Positive = Field(800.0, description="Fastest change of acceleration.")

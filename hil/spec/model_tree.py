@@ -81,6 +81,18 @@ def nested(annotation: Any) -> Iterator[Model]:
             yield from nested(arg)
 
 
+def tree(model: Model, path: Path = ()) -> Iterator[tuple[Path, Model]]:
+    """Every model that can occur in a file, with its path, from the top downwards.
+
+    Items of a list are not told apart (`loads`), entries of a dict are called by `<name>`.
+    """
+    yield path, model
+    for key, field in keys_of(model).items():
+        is_dict = get_origin(plain(field.annotation)) is dict
+        for inner in nested(field.annotation):
+            yield from tree(inner, (*path, key, "<name>") if is_dict else (*path, key))
+
+
 def _below(place: Any, step: str | int) -> Any:
     if is_model(place):
         field = keys_of(place).get(str(step))

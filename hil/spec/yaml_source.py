@@ -1,46 +1,14 @@
-"""YAML 1.2 with positions: parse a file into data that remembers where everything stood.
-
-PyYAML reads YAML 1.1, where `1e-3` is text, `on` is true, `12:30` is 750 and the last of two equal
-keys wins without a word. Here the scalars follow the YAML 1.2 core schema (YAML 1.2.2, §10.3.2),
-a key given twice is an error, and so is everything a spec has no use for: tags, merge keys,
-several documents, and aliases that blow up.
-"""
+"""YAML files with positions: read, decode, parse; the rules are in `yaml_values`."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path as FilePath
-from typing import Any
-
-import yaml
 
 from hil.errors import SpecError
-from hil.spec.source import Mark, Problem, Source, refuse, shown
-from hil.spec.yaml_values import CORE_SCALARS, MOST_BYTES, TAG, Reading, mark_of
-
-DEEPEST = 40
-"""Levels of nesting; a spec has seven."""
-
-
-class CoreLoader(yaml.SafeLoader):
-    """PyYAML's safe loader with the scalars of YAML 1.2 and a limit on nesting."""
-
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
-    depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose one node; deep nesting ends here instead of in the interpreter's stack."""
-        self.depth += 1
-        if self.depth > DEEPEST:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=f"more than {DEEPEST} levels", problem_mark=mark)
-        node: yaml.Node | None = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-
-for _name, (_pattern, _first) in CORE_SCALARS.items():
-    CoreLoader.add_implicit_resolver(TAG + _name, re.compile(_pattern + r"\Z"), list(_first))
+from hil.spec.source import Problem, Source, refuse, shown
+from hil.spec.yaml_nodes import MOST_BYTES
+from hil.spec.yaml_values import parse_text, place_after
+from hil.suggest import closest
 
 
 def read_source(path: str | FilePath) -> Source:
@@ -73,12 +41,7 @@ def parse(raw: bytes | str, name: str) -> Source:
             hint="keep long lists of poses in a CSV file and name it under `excitation.file`",
         )
     text = _decoded(raw, name) if isinstance(raw, bytes) else raw
-    node = _composed(text.removeprefix("\ufeff"), name)
-    source = Source(name)
-    if node is None:
-        raise refuse([Problem(Mark(name, 1, 1), (), "the file is empty")])
-    source.data = Reading(source).value(node, ())
-    return source
+    return parse_text(text, name)
 
 
 def _decoded(raw: bytes, name: str) -> str:
@@ -87,65 +50,10 @@ def _decoded(raw: bytes, name: str) -> str:
     except UnicodeDecodeError as error:
         before = raw[: error.start].decode("utf-8")
         message = f"byte 0x{raw[error.start]:02x} is not UTF-8: save the file as UTF-8"
-        raise refuse([Problem(_place(before, name), (), message)]) from None
-
-
-def _composed(text: str, name: str) -> yaml.Node | None:
-    try:
-        loader = CoreLoader(text)
-    except yaml.reader.ReaderError as error:
-        message = f"the character U+{int(error.character):04X} is not allowed in YAML"
-        raise refuse([Problem(_place(text[: error.position], name), (), message)]) from None
-    try:
-        return loader.get_single_node()
-    except yaml.MarkedYAMLError as error:
-        mark, message = _plain_words(error)
-        raise refuse([Problem(mark_of(mark or loader.get_mark(), name), (), message)]) from None
-    # PyYAML lets Python's own errors through for escapes and directives out of range.
-    except (ValueError, OverflowError):
-        message = "the escape or the number here is out of range"
-        raise refuse([Problem(mark_of(loader.get_mark(), name), (), message)]) from None
-    finally:
-        loader.dispose()
-
-
-def _place(before: str, name: str) -> Mark:
-    return Mark(name, before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
-
-
-def _plain_words(error: yaml.MarkedYAMLError) -> tuple[yaml.Mark | None, str]:
-    """Where the mistake is and what it is, where PyYAML says what its parser had hoped for."""
-    told = f"{error.context or ''} {error.problem or ''}"
-    for sign, meaning in _AT_THE_START:
-        if sign in told:
-            return error.context_mark or error.problem_mark, meaning
-    meaning = next((meaning for sign, meaning in _AT_THE_END if sign in told), "")
-    return error.problem_mark or error.context_mark, meaning or shown(error.problem or "not YAML")
-
-
-_AT_THE_START = (
-    ("could not find expected ':'", "this is neither a key with ':' nor a value of one"),
-    ("found unexpected end of stream", "a quote is opened here and never closed"),
-    ("found unexpected document separator", "a quote is opened here and never closed"),
-)
-"""Mistakes that PyYAML notices long after the place where they were made."""
-
-_AT_THE_END = (
-    ("'\\t'", "a tab: YAML is indented with spaces"),
-    ("found another document", "a second document: only one per file, remove the '---'"),
-    ("mapping values are not allowed", "a ':' that does not fit here: quote text that holds ': '"),
-    ("expected <block end>", "the indentation fits none of the lines above"),
-    ("found undefined alias", "the alias refers to an anchor that is not defined above"),
-    ("expected ',' or '}'", "a ',' or '}' is missing before this"),
-    ("expected ',' or ']'", "a ',' or ']' is missing before this"),
-    ("found duplicate anchor", "the anchor is defined a second time"),
-    ("cannot start any token", "text cannot begin with this character: put it in quotes"),
-)
+        raise refuse([Problem(place_after(before, name), (), message)]) from None
 
 
 def _neighbours(file: FilePath) -> str:
-    from hil.suggest import closest
-
     try:
         names = [p.name for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
     except (OSError, ValueError):

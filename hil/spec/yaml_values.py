@@ -1,7 +1,9 @@
-"""From YAML nodes to plain data by the core schema of YAML 1.2, with places and problems.
+"""YAML text to data: the grammar is PyYAML's, the scalars are those of YAML 1.2.
 
-One rule per kind of node; what is wrong is noted in the `Source` and the walk goes on, so that one
-reading reports everything. Only what could take for ever ends it at once.
+PyYAML reads YAML 1.1, where `1e-3` is text, `on` is true, `12:30` is 750 and the last of two equal
+keys wins without a word. Here the scalars follow the YAML 1.2 core schema (YAML 1.2.2, §10.3.2),
+a key given twice is an error, and so is everything a spec has no use for: tags, merge keys,
+several documents, and aliases that blow up.
 """
 
 from __future__ import annotations
@@ -11,145 +13,115 @@ from typing import Any
 
 import yaml
 
-from hil.spec.source import Mark, Path, Problem, Source, refuse, shown
+from hil.spec.source import Mark, Problem, Source, refuse, shown
+from hil.spec.yaml_nodes import CORE_SCALARS, TAG, Reading, mark_of
 
-MOST_BYTES = 256 * 1024
-"""Larger files are no specs; poses belong into a CSV beside the spec."""
-
-MOST_EXPANDED = 4 * MOST_BYTES
-"""Values plus characters after every alias was followed: stops 'billion laughs'."""
-
-LARGEST_INTEGER = 2**63 - 1
-
-TAG = "tag:yaml.org,2002:"
-
-CORE_SCALARS = {
-    "null": (r"(?:~|null|Null|NULL|)", ("~", "n", "N", "")),
-    "bool": (r"(?:true|True|TRUE|false|False|FALSE)", tuple("tTfF")),
-    "int": (r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)", tuple("-+0123456789")),
-    "float": (
-        r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))",
-        tuple("-+.0123456789"),
-    ),
-}
-"""Pattern and possible first characters of the plain scalars of YAML 1.2 that are not text."""
+DEEPEST = 40
+"""Levels of nesting; a spec has seven."""
 
 
-class Reading:
-    """One walk over the node tree: builds data, places and problems."""
+class CoreLoader(yaml.SafeLoader):
+    """PyYAML's safe loader with the scalars of YAML 1.2 and a limit on nesting."""
 
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self.left = MOST_EXPANDED
-        self.open: set[int] = set()
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
+    depth = 0
 
-    def value(self, node: yaml.Node, path: Path) -> Any:
-        """The data below a node that stands at `path`.
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose one node; deep nesting ends here instead of in the interpreter's stack."""
+        self.depth += 1
+        if self.depth > DEEPEST:
+            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+            raise yaml.MarkedYAMLError(problem=f"more than {DEEPEST} levels", problem_mark=mark)
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
-        Raises:
-            SpecError: An alias contains itself, or all of them together expand to too much.
-        """
-        mark = self.source.values[path] = mark_of(node.start_mark, self.source.name)
-        self.left -= 1
-        if id(node) in self.open:
-            raise refuse([Problem(mark, path, "an alias contains itself")])
-        if self.left < 0:
-            raise refuse([Problem(mark, path, "aliases expand to far more than a spec holds")])
-        if not isinstance(node, yaml.ScalarNode):
-            return self._collection(node, path)
-        self.left -= len(node.value)
-        return self._scalar(node, path)
 
-    def _collection(self, node: yaml.Node, path: Path) -> Any:
-        is_map = isinstance(node, yaml.MappingNode)
-        if node.tag != TAG + ("map" if is_map else "seq"):
-            self.source.add(path, f"the tag {_tag(node)} is not allowed: a spec is plain data")
-            return None
-        self.open.add(id(node))
-        result = self._mapping(node, path) if is_map else self._sequence(node, path)
-        self.open.discard(id(node))
-        return result
+for _name, (_pattern, _first) in CORE_SCALARS.items():
+    CoreLoader.add_implicit_resolver(TAG + _name, re.compile(_pattern + r"\Z"), list(_first))
 
-    def _sequence(self, node: yaml.Node, path: Path) -> list[Any]:
-        return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
 
-    def _mapping(self, node: yaml.Node, path: Path) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            key = self._key(key_node, path)
-            if key is not None and self._is_new(key, key_node, path, result):
-                self.source.keys[*path, key] = mark_of(key_node.start_mark, self.source.name)
-                result[key] = self.value(value_node, (*path, key))
-        return result
+def parse_text(text: str, name: str) -> Source:
+    """Parse YAML text; problems that leave the rest readable are collected in the result.
 
-    def _key(self, node: yaml.Node, path: Path) -> str | None:
-        mark = mark_of(node.start_mark, self.source.name)
-        if not isinstance(node, yaml.ScalarNode):
-            message = "a list or mapping cannot be a key"
-        elif node.value == "<<":
-            message = "merge keys (<<) are not part of YAML 1.2: write the keys out"
-        elif node.tag != TAG + "str":
-            message = f"the key {shown(node.value)} is no text: put it in quotes"
-        elif _has_surrogate(node.value):
-            message = "the key holds half a character (a lone surrogate)"
-        else:
-            self.left -= len(node.value)
-            return str(node.value)
-        self.source.problems.append(Problem(mark, path, message))
+    Raises:
+        SpecError: The text is empty or breaks YAML's grammar.
+    """
+    node = _composed(text.removeprefix("\ufeff"), name)
+    source = Source(name)
+    if node is None:
+        raise refuse([Problem(Mark(name, 1, 1), (), "the file is empty")])
+    source.data = Reading(source).value(node, ())
+    return source
+
+
+def scalar(text: str, name: str = "value") -> Any:
+    """A value as typed on a command line: `3`, `1e-3`, `on` (text) or `[4, 20, 20]`.
+
+    Args:
+        text: YAML; nothing is None.
+        name: Begins the message of an error.
+
+    Raises:
+        SpecError: It is not YAML.
+    """
+    if not text.strip():
         return None
-
-    def _is_new(self, key: str, node: yaml.Node, path: Path, seen: dict[str, Any]) -> bool:
-        if key not in seen:
-            return True
-        first = self.source.keys[*path, key]
-        message = f"is given twice, first at line {first.line}, column {first.column}"
-        mark = mark_of(node.start_mark, self.source.name)
-        self.source.problems.append(Problem(mark, (*path, key), message))
-        return False
-
-    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
-        kind, text = node.tag.removeprefix(TAG), node.value
-        if kind == "str":
-            if _has_surrogate(text):
-                self.source.add(path, "the text holds half a character (a lone surrogate)")
-            return text
-        if kind not in CORE_SCALARS:
-            self.source.add(path, f"the tag {_tag(node)} is not allowed: a spec is plain data")
-        elif not re.fullmatch(CORE_SCALARS[kind][0], text):
-            self.source.add(path, f"{shown(text)} is no {kind}, as its tag says")
-        elif kind == "int" and abs(number := _integer(text)) > LARGEST_INTEGER:
-            self.source.add(path, "the number is too large")
-        else:
-            return number if kind == "int" else _CONSTRUCT[kind](text)
-        return None
+    source = parse_text(text, name)
+    if source.problems:
+        raise refuse(source.problems)
+    return source.data
 
 
-def _integer(text: str) -> int:
-    base = {"0o": 8, "0x": 16}.get(text[:2], 10)
-    # Python refuses to convert thousands of digits; so many are too large in any case.
-    return int(text, base) if len(text) < 64 else LARGEST_INTEGER + 1
+def place_after(before: str, name: str) -> Mark:
+    """The place of the character that follows the text `before`."""
+    return Mark(name, before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
 
 
-def _float(text: str) -> float:
-    return float(text.replace(".inf", "inf").replace(".nan", "nan"))
+def _composed(text: str, name: str) -> yaml.Node | None:
+    try:
+        loader = CoreLoader(text)
+    except yaml.reader.ReaderError as error:
+        message = f"the character U+{int(error.character):04X} is not allowed in YAML"
+        raise refuse([Problem(place_after(text[: error.position], name), (), message)]) from None
+    try:
+        return loader.get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark, message = _plain_words(error)
+        raise refuse([Problem(mark_of(mark or loader.get_mark(), name), (), message)]) from None
+    # PyYAML lets Python's own errors through for escapes and directives out of range.
+    except (ValueError, OverflowError):
+        message = "the escape or the number here is out of range"
+        raise refuse([Problem(mark_of(loader.get_mark(), name), (), message)]) from None
+    finally:
+        loader.dispose()
 
 
-_CONSTRUCT: dict[str, Any] = {
-    "null": lambda text: None,
-    "bool": lambda text: text.casefold() == "true",
-    "float": lambda text: _float(text.casefold()),
-}
+def _plain_words(error: yaml.MarkedYAMLError) -> tuple[yaml.Mark | None, str]:
+    """Where the mistake is and what it is, where PyYAML says what its parser had hoped for."""
+    told = f"{error.context or ''} {error.problem or ''}"
+    for sign, meaning in _AT_THE_START:
+        if sign in told:
+            return error.context_mark or error.problem_mark, meaning
+    meaning = next((meaning for sign, meaning in _AT_THE_END if sign in told), "")
+    return error.problem_mark or error.context_mark, meaning or shown(error.problem or "not YAML")
 
 
-def _has_surrogate(text: str) -> bool:
-    return any("\ud800" <= c <= "\udfff" for c in text)
+_AT_THE_START = (
+    ("could not find expected ':'", "this is neither a key with ':' nor a value of one"),
+    ("found unexpected end of stream", "a quote is opened here and never closed"),
+    ("found unexpected document separator", "a quote is opened here and never closed"),
+)
+"""Mistakes that PyYAML notices long after the place where they were made."""
 
-
-def _tag(node: yaml.Node) -> str:
-    return shown(str(node.tag).replace(TAG, "!!"))
-
-
-def mark_of(mark: yaml.Mark, name: str) -> Mark:
-    """PyYAML's mark, counted from 1."""
-    return Mark(name, mark.line + 1, mark.column + 1)
+_AT_THE_END = (
+    ("'\\t'", "a tab: YAML is indented with spaces"),
+    ("found another document", "a second document: only one per file, remove the '---'"),
+    ("mapping values are not allowed", "a ':' that does not fit here: quote text that holds ': '"),
+    ("expected <block end>", "the indentation fits none of the lines above"),
+    ("found undefined alias", "the alias refers to an anchor that is not defined above"),
+    ("expected ',' or '}'", "a ',' or '}' is missing before this"),
+    ("expected ',' or ']'", "a ',' or ']' is missing before this"),
+    ("found duplicate anchor", "the anchor is defined a second time"),
+    ("cannot start any token", "text cannot begin with this character: put it in quotes"),
+)

@@ -1,0 +1,144 @@
+"""What a file names outside itself: estimators, drivers, arms and files must exist.
+
+These checks read the parsed data and not the validated model, so that their findings come in the
+same report as everything else that is wrong with the file.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+
+from hil import plugins
+from hil.arms import arm_names
+from hil.errors import HilError, PluginError
+from hil.spec.source import Path, Source, shown
+from hil.suggest import closest, did_you_mean
+
+
+def check_estimators(source: Source) -> None:
+    """Names under `fit` must be estimators, and the keys beside them their parameters.
+
+    An estimator's code is imported only when parameters are given to it.
+    """
+    for path, entry in _entries(source, "fit"):
+        name = entry.get("estimator")
+        if not isinstance(name, str):
+            continue
+        if name not in (known := plugins.names("hil.estimators")):
+            message = f"there is no estimator '{shown(name)}'; {did_you_mean(name, known)}"
+            source.add((*path, "estimator"), message)
+        elif len(entry) > 1:
+            _check_parameters(source, path, entry)
+
+
+def check_robots(source: Source, folder: FilePath) -> None:
+    """Drivers must be registered, models be built-in arms or existing URDF files."""
+    known = plugins.names("hil.drivers")
+    for path, robot in _entries(source, "robots"):
+        driver, model = robot.get("driver"), robot.get("model")
+        if isinstance(driver, str) and driver not in known:
+            message = f"there is no driver '{shown(driver)}'; {did_you_mean(driver, known)}"
+            source.add((*path, "driver"), message)
+        if isinstance(model, str) and (message := _fault_of_model(model, folder)):
+            source.add((*path, "model"), message)
+
+
+def check_pose_file(source: Source, folder: FilePath) -> None:
+    """The file of poses that a dwell program names must exist."""
+    path: Path = ("excitation", "file")
+    file = source.at(path)
+    if isinstance(file, str) and not is_file(folder / file):
+        source.add(path, f"there is no file {shown(str(folder / file))}")
+
+
+def is_path(model: str) -> bool:
+    """True when a robot's `model` is a path to a URDF and not the name of a built-in arm."""
+    return "/" in model or "\\" in model or model.casefold().endswith((".urdf", ".xml"))
+
+
+def is_file(path: FilePath) -> bool:
+    """True for an existing file; names no file system takes are none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _entries(source: Source, key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """The mappings in a list or mapping at the top of the file, with their paths."""
+    group = source.at((key,))
+    if isinstance(group, dict):
+        steps: list[tuple[str | int, Any]] = list(group.items())
+    else:
+        steps = list(enumerate(group)) if isinstance(group, list) else []
+    return (((key, step), entry) for step, entry in steps if isinstance(entry, dict))
+
+
+def _fault_of_model(model: str, folder: FilePath) -> str:
+    if is_path(model):
+        missing = not is_file(folder / model)
+        return f"there is no file {shown(str(folder / model))}" if missing else ""
+    if model in arm_names():
+        return ""
+    hint = did_you_mean(model, arm_names())
+    return f"there is no built-in arm '{shown(model)}'; {hint} A URDF is named by its path."
+
+
+def _check_parameters(source: Source, path: Path, entry: dict[str, Any]) -> None:
+    name, given = entry["estimator"], {k: v for k, v in entry.items() if k != "estimator"}
+    try:
+        estimator = plugins.load("hil.estimators", name)
+    except PluginError as error:
+        source.add((*path, "estimator"), f"{error.message} → {error.hint}")
+        return
+    known = _parameters(estimator)
+    unknown = [key for key in given if known is not None and key not in known]
+    for key in unknown:
+        source.add((*path, key), _no_parameter(name, key, known or []), key=True)
+    if not unknown:
+        _check_values(source, path, estimator, given)
+
+
+def _check_values(source: Source, path: Path, estimator: Any, given: dict[str, Any]) -> None:
+    """Let the constructor judge its parameters; by contract it does no work."""
+    try:
+        estimator(**given)
+    except Exception as error:
+        told = _first_line(error)
+        culprit = next((key for key in given if re.match(rf"{re.escape(key)}\b", told)), None)
+        source.add((*path, culprit) if culprit else path, told)
+
+
+def _parameters(estimator: Any) -> list[str] | None:
+    """Names of a constructor's keyword parameters, or None when it takes any."""
+    try:
+        parameters = inspect.signature(estimator).parameters.values()
+    except (TypeError, ValueError):
+        return None
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return None
+    return [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+
+
+def _no_parameter(name: str, key: str, known: list[str]) -> str:
+    message = f"{name} has no parameter '{shown(key)}'"
+    if not known:
+        return f"{message}; it takes none"
+    if match := closest(key, known):
+        message += f"; did you mean {match!r}?"
+    return f"{message} (it has {', '.join(known)})"
+
+
+def _first_line(error: Exception) -> str:
+    """What a constructor complains about, in one line that begins with the parameter."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return ": ".join((".".join(str(step) for step in first["loc"]), first["msg"]))
+    message = error.message if isinstance(error, HilError) else str(error)
+    return shown(message.partition("\n")[0] or type(error).__name__)

@@ -1,0 +1,46 @@
+"""The identity of a spec: a hash of what it says, not of how it is written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from hil.errors import SpecError
+from hil.spec.experiment import ExperimentSpec
+
+
+def spec_hash(spec: ExperimentSpec) -> str:
+    """sha256 of the canonical JSON of the spec, defaults included.
+
+    Comments, order of keys, spelling of numbers (`1` and `1.0`) and written-out defaults do not
+    change it. A file of poses counts with its content, not with its path, so that the hash is the
+    same on every machine.
+
+    Raises:
+        SpecError: The file of poses cannot be read.
+    """
+    raw = spec.model_dump(mode="json", by_alias=True)
+    if file := raw["excitation"].get("file"):
+        raw["excitation"]["file"] = _content_hash(Path(file))
+    text = json.dumps(_canonical(raw), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _canonical(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_canonical(item) for item in value]
+    # Integral floats become ints; beyond 2**53 a float is not one particular integer any more.
+    if isinstance(value, float) and abs(value) < 2**53 and value.is_integer():
+        return int(value)
+    return value
+
+
+def _content_hash(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise SpecError(f"{file}: cannot be read: {error.strerror}") from None

@@ -1,0 +1,152 @@
+"""Load experiments and stations: everything that is wrong with a file, in one error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from hil.errors import SpecError
+from hil.spec.checks import check_estimators, check_pose_file, check_robots, is_path
+from hil.spec.experiment import Dwell, ExperimentSpec
+from hil.spec.findings import findings_of
+from hil.spec.messages import explain
+from hil.spec.overrides import lay_over
+from hil.spec.quantities import Strict
+from hil.spec.source import Problem, Source, refuse
+from hil.spec.station import Station, StationRobot
+from hil.spec.yaml_source import parse, read_source
+from hil.suggest import did_you_mean
+
+M = TypeVar("M", bound=Strict)
+
+_NO_OVERRIDES: Mapping[str, str] = {}
+_HINT = "`hil schema` lists every key with its unit and meaning"
+
+
+def load_spec(
+    path: str | FilePath, overrides: Mapping[str, str] = _NO_OVERRIDES, *, look_up: bool = True
+) -> ExperimentSpec:
+    """Read an experiment.
+
+    Args:
+        path: The YAML file.
+        overrides: Values laid over the file, YAML text by dotted path (`excitation.waypoints`).
+        look_up: Check that estimators and files the spec names exist here. Switch it off to read
+            the spec of a run that was made elsewhere.
+
+    Returns:
+        The spec; `excitation.file` is absolute.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    return _spec(read_source(path), FilePath(path).parent, overrides, look_up)
+
+
+def spec_from_text(
+    text: str,
+    name: str = "<text>",
+    overrides: Mapping[str, str] = _NO_OVERRIDES,
+    *,
+    folder: str | FilePath = ".",
+    look_up: bool = True,
+) -> ExperimentSpec:
+    """Read an experiment from YAML text; relative paths in it start at `folder`.
+
+    Raises:
+        SpecError: As `load_spec`, with `name` in place of the file.
+    """
+    return _spec(parse(text, name), FilePath(folder), overrides, look_up)
+
+
+def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
+    """Read a station.
+
+    Args:
+        path: The YAML file.
+        look_up: Check that the drivers and models it names exist here.
+
+    Returns:
+        The station; robot models that are paths are absolute.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    source, folder = read_source(path), FilePath(path).parent
+    _refuse_other_kind(source, "hil_station")
+    if look_up:
+        check_robots(source, folder)
+    _make_absolute(source, folder)
+    return _validated(source, Station)
+
+
+def resolve_robot(spec: ExperimentSpec, station: Station) -> StationRobot:
+    """The robot of the station that the experiment asks for.
+
+    Raises:
+        SpecError: The station has no robot of that name.
+    """
+    robot = station.robots.get(spec.robot)
+    if robot is None:
+        raise SpecError(
+            f"robot: the station {station.name!r} has no robot {spec.robot!r}, "
+            f"which the experiment {spec.name!r} asks for",
+            hint=did_you_mean(spec.robot, station.robots) + " (or choose another --station)",
+        )
+    return robot
+
+
+def _spec(
+    source: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
+) -> ExperimentSpec:
+    _refuse_other_kind(source, "hil")
+    lay_over(source, overrides)
+    if look_up:
+        check_estimators(source)
+        check_pose_file(source, folder)
+    spec = _validated(source, ExperimentSpec)
+    excitation = spec.excitation
+    if not isinstance(excitation, Dwell) or excitation.file is None:
+        return spec
+    file = str((folder / excitation.file).resolve())
+    return spec.model_copy(update={"excitation": excitation.model_copy(update={"file": file})})
+
+
+def _validated(source: Source, model: type[M]) -> M:
+    """The model, or one error with the problems of YAML, of look-ups and of the model together."""
+    try:
+        spec = model.model_validate(source.data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        findings = findings_of(details, model, source)
+        problems = [explain(finding, model, source) for finding in findings]
+        raise refuse(source.problems + problems, hint=_HINT) from None
+    if source.problems:
+        raise refuse(source.problems, hint=_HINT)
+    return spec
+
+
+_KINDS = {"hil": "an experiment", "hil_station": "a station", "hil_map": "an import map"}
+
+
+def _refuse_other_kind(source: Source, wanted: str) -> None:
+    """One sentence instead of dozens for a station given as an experiment, and the like."""
+    data: Any = source.data
+    if not isinstance(data, dict):
+        message = f"must be a mapping that begins with `{wanted}: 1`"
+        raise refuse([Problem(source.mark(()), (), message)])
+    for key, kind in _KINDS.items():
+        if key in data and wanted not in data:
+            message = f"this file is {kind}, but {_KINDS[wanted]} is needed here"
+            raise refuse([Problem(source.mark((key,), key=True), (), message)])
+
+
+def _make_absolute(source: Source, folder: FilePath) -> None:
+    robots = source.at(("robots",))
+    for robot in robots.values() if isinstance(robots, dict) else ():
+        model = robot.get("model") if isinstance(robot, dict) else None
+        if isinstance(model, str) and is_path(model):
+            robot["model"] = str((folder / model).resolve())

@@ -1,0 +1,168 @@
+"""What to tell a lab engineer about a finding: one plain sentence per kind of mistake."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+from hil.spec.findings import Finding
+from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.source import Problem, Source, dotted, shown
+from hil.spec.units import converted, parse_quantity, same_quantity, split_unit, symbol_of
+from hil.spec.yaml_nodes import CORE_SCALARS
+from hil.suggest import closest, did_you_mean
+
+
+def explain(finding: Finding, model: Model, source: Source) -> Problem:
+    """The problem a finding is, with its place in the file."""
+    is_key = finding.type == "extra_forbidden"
+    path = finding.path[:-1] if finding.is_gap else finding.path
+    if is_key:
+        message = _unknown_key(finding, model)
+    elif finding.value is None and finding.type != "missing":
+        message = "has no value: give it one, or remove the key"
+    else:
+        sentence = _SENTENCES.get(finding.type)
+        message = sentence(finding) if sentence else finding.told
+    return Problem(source.mark(path, key=is_key), path, message)
+
+
+def name_of(value: Any) -> str:
+    """What a value is, as a person would say it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    names = {type(None): "nothing", list: "a list", dict: "a mapping", str: f"'{shown(value)}'"}
+    return names.get(type(value)) or shown(value)
+
+
+def _unknown_key(f: Finding, model: Model) -> str:
+    if known := same_quantity(f.key, f.known_keys):
+        return f"unknown key; {_other_unit(f.key, known, f.value)}"
+    if known := closest(f.key, f.known_keys):
+        return f"unknown key; did you mean {known!r}?"
+    if elsewhere := _home_of(f, model):
+        return f"unknown key; {elsewhere}"
+    return f"unknown key; known here: {', '.join(f.known_keys)}"
+
+
+def _other_unit(key: str, known: str, value: Any) -> str:
+    new_value = converted(value, split_unit(key)[1], split_unit(known)[1])
+    use = f"{known}: {new_value}" if new_value is not None else known
+    return f"quantities carry their unit in the key: use {use}"
+
+
+def _home_of(f: Finding, model: Model) -> str:
+    """Where a key that is unknown here would be right."""
+    for path, owner in tree(model):
+        if f.key not in keys_of(owner) or not path:
+            continue
+        kinds = choices_of(keys_of(owner)["kind"].annotation) if "kind" in keys_of(owner) else ()
+        with_kind = f" with `kind: {kinds[0]}`" if kinds else ""
+        return f"it belongs to `{dotted(path)}`{with_kind}"
+    return ""
+
+
+def _missing(f: Finding) -> str:
+    if f.is_gap:
+        return f"needs {f.length} values, but has {len(f.value)}"
+    field = keys_of(f.holder)[f.key] if is_model(f.holder) else None
+    meaning = f": {field.description}" if field and field.description else ""
+    others = [key for key in f.value if key not in f.known_keys]
+    if slip := closest(f.key, others):
+        return f"is missing; is {slip!r} meant to be it?"
+    return f"is missing{meaning.rstrip('.')}"
+
+
+def _number(f: Finding) -> str:
+    if not isinstance(f.value, str):
+        return f"must be a number, not {name_of(f.value)}"
+    quantity, in_key = parse_quantity(f.value), split_unit(f.key)[1]
+    if quantity and (value := converted(*quantity, in_key)) is not None:
+        return f"the unit is in the key, so just the number: {f.key}: {value}"
+    return f"must be a number, not the text {name_of(f.value)}{_slip_in_number(f.value)}"
+
+
+def _slip_in_number(text: str) -> str:
+    if re.fullmatch(CORE_SCALARS["float"][0], text):
+        return ": remove the quotes"
+    if re.fullmatch(r"[-+]?\d+,\d+", text):
+        return ": decimals take a point"
+    return ": write it without '_'" if re.fullmatch(r"[-+]?\d+(_\d+)+", text) else ""
+
+
+def _limit(words: str, name: str) -> Callable[[Finding], str]:
+    def sentence(f: Finding) -> str:
+        unit = symbol_of(f.key)
+        return f"must be {words} {f.ctx[name]:g}{' ' + unit if unit else ''}, not {f.value:g}"
+
+    return sentence
+
+
+def _literal(f: Finding) -> str:
+    choices = [str(choice) for choice in choices_of(f.expected)]
+    if f.key in ("hil", "hil_station"):
+        return f"this hil reads format {choices[0]}, not {name_of(f.value)}"
+    if len(choices) == 1:
+        return f"must be {choices[0]}, not {name_of(f.value)}"
+    match = closest(f.value, choices) if isinstance(f.value, str) else None
+    hint = f"; did you mean {match!r}?" if match else ""
+    return f"must be one of {', '.join(choices)}, not {name_of(f.value)}{hint}"
+
+
+def _kind(f: Finding) -> str:
+    kinds = list(kinds_of(f.expected))
+    if f.type == "union_tag_not_found":
+        return f"is missing: one of {', '.join(kinds)}"
+    tag = shown(f.ctx["tag"])
+    return f"there is no kind '{tag}'; {did_you_mean(tag, kinds)}"
+
+
+def _text(f: Finding) -> str:
+    if isinstance(f.value, list | dict):
+        return f"must be text, not {name_of(f.value)}"
+    return f"must be text: put it in quotes, '{name_of(f.value)}'"
+
+
+def _mapping(f: Finding) -> str:
+    inner = plain(f.expected)
+    keys = list(keys_of(inner)) if is_model(inner) else ["kind"] if kinds_of(inner) else []
+    known = f" with keys such as {', '.join(keys[:3])}" if keys else ""
+    return f"must be a mapping{known}, not {name_of(f.value)}"
+
+
+def _too_long(f: Finding) -> str:
+    return f"needs {f.ctx['max_length']} values, but has {f.ctx['actual_length']}"
+
+
+def _too_short(f: Finding) -> str:
+    return f"must not be empty: at least {f.ctx['min_length']} needed"
+
+
+_SENTENCES: dict[str, Callable[[Finding], str]] = {
+    "missing": _missing,
+    "mistake": lambda f: str(f.ctx["message"]),
+    "not_a_number": _number,
+    "float_type": _number,
+    "int_type": _number,
+    "int_from_float": lambda f: f"must be a whole number, not {name_of(f.value)}",
+    "finite_number": lambda f: f"must be a finite number, not {name_of(f.value)}",
+    "greater_than": _limit("above", "gt"),
+    "greater_than_equal": _limit("at least", "ge"),
+    "less_than": _limit("below", "lt"),
+    "less_than_equal": _limit("at most", "le"),
+    "literal_error": _literal,
+    "union_tag_invalid": _kind,
+    "union_tag_not_found": _kind,
+    "string_type": _text,
+    "string_pattern_mismatch": lambda f: (
+        "must begin with a letter or digit and hold nothing but letters, digits, '_', '.' and "
+        f"'-', 64 at most, not {name_of(f.value)}"
+    ),
+    "tuple_type": lambda f: f"must be a list, not {name_of(f.value)}",
+    "too_long": _too_long,
+    "too_short": _too_short,
+    "dict_type": _mapping,
+    "model_type": _mapping,
+    "model_attributes_type": _mapping,
+}
