@@ -286,9 +286,10 @@ def test_observers_that_raise_or_sleep_change_nothing() -> None:
         def notify(self, event: Any) -> None:
             time.sleep(0.2)
 
-    result = engine(KinematicRobot(), ListSink(), observers=Observers((Raises(), Sleeps()))).run()
+    observers = Observers((Raises(), Sleeps()))
+    result = engine(KinematicRobot(), ListSink(), observers=observers).run()
     assert result.outcome is Outcome.COMPLETED
-    assert any("plot window closed" in note for note in result.notes)
+    assert any("plot window closed" in note for note in observers.close())
 
 
 def test_observers_run_on_their_own_threads() -> None:
@@ -298,7 +299,9 @@ def test_observers_run_on_their_own_threads() -> None:
         def notify(self, event: Any) -> None:
             seen.add(threading.current_thread().name)
 
-    engine(KinematicRobot(), ListSink(), observers=Observers((Names(),))).run()
+    observers = Observers((Names(),))
+    engine(KinematicRobot(), ListSink(), observers=observers).run()
+    observers.close()
     assert seen
     assert threading.current_thread().name not in seen
 

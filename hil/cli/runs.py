@@ -76,9 +76,9 @@ def _tell(run: Path) -> None:
 
 def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
-    from hil.record.rundir import list_runs
+    from hil.campaign.view import list_runs
 
-    entries = [entry.to_dict() for entry in list_runs(runs)]
+    entries = list_runs(runs)
     if json:
         print_json(entries)
     elif not entries:
@@ -88,7 +88,7 @@ def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
         print_table(
             header,
             [
-                (e["path"], e["status"], duration(e["duration_s"] or 0.0), e["verdict"] or "–")
+                (e["run"], e["status"], duration(e["duration_s"] or 0.0), e["verdict"])
                 for e in entries
             ],
         )

@@ -64,7 +64,7 @@ class RunResult:
         samples: State rows read.
         device_s: Device time from the first to the last sample [s].
         wall_s: Wall time of the run [s].
-        notes: What observers had to say.
+        notes: What else went wrong on the way out.
     """
 
     outcome: Outcome
@@ -101,7 +101,7 @@ class Engine:
         robot: Connected.
         sink: Receives every sample and event.
         interlocks: Judged on every sample.
-        observers: Told about progress.
+        observers: Told about progress; they stay open, the caller closes them.
         prompt: Asks the operator to change the load.
     """
 
@@ -286,7 +286,7 @@ class Engine:
             samples=progress.samples,
             device_s=progress.last - progress.first if progress.samples else 0.0,
             wall_s=time.monotonic() - self._clock,
-            notes=(*self._notes, *self._observers.close()),
+            notes=tuple(self._notes),
         )
 
 

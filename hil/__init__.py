@@ -1,0 +1,51 @@
+"""hil: from one YAML file to a validated, deployed and maintained robot model.
+
+>>> import hil
+>>> experiment = hil.load("experiments/ci_dwell_12.yaml")   # doctest: +SKIP
+>>> report = hil.run(experiment)                            # doctest: +SKIP
+
+Importing this package touches no hardware library and no heavy one: the functions below are
+looked up in `hil.api` when they are first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hil.api import (
+        Experiment,
+        dataset,
+        evaluate,
+        fit,
+        import_recording,
+        load,
+        plan,
+        run,
+    )
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Experiment",
+    "dataset",
+    "evaluate",
+    "fit",
+    "import_recording",
+    "load",
+    "plan",
+    "run",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'hil' has no attribute {name!r}")
+    # import_module, not "from hil import api": that would ask this very function for `api`.
+    from importlib import import_module
+
+    return getattr(import_module("hil.api"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

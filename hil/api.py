@@ -1,0 +1,167 @@
+"""The Python API: what the command line does, for scripts and notebooks.
+
+>>> import hil
+>>> experiment = hil.load("spec.yaml", "station.yaml")    # doctest: +SKIP
+>>> report = hil.run(experiment, runs="runs")             # doctest: +SKIP
+>>> report.verdict                                        # doctest: +SKIP
+'passed'
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.campaign.experiment import Experiment, load_experiment
+from hil.campaign.run import RunReport, run_experiment
+from hil.campaign.view import describe_run, list_runs
+from hil.data.dataset import Dataset
+from hil.engine import Observer
+from hil.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from hil.fitting import FitReport
+
+__all__ = [
+    "Experiment",
+    "RunReport",
+    "dataset",
+    "describe_run",
+    "evaluate",
+    "fit",
+    "import_recording",
+    "list_runs",
+    "load",
+    "plan",
+    "run",
+]
+
+AnyPath = str | Path
+
+
+def load(spec: AnyPath, station: AnyPath | None = None) -> Experiment:
+    """Load and check an experiment spec and its station.
+
+    Raises:
+        SpecError: With every problem of both files.
+    """
+    return load_experiment(Path(spec), Path(station) if station else None)
+
+
+def plan(experiment: Experiment) -> Plan:
+    """What the robot would do, from where it stands now; nothing moves.
+
+    Raises:
+        PlanError: No safe plan follows from the spec.
+    """
+    from hil.campaign.recording import connected, plan_for
+
+    with connected(experiment.spec.robot, experiment.robot) as robot:
+        return plan_for(experiment, robot)
+
+
+def run(
+    experiment: Experiment,
+    *,
+    runs: AnyPath = "runs",
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+) -> RunReport:
+    """Plan, run, record, fit, judge and report.
+
+    Returns:
+        The report; a run that ended early says so in `outcome` and `error` and is not raised.
+
+    Raises:
+        HilError: What went wrong before there was a run directory.
+    """
+    return run_experiment(experiment, runs=Path(runs), operator=operator, observers=observers)
+
+
+def dataset(*sources: AnyPath) -> Dataset:
+    """The samples of run directories or MCAP files, with their conditions."""
+    from hil.data.load import load_source
+
+    return Dataset.concatenate([load_source(Path(source)) for source in sources])
+
+
+def fit(
+    sources: Iterable[AnyPath],
+    *,
+    estimator: str,
+    robot: str | None = None,
+    payload: str | None = None,
+    validate: Iterable[AnyPath] = (),
+    parameters: dict[str, Any] | None = None,
+    out: AnyPath = "models",
+) -> FitReport:
+    """Fit an estimator to recordings and judge it on others.
+
+    Args:
+        sources: Run directories or MCAP files to fit on.
+        estimator: Name in `hil.estimators`.
+        robot: Built-in arm or URDF; by default what the data says.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m]; by default what the data says.
+        validate: Held-out sources.
+        parameters: The estimator's own parameters.
+        out: Folder in which the model's folder is made.
+    """
+    from hil.fitting import fit_sources, parse_payload
+
+    return fit_sources(
+        [Path(source) for source in sources],
+        estimator=estimator,
+        robot=robot,
+        payload=parse_payload(payload) if payload else None,
+        validate=[Path(source) for source in validate],
+        out=Path(out),
+        **(parameters or {}),
+    )
+
+
+def evaluate(model: AnyPath, sources: Iterable[AnyPath]) -> list[dict[str, Any]]:
+    """Judge a saved model; one entry per source, with the keys of `FitReport.validation`."""
+    from hil.fitting import evaluate_sources
+
+    return evaluate_sources(Path(model), [Path(source) for source in sources])
+
+
+def import_recording(
+    file: AnyPath,
+    *,
+    map_file: AnyPath,
+    out: AnyPath,
+    format_: str | None = None,
+    rows: tuple[int, int] | None = None,
+    drop_bad_rows: bool = False,
+) -> dict[str, Any]:
+    """Turn a recording of another tool into our MCAP.
+
+    Raises:
+        SpecError: The map is not valid.
+        DataError: The file holds rows that make no sense (with their line numbers).
+    """
+    from hil.data.importing import import_file
+
+    report = import_file(
+        Path(file),
+        Path(map_file),
+        out=Path(out),
+        format_=format_,
+        rows=rows,
+        drop_bad_rows=drop_bad_rows,
+    )
+    return report.to_dict()
+
+
+def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
+    """`name=value` texts to a dict; values are read as YAML scalars."""
+    from hil.errors import SpecError
+    from hil.spec.yaml_values import scalar
+
+    pairs = [text.partition("=") for text in texts]
+    for name, equals, _ in pairs:
+        if not (name and equals):
+            raise SpecError(f"--set {name!r} is not NAME=VALUE", hint="for example: --set seed=3")
+    return {name: scalar(value) for name, _, value in pairs}

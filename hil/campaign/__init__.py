@@ -1,0 +1,1 @@
+"""From a spec to a judged model: run → fit → evaluate → report."""

@@ -1,0 +1,88 @@
+"""An experiment: a spec, the station it runs at, and where both came from."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil import arms
+from hil.errors import SpecError
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.load import load_spec, load_station, resolve_robot
+from hil.spec.station import Station, StationRobot
+
+BUILT_IN = "built-in mock bench"
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """A spec bound to a station.
+
+    Attributes:
+        spec: The validated spec.
+        station: The validated station.
+        robot: The station's entry for the spec's robot.
+        spec_text, station_text: The files as written; copied into the run directory.
+        station_source: Path of the station file, or that it is the built-in mock bench.
+    """
+
+    spec: ExperimentSpec
+    station: Station
+    robot: StationRobot
+    spec_text: str
+    station_text: str
+    station_source: str
+
+    @property
+    def title(self) -> str:
+        """One line for people."""
+        return f"{self.spec.name} on {self.spec.robot} ({self.station_source})"
+
+
+def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experiment:
+    """Load a spec and the station it runs at.
+
+    The station is, in this order: `station_path`, $HIL_STATION, `station.yaml` beside the spec,
+    or a bench with every built-in arm on the embedded mock. A real robot is never chosen by
+    default.
+
+    Raises:
+        SpecError: Either file has problems (all are listed), or the station lacks the robot.
+    """
+    spec = load_spec(spec_path)
+    chosen = station_path or _station_nearby(spec_path)
+    if chosen is None:
+        station, text, source = mock_bench(), "", BUILT_IN
+    else:
+        station, text, source = load_station(chosen), chosen.read_text("utf-8"), str(chosen)
+    return Experiment(
+        spec=spec,
+        station=station,
+        robot=resolve_robot(spec, station),
+        spec_text=spec_path.read_text("utf-8"),
+        station_text=text or f"# {BUILT_IN}\n" + station.model_dump_json(indent=1) + "\n",
+        station_source=source,
+    )
+
+
+def mock_bench() -> Station:
+    """A bench with every built-in arm on the embedded mock, seed 0."""
+    return Station(
+        hil_station=1,
+        name="mock-bench",
+        robots={name: StationRobot(driver="mock", model=name) for name in arms.arm_names()},
+    )
+
+
+def _station_nearby(spec_path: Path) -> Path | None:
+    if named := os.environ.get("HIL_STATION"):
+        path = Path(named)
+        if not path.is_file():
+            raise SpecError(
+                f"$HIL_STATION names {named}, which is not a file",
+                hint="unset HIL_STATION or point it at a station file",
+            )
+        return path
+    beside = spec_path.resolve().parent / "station.yaml"
+    return beside if beside.is_file() else None

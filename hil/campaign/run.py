@@ -1,0 +1,134 @@
+"""The main job: record, fit, judge, report; one call, one run directory."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from hil.campaign.experiment import Experiment
+from hil.engine import Observer, Observers, Outcome
+from hil.errors import HilError
+
+VerdictWord = Literal["passed", "rejected", "not judged"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """What came of an experiment.
+
+    Attributes:
+        run: The run directory.
+        uid: Its identity.
+        outcome: `completed`, `stopped`, `tripped` or `failed`.
+        verdict: Of the models on held-out data; `not judged` when the run ended early or the
+            spec has no criteria.
+        samples, gaps, duplicates: Of the robot record, by device clock.
+        report: The HTML page, None if it could not be made.
+        error: What ended the run or the fit early.
+    """
+
+    run: Path
+    uid: str
+    outcome: str
+    verdict: VerdictWord
+    samples: int
+    gaps: int
+    duplicates: int
+    report: Path | None
+    error: HilError | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil run --json`."""
+        out: dict[str, Any] = {
+            "run": str(self.run),
+            "uid": self.uid,
+            "outcome": self.outcome,
+            "verdict": self.verdict,
+            "samples": self.samples,
+            "gaps": self.gaps,
+            "duplicates": self.duplicates,
+            "report": str(self.report) if self.report else None,
+        }
+        if self.error is not None:
+            out["error"] = {"kind": type(self.error).__name__, "message": self.error.message}
+        return out
+
+
+def run_experiment(
+    experiment: Experiment,
+    *,
+    runs: Path,
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+) -> RunReport:
+    """Run an experiment to the end of what is possible.
+
+    Raises:
+        HilError: What went wrong before there was a run directory; later errors are in the report.
+    """
+    from hil.campaign.recording import record
+
+    watching = Observers(tuple(observers))
+    try:
+        recorded = record(
+            experiment, runs=runs, operator=operator, observers=watching, prompt=ask_operator
+        )
+        error, verdict = recorded.result.error, None
+        if recorded.result.outcome is Outcome.COMPLETED and experiment.spec.fit:
+            error, verdict = _judge(experiment, recorded, watching)
+        watching.publish({"kind": "stage", "stage": "writing the report"})
+        page, problem = _report(recorded.directory.path)
+    finally:
+        watching.close()
+    return RunReport(
+        run=recorded.directory.path,
+        uid=str(recorded.directory.start["uid"]),
+        outcome=str(recorded.result.outcome),
+        verdict=_word(verdict),
+        samples=recorded.counts["samples"],
+        gaps=recorded.counts["gaps"],
+        duplicates=recorded.counts["duplicates"],
+        report=page,
+        error=error or problem,
+    )
+
+
+def ask_operator(text: str) -> bool:
+    """Ask on the console; without one there is nobody to confirm, so the answer is no."""
+    if not (sys.stdin and sys.stdin.isatty()):
+        return False
+    sys.stderr.write(f"\n{text}\nType yes when done: ")
+    sys.stderr.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _judge(
+    experiment: Experiment, recorded: Any, watching: Observers
+) -> tuple[HilError | None, bool | None]:
+    from hil.campaign.judging import judge_run
+
+    names = ", ".join(fit.estimator for fit in experiment.spec.fit)
+    watching.publish({"kind": "stage", "stage": f"fitting {names}"})
+    try:
+        passed = judge_run(recorded.directory, experiment.spec, recorded.counts)
+    except HilError as error:
+        return error, None
+    return None, passed
+
+
+def _report(run: Path) -> tuple[Path | None, HilError | None]:
+    from hil.report import render_report
+
+    try:
+        return render_report(run), None
+    except HilError as error:
+        return None, error
+
+
+def _word(passed: bool | None) -> VerdictWord:
+    if passed is None:
+        return "not judged"
+    return "passed" if passed else "rejected"

@@ -1,0 +1,66 @@
+"""Runs as people list and look at them: views of the disk, nothing of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.errors import DataError
+from hil.record.catalogue import RunListing
+from hil.record.catalogue import list_runs as listings_of
+from hil.record.files import read_json
+from hil.record.rundir import RunDirectory
+
+
+def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
+    """One entry per run directory, damaged and interrupted ones included, oldest first.
+
+    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `problem`.
+    """
+    return [_entry(listing) for listing in listings_of(Path(runs))]
+
+
+def describe_run(run: str | Path) -> dict[str, Any]:
+    """Everything the JSON files of a run directory say.
+
+    Raises:
+        DataError: It is no run directory, or was written by a newer version.
+    """
+    directory = RunDirectory.open(Path(run))
+    out: dict[str, Any] = {"run": str(directory.path), "status": directory.status}
+    out |= {"start": directory.start, "stop": directory.stop}
+    out["verdict"] = _optional(directory.path / "verdict.json")
+    out["fits"] = {
+        file.parent.name: _optional(file)
+        for file in sorted(directory.path.glob("fit/*/evaluation.json"))
+    }
+    page = directory.path / "report.html"
+    return out | {"report": str(page) if page.is_file() else None}
+
+
+def verdict_word(run: Path) -> str:
+    """`passed`, `rejected` or `not judged`."""
+    document = _optional(run / "verdict.json") or {}
+    return {True: "passed", False: "rejected"}.get(document.get("passed"), "not judged")
+
+
+def _entry(listing: RunListing) -> dict[str, Any]:
+    stop = _optional(listing.path / "stop.json") or {}
+    return {
+        "run": str(listing.path),
+        "status": listing.status,
+        "robot": listing.robot,
+        "date": listing.date,
+        "uid": listing.uid,
+        "duration_s": stop.get("device_s"),
+        "verdict": verdict_word(listing.path),
+        "problem": listing.problem,
+    }
+
+
+def _optional(path: Path) -> dict[str, Any] | None:
+    """A view never fails because one file is missing or damaged: that file just says nothing."""
+    try:
+        return read_json(path) if path.is_file() else None
+    except DataError:
+        return None
