@@ -6,14 +6,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hil.spec.quantities import Finite, JointRange, Positive, Seed, Strict, Whole
+from hil.spec.quantities import IS_NUMBER, JointRange, Positive, Seed, Strict
 
 
 class Dwell(Strict):
     """A dwell program: go to many poses, stand still, measure."""
 
-    kind: Literal["dwell"] = Field(description="This kind of excitation.")
-    waypoints: Annotated[Whole, Field(ge=1, le=100_000)] = Field(
+    kind: Literal["dwell"] = Field(description="Chooses the dwell program.")
+    waypoints: Annotated[int, Field(ge=1, le=100_000), IS_NUMBER] = Field(
         650, description="How many poses, well spread over the joint ranges."
     )
     file: str | None = Field(
@@ -22,10 +22,10 @@ class Dwell(Strict):
         "path starts at the folder of the spec. `waypoints` then only has to agree with it.",
     )
     file_unit: Literal["deg", "rad"] = Field("deg", description="Unit of the poses in `file`.")
-    dwell_s: Annotated[Finite, Field(ge=0.01, le=600)] = Field(
+    dwell_s: Annotated[float, Field(ge=0.01, le=600), IS_NUMBER] = Field(
         0.095, description="Shortest time at rest before the pose is left."
     )
-    samples_per_dwell: Annotated[Whole, Field(ge=2, le=10_000)] = Field(
+    samples_per_dwell: Annotated[int, Field(ge=2, le=10_000), IS_NUMBER] = Field(
         10, description="Settled samples taken at every pose."
     )
     settle_rad_s: Positive = Field(
@@ -54,17 +54,17 @@ class Dwell(Strict):
 class Fourier(Strict):
     """Finite Fourier series per joint (PINN paper eq. 29), at rest at both ends."""
 
-    kind: Literal["fourier"] = Field(description="This kind of excitation.")
-    harmonics: Annotated[Whole, Field(ge=2, le=50)] = Field(
-        5, description="Sines and cosines per joint; two are used up for rest at both ends."
+    kind: Literal["fourier"] = Field(description="Chooses Fourier trajectories.")
+    harmonics: Annotated[int, Field(ge=2, le=50), IS_NUMBER] = Field(
+        5, description="Order of the series: so many sines and cosines per joint."
     )
     fundamental_hz: Positive = Field(
         0.1, description="Frequency of the first harmonic; its inverse is the period."
     )
-    periods: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+    periods: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
         1, description="How often each trajectory is repeated without a break."
     )
-    trajectories: Annotated[Whole, Field(ge=1, le=1000)] = Field(
+    trajectories: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
         12, description="How many different trajectories, each from rest to rest."
     )
     seed: Seed = Field(7, description="Decides which trajectories are drawn.")

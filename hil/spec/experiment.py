@@ -9,15 +9,15 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.spec.excitation import Dwell, Excitation, Fourier
 from hil.spec.loads import Load
 from hil.spec.quantities import (
+    IS_NUMBER,
+    Count,
     Finite,
     FormatVersion,
     Name,
     NonNegative,
-    Percent,
     Positive,
     Seed,
     Strict,
-    Whole,
     mistake,
 )
 
@@ -53,9 +53,7 @@ class WarmUp(Strict):
 class Reference(Strict):
     """One pose that is measured again and again inside a run, to see drift."""
 
-    every: Annotated[Whole, Field(ge=0)] = Field(
-        50, description="Poses between two visits; 0 switches it off."
-    )
+    every: Count = Field(50, description="Poses between two visits; 0 switches it off.")
     q_deg: tuple[Finite, ...] | None = Field(
         None, description="The pose; by default the first pose of the program."
     )
@@ -70,8 +68,8 @@ class Record(Strict):
 class TrackingErrorInterlock(Strict):
     """Stop when a joint is further from its set-point than this."""
 
-    kind: Literal["tracking_error"] = Field(description="This kind of interlock.")
-    limit_rad: Annotated[Positive, Field(le=1.0)] = Field(
+    kind: Literal["tracking_error"] = Field(description="Watches the tracking error.")
+    limit_rad: Annotated[float, Field(gt=0, le=1.0), IS_NUMBER] = Field(
         description="Largest distance between measured and commanded position."
     )
     action: Literal["stop"] = Field("stop", description="What happens then.")
@@ -80,15 +78,17 @@ class TrackingErrorInterlock(Strict):
 class TemperatureInterlock(Strict):
     """Stop when a joint is hotter than this."""
 
-    kind: Literal["temperature"] = Field(description="This kind of interlock.")
-    limit_c: Annotated[Positive, Field(le=150.0)] = Field(description="Highest joint temperature.")
+    kind: Literal["temperature"] = Field(description="Watches the temperatures.")
+    limit_c: Annotated[float, Field(gt=0, le=150.0), IS_NUMBER] = Field(
+        description="Highest joint temperature."
+    )
     action: Literal["stop"] = Field("stop", description="What happens then.")
 
 
 class SpeedInterlock(Strict):
     """Stop when a joint moves faster than this."""
 
-    kind: Literal["speed"] = Field(description="This kind of interlock.")
+    kind: Literal["speed"] = Field(description="Watches the joint speeds.")
     limit_deg_s: Positive = Field(description="Highest joint speed.")
     action: Literal["stop"] = Field("stop", description="What happens then.")
 
@@ -114,15 +114,11 @@ class Fit(BaseModel):
 class HoldOut(Strict):
     """What is kept away from the fit and judged on, always whole poses, trajectories or loads."""
 
-    trajectories: Annotated[Whole, Field(ge=0)] = Field(
-        0, description="How many of the last trajectories."
-    )
-    poses_percent: Annotated[Percent, Field(le=90)] = Field(
+    trajectories: Count = Field(0, description="How many of the last trajectories.")
+    poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] = Field(
         20.0, description="Share of the poses, drawn by seed, both approaches together."
     )
-    loads: tuple[Annotated[Whole, Field(ge=0)], ...] = Field(
-        (), description="Indices into `loads`, from 0."
-    )
+    loads: tuple[Count, ...] = Field((), description="Indices into `loads`, from 0.")
     seed: Seed = Field(7, description="Decides which poses are held out.")
 
 

@@ -31,15 +31,15 @@ def _ascending(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-_IsNumber = BeforeValidator(_number)
+IS_NUMBER = BeforeValidator(_number)
+"""Goes last in `Annotated`: limits that follow it would be lost to the JSON Schema."""
 
-Finite = Annotated[float, _IsNumber, Field(allow_inf_nan=False)]
-Positive = Annotated[float, _IsNumber, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, _IsNumber, Field(ge=0, allow_inf_nan=False)]
-Percent = Annotated[float, _IsNumber, Field(ge=0, le=100, allow_inf_nan=False)]
-Whole = Annotated[int, _IsNumber]
-Seed = Annotated[int, _IsNumber, Field(ge=0, le=2**32 - 1)]
-FormatVersion = Annotated[Literal[1], _IsNumber]
+Finite = Annotated[float, Field(allow_inf_nan=False), IS_NUMBER]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), IS_NUMBER]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), IS_NUMBER]
+Count = Annotated[int, Field(ge=0), IS_NUMBER]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1), IS_NUMBER]
+FormatVersion = Annotated[Literal[1], IS_NUMBER]
 Vector3 = tuple[Finite, Finite, Finite]
 JointRange = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]

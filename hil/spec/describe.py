@@ -1,0 +1,177 @@
+"""Every key of the YAML files with its unit, default and meaning, taken from the models.
+
+`python -m hil.spec.describe docs/reference/spec.md` writes the reference page.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hil.errors import SpecError
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.source import Path, dotted
+from hil.spec.station import Station
+from hil.spec.units import symbol_of
+from hil.suggest import did_you_mean
+
+
+@dataclass(frozen=True, slots=True)
+class KeyInfo:
+    """What there is to know about one key.
+
+    Attributes:
+        path: Dotted path without list indices: `loads.mass_kg`.
+        kind: The `kind` of the mapping it belongs to, empty where there are no kinds.
+        unit: Symbol of its unit, empty without one.
+        allowed: The values it takes, in words.
+        default: Its default as YAML, `required` without one.
+        meaning: What it says.
+    """
+
+    path: str
+    kind: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+def keys_below(model: Model) -> Iterator[KeyInfo]:
+    """All keys of a file, from the top downwards."""
+    for path, owner in tree(model):
+        for key, field in keys_of(owner).items():
+            yield _info((*path, key), owner, field)
+
+
+def explain_key(path: str) -> list[KeyInfo]:
+    """What a dotted path of an experiment or station means; several entries if kinds share it.
+
+    Raises:
+        SpecError: There is no such key.
+    """
+    wanted = ".".join(step for step in path.split(".") if not step.isdigit())
+    known = [*keys_below(ExperimentSpec), *keys_below(Station)]
+    found = [info for info in known if info.path == wanted or info.path.endswith("." + wanted)]
+    if not found:
+        hint = did_you_mean(wanted, {info.path for info in known})
+        raise SpecError(f"no spec has the key {wanted!r}", hint=hint)
+    return [info for info in found if info.path == wanted] or found
+
+
+def reference() -> str:
+    """The reference page in Markdown."""
+    parts = [_HEAD, "## Experiment", _sections(ExperimentSpec), "## Station", _sections(Station)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _info(path: Path, owner: Model, field: FieldInfo) -> KeyInfo:
+    kind_field = keys_of(owner).get("kind")
+    kinds = choices_of(kind_field.annotation) if kind_field else ()
+    return KeyInfo(
+        path=dotted(path),
+        kind=kinds[0] if kinds else "",
+        unit=symbol_of(str(path[-1])),
+        allowed=_allowed(field.annotation, field.metadata),
+        default=_default(field),
+        meaning=field.description or "",
+    )
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.default
+    if isinstance(value, BaseModel):
+        return "see below"
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        value = [v.model_dump(exclude_unset=True) if isinstance(v, BaseModel) else v for v in value]
+    return f"`{json.dumps(value, ensure_ascii=False)}`" if value != "" else "empty"
+
+
+def _allowed(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    """The values of an annotation in words."""
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return _allowed(inner, [*metadata, *more])
+    if (inner := plain(annotation)) is not annotation:
+        return _allowed(get_args(annotation)[0], metadata)
+    if choices := choices_of(inner):
+        return " or ".join(f"`{choice}`" for choice in choices)
+    if inner in (float, int):
+        return ("number" if inner is float else "whole number") + _limits(metadata)
+    return _compound(inner)
+
+
+def _compound(inner: Any) -> str:
+    if kinds := kinds_of(inner):
+        return "mapping with `kind` " + ", ".join(f"`{kind}`" for kind in kinds)
+    if get_origin(inner) is tuple:
+        first, *rest = get_args(inner)
+        if rest == [Ellipsis]:
+            return f"list, each entry: {_allowed(first)}"
+        return f"list of {1 + len(rest)}: {_allowed(first)}"
+    if is_model(inner) or get_origin(inner) is dict:
+        return "mapping"
+    return "text"
+
+
+def _limits(metadata: Sequence[Any]) -> str:
+    signs = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+    found = {}
+    for item in _flat(metadata):
+        for name, sign in signs.items():
+            if getattr(item, name, None) is not None:
+                found[name] = f"{sign} {getattr(item, name):.10g}"
+    return " " + ", ".join(found.values()) if found else ""
+
+
+def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
+    for item in metadata:
+        yield from item.metadata if isinstance(item, FieldInfo) else (item,)
+
+
+def _sections(model: Model) -> str:
+    return "\n\n".join(_section(path, owner) for path, owner in tree(model))
+
+
+def _section(path: Path, owner: Model) -> str:
+    infos = [_info((*path, key), owner, field) for key, field in keys_of(owner).items()]
+    kind = f" with `kind: {infos[0].kind}`" if infos[0].kind else ""
+    title = f"### `{dotted(path)}`{kind}" if path else "### Top of the file"
+    rows = [
+        f"| `{i.path.rpartition('.')[2]}` | {i.unit or '–'} | {i.allowed} | {i.default} | "
+        f"{i.meaning} |"
+        for i in infos
+    ]
+    table = ["| key | unit | value | default | meaning |", "|---|---|---|---|---|", *rows]
+    return "\n".join([title, "", (owner.__doc__ or "").partition("\n")[0], "", *table])
+
+
+_HEAD = """# Keys of the YAML files
+
+This page is made from the models in `hil/spec` by `python -m hil.spec.describe`; a test keeps it
+up to date. In an editor with YAML support the first line of the shipped specs
+(`# yaml-language-server: $schema=…`) brings the same texts while you type.
+
+- Quantities carry their unit in the key: `dwell_s: 0.095`, never `dwell: 95 ms`.
+- A key that is not listed here is an error, with a guess at what was meant.
+- Scalars follow YAML 1.2: `1e-3` is a number; `on`, `yes` and `12:30` are text.
+- Relative paths start at the folder of the file they stand in.
+- A `kind` decides which other keys there are."""
+
+
+if __name__ == "__main__":
+    FilePath(sys.argv[1] if len(sys.argv) > 1 else "docs/reference/spec.md").write_text(
+        reference(), "utf-8"
+    )
