@@ -1,0 +1,263 @@
+"""Draw a mock robot from the frozen parameter ranges (decision record 0007)."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hil.arms import ArmDescription, load_arm
+from hil.errors import SpecError
+from hil.typing import FloatArray
+from hil_mock_robot.truth import (
+    DriveTruth,
+    FrictionTruth,
+    JointTruth,
+    LinkTruth,
+    Profile,
+    SensorTruth,
+    ThermalTruth,
+    Truth,
+)
+
+
+@cache
+def ranges() -> dict[str, Any]:
+    """The frozen parameter ranges."""
+    text = files("hil_mock_robot").joinpath("ranges.yaml").read_text("utf-8")
+    parsed: dict[str, Any] = yaml.safe_load(text)
+    return parsed
+
+
+def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Truth:
+    """The robot that belongs to an arm, a seed and a profile.
+
+    Both profiles of a seed share bodies, rotors, K1 gains and noise; `ideal` keeps only
+    Coulomb–viscous friction, at one temperature, on a linear drive.
+
+    Raises:
+        SpecError: There is no such arm or profile.
+    """
+    if profile not in ("ideal", "full"):
+        raise SpecError(
+            f"the mock has no profile {profile!r}", hint="use 'full' (every effect) or 'ideal'"
+        )
+    truth = _draw_full(load_arm(arm), seed)
+    return truth if profile == "full" else _idealise(truth)
+
+
+def _draw_full(arm: ArmDescription, seed: int) -> Truth:
+    table = ranges()
+    dice = _Dice(np.random.default_rng([seed, zlib.crc32(arm.name.encode())]))
+    thermal = table["thermal"]
+    links = tuple(_draw_link(arm, i, dice) for i in range(arm.n_joints))
+    base = _scaled_table(arm)
+    joints = tuple(
+        _draw_joint(arm, i, {key: float(column[i]) for key, column in base.items()}, dice)
+        for i in range(arm.n_joints)
+    )
+    return Truth(
+        arm=arm.name,
+        seed=seed,
+        profile="full",
+        ranges=table["version"],
+        links=links,
+        joints=joints,
+        ambient_c=dice.within(thermal["ambient_c"]),
+        ambient_swing_k=dice.within(thermal["ambient_swing_k"]),
+        ambient_period_s=dice.within(thermal["ambient_period_s"]),
+        ambient_phase_rad=dice.within((0.0, 2 * np.pi)),
+        reference_c=float(thermal["reference_c"]),
+        noise_speed_rad_s=float(table["sensor"]["noise_speed_rad_s"]),
+    )
+
+
+class _Dice:
+    """Named draws from one random stream; the order of the calls is part of the ranges."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+
+    def within(self, limits: Any) -> float:
+        return float(self.rng.uniform(limits[0], limits[1]))
+
+    def signed(self, limits: Any) -> float:
+        return self.within(limits) * (1.0 if self.rng.random() < 0.5 else -1.0)
+
+    def direction(self) -> FloatArray:
+        vector = self.rng.standard_normal(3)
+        return np.asarray(vector / np.linalg.norm(vector))
+
+    def count(self, limits: Any) -> int:
+        return int(self.rng.integers(limits[0], limits[1], endpoint=True))
+
+
+def _scaled_table(arm: ArmDescription) -> dict[str, FloatArray]:
+    """The arm's own table, or the UR5's scaled by torque limit (thermal resistance inversely)."""
+    arms = ranges()["arms"]
+    if arm.name in arms:
+        return {key: np.array(column) for key, column in arms[arm.name].items()}
+    ratio = arm.effort_max / load_arm("ur5").effort_max
+    power = {"resistance_k_w": -1.0, "copper_w_a2": 0.0}
+    return {key: np.array(c) * ratio ** power.get(key, 1.0) for key, c in arms["ur5"].items()}
+
+
+def nominal_rotors(arm: ArmDescription) -> list[float]:
+    """(n,) reflected rotor inertias as the maker's data sheet would have them [kg·m²]."""
+    column: list[float] = _scaled_table(arm)["rotor_kgm2"].tolist()
+    return column
+
+
+def _draw_link(arm: ArmDescription, i: int, dice: _Dice) -> LinkTruth:
+    limits = ranges()["bodies"]
+    mass = float(arm.mass[i]) * (1 + dice.signed(limits["mass"]))
+    gyration = float(np.sqrt(np.trace(arm.inertia[i]) / 2 / arm.mass[i]))
+    com = arm.com[i] + dice.within(limits["com"]) * gyration * dice.direction()
+    inertia = _perturbed_inertia(arm.inertia[i] * mass / arm.mass[i], limits, dice)
+    xx, yy, zz = np.diag(inertia).tolist()
+    xy, xz, yz = inertia[0, 1], inertia[0, 2], inertia[1, 2]
+    x, y, z = com.tolist()
+    return LinkTruth(mass, (x, y, z), (xx, yy, zz, float(xy), float(xz), float(yz)))
+
+
+def _perturbed_inertia(inertia: FloatArray, limits: Any, dice: _Dice) -> FloatArray:
+    """Stretch and tilt a rotational inertia.
+
+    It goes through the second-moment matrix Σ = ½tr(I)·1 − I, whose positive eigenvalues are all
+    that physical consistency asks for, so any stretch of them yields a body that can exist.
+    """
+    second = np.trace(inertia) / 2 * np.eye(3) - inertia
+    moments, axes = np.linalg.eigh(second)
+    stretched = moments * np.array([1 + dice.signed(limits["inertia"]) for _ in range(3)])
+    angle = np.radians(dice.within(limits["tilt_deg"]))
+    tilted = _rotation(dice.direction(), float(angle)) @ axes
+    second = tilted @ np.diag(stretched) @ tilted.T
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
+def _rotation(axis: FloatArray, angle: float) -> FloatArray:
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def _draw_joint(arm: ArmDescription, i: int, base: dict[str, float], dice: _Dice) -> JointTruth:
+    limits = ranges()["controller"]
+    friction = _draw_friction(base, dice)
+    drive = _draw_drive(arm, i, base, friction.coulomb_nm, dice)
+    return JointTruth(
+        drive=drive,
+        friction=friction,
+        thermal=_draw_thermal(base, dice),
+        sensor=_draw_sensor(arm, i, base, dice),
+        feedforward_coulomb_nm=friction.coulomb_nm * dice.within(limits["feedforward_coulomb"]),
+        feedforward_load_share=friction.load_share * dice.within(limits["feedforward_load"]),
+        feedforward_viscous_nm_s=friction.viscous_nm * dice.within(limits["feedforward_viscous"]),
+    )
+
+
+def _draw_drive(
+    arm: ArmDescription, i: int, base: dict[str, float], coulomb: float, dice: _Dice
+) -> DriveTruth:
+    limits = ranges()["drive"]
+    gain = float(arm.drive_gains[i]) * (1 + dice.signed(limits["gain"]))
+    current = float(arm.effort_max[i]) / gain
+    return DriveTruth(
+        rotor_kgm2=base["rotor_kgm2"] * (1 + dice.signed(limits["rotor"])),
+        gain_nm_a=gain,
+        square_nm_a2=dice.within(limits["square"]) * gain / current,
+        constant_nm=dice.signed(limits["constant"]) * float(arm.effort_max[i]),
+        ripple_nm=dice.within(limits["ripple"]) * coulomb,
+        ripple_per_turn=limits["ripple_per_motor_turn"] * float(arm.gear_ratio[i]),
+        ripple_phase_rad=dice.within((0.0, 2 * np.pi)),
+    )
+
+
+def _draw_friction(base: dict[str, float], dice: _Dice) -> FrictionTruth:
+    limits = ranges()["friction"]
+    coulomb = base["coulomb_nm"] * dice.within(limits["coulomb"])
+    return FrictionTruth(
+        coulomb_nm=coulomb,
+        stribeck_nm=coulomb * dice.within(limits["stribeck"]),
+        stribeck_rad_s=dice.within(limits["stribeck_rad_s"]),
+        stribeck_shape=dice.within(limits["stribeck_shape"]),
+        viscous_nm=base["viscous_nm"] * dice.within(limits["viscous"]),
+        viscous_power=dice.within(limits["viscous_power"]),
+        load_share=dice.within(limits["load_share"]),
+        asymmetry=dice.signed(limits["asymmetry"]),
+        offset_nm=coulomb * dice.signed(limits["offset"]),
+        elements=_draw_elements(limits, dice),
+        slip_s=dice.within(limits["slip_s"]),
+        creep_s=dice.within(limits["creep_s"]),
+        creep_floor=dice.within(limits["creep_floor"]),
+        smooth_rad_s=float(ranges()["ideal"]["smooth_rad_s"]),
+    )
+
+
+def _draw_elements(limits: Any, dice: _Dice) -> tuple[tuple[float, float], ...]:
+    """Shares add up to 1; slip displacements are spread evenly up to the breakaway."""
+    count = dice.count(limits["elements"])
+    breakaway = dice.within(limits["breakaway_rad"])
+    shares = np.array([dice.within(limits["element_share"]) for _ in range(count)])
+    shares /= shares.sum()
+    return tuple((float(share), breakaway * (k + 1) / count) for k, share in enumerate(shares))
+
+
+def _draw_thermal(base: dict[str, float], dice: _Dice) -> ThermalTruth:
+    limits = ranges()["thermal"]
+    return ThermalTruth(
+        idle_k=dice.within(limits["idle_k"]),
+        resistance_k_w=base["resistance_k_w"] * dice.within(limits["resistance"]),
+        copper_w_a2=base["copper_w_a2"],
+        tau_s=dice.within(limits["tau_s"]),
+        coulomb_per_k=dice.within(limits["coulomb_per_k"]),
+        viscous_per_k=dice.within(limits["viscous_per_k"]),
+    )
+
+
+def _draw_sensor(arm: ArmDescription, i: int, base: dict[str, float], dice: _Dice) -> SensorTruth:
+    limits = ranges()["sensor"]
+    span = 2 * float(arm.effort_max[i] / arm.drive_gains[i])
+    return SensorTruth(
+        rest_a=base["rest_a"] * dice.within(limits["rest"]),
+        moving_a=base["moving_a"] * dice.within(limits["moving"]),
+        quantum_a=span / 2 ** int(limits["bits"]),
+        q_rad=float(limits["q_rad"]),
+        qd_rad_s=dice.within(limits["qd_rad_s"]),
+        qd_rest_rad_s=float(limits["qd_rest_rad_s"]),
+    )
+
+
+def _idealise(truth: Truth) -> Truth:
+    return replace(
+        truth,
+        profile="ideal",
+        joints=tuple(_ideal_joint(joint) for joint in truth.joints),
+        ambient_c=truth.reference_c,
+        ambient_swing_k=0.0,
+    )
+
+
+def _ideal_joint(joint: JointTruth) -> JointTruth:
+    friction = replace(
+        joint.friction,
+        stribeck_nm=0.0, viscous_power=1.0, load_share=0.0, asymmetry=0.0,
+        offset_nm=0.0, elements=(), slip_s=0.0, creep_s=0.0, creep_floor=0.0,
+    )  # fmt: skip
+    thermal = replace(
+        joint.thermal,
+        idle_k=0.0, resistance_k_w=0.0, copper_w_a2=0.0, coulomb_per_k=0.0, viscous_per_k=0.0,
+    )  # fmt: skip
+    return replace(
+        joint,
+        feedforward_load_share=0.0,
+        friction=friction,
+        thermal=thermal,
+        drive=replace(joint.drive, square_nm_a2=0.0, constant_nm=0.0, ripple_nm=0.0),
+        sensor=replace(joint.sensor, moving_a=joint.sensor.rest_a, quantum_a=0.0),
+    )

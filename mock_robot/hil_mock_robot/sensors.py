@@ -1,0 +1,51 @@
+"""What the robot reports, as against what is true: noise, quantisation, a dead band at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.typing import FloatArray
+from hil_mock_robot.truth import Truth
+
+CELSIUS_QUANTUM = 1 / 16
+CELSIUS_NOISE = 0.03
+
+
+class Sensors:
+    """The measurements of one robot; the same truth and order of samples give the same noise.
+
+    Every sample draws the same number of random values, row by row, so how the samples were cut
+    into blocks leaves no trace.
+    """
+
+    def __init__(self, truth: Truth) -> None:
+        each = [joint.sensor for joint in truth.joints]
+        self._rest = np.array([sensor.rest_a for sensor in each])
+        self._moving = np.array([sensor.moving_a for sensor in each])
+        self._quantum = np.array([sensor.quantum_a for sensor in each])
+        self._q = np.array([sensor.q_rad for sensor in each])
+        self._qd = np.array([sensor.qd_rad_s for sensor in each])
+        self._qd_rest = np.array([sensor.qd_rest_rad_s for sensor in each])
+        self._half_speed = truth.noise_speed_rad_s
+        self._rng = np.random.default_rng([truth.seed, len(each), truth.ranges])
+
+    def measure(
+        self, q: FloatArray, qd: FloatArray, current: FloatArray, celsius: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Measured position, velocity, current and temperature of true ones, each (N, n)."""
+        noise = self._rng.standard_normal((len(q), 4, q.shape[1]))
+        speed = np.abs(qd)
+        share = speed / (speed + self._half_speed)
+        deviation = self._rest + (self._moving - self._rest) * share
+        return (
+            q + noise[:, 0] * self._q,
+            np.where(speed < self._qd_rest, 0.0, qd + noise[:, 1] * self._qd),
+            _quantised(current + noise[:, 2] * deviation, self._quantum),
+            _quantised(celsius + noise[:, 3] * CELSIUS_NOISE, CELSIUS_QUANTUM),
+        )
+
+
+def _quantised(values: FloatArray, quantum: FloatArray | float) -> FloatArray:
+    """Rounded to multiples of `quantum`; where it is 0, unchanged."""
+    step = np.where(np.asarray(quantum) > 0, quantum, 1.0)
+    return np.where(np.asarray(quantum) > 0, np.round(values / step) * step, values)
