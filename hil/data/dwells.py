@@ -1,0 +1,123 @@
+"""Finding the samples at which an arm stood still.
+
+A dwell's useful samples are the last ones before the arm leaves: the friction state has settled
+and the controller has stopped hunting (static paper, section IV.A: ten samples of ≥ 95 ms).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset
+from hil.data.filters import derivative
+from hil.typing import BoolArray, FloatArray, IntArray
+
+SAMPLES_PER_DWELL = 10
+
+
+@dataclass(frozen=True, slots=True)
+class DwellRule:
+    """When an arm counts as standing still.
+
+    Attributes:
+        min_s: Shortest stay [s].
+        samples: How many samples are kept, the last ones of the stay.
+        speed: Every joint is slower than this [rad/s].
+        drift: No joint strays further than this from where it stands at the end [rad].
+    """
+
+    min_s: float = 0.095
+    samples: int = SAMPLES_PER_DWELL
+    speed: float = 0.005
+    drift: float = 0.002
+
+
+def find_dwells(
+    q: FloatArray,
+    qd: FloatArray | None,
+    t: FloatArray,
+    min_s: float = 0.095,
+    samples: int = SAMPLES_PER_DWELL,
+    rule: DwellRule | None = None,
+) -> list[slice]:
+    """The last `samples` rows of every stay in a recording that has no plan.
+
+    Args:
+        q: (N, n) positions [rad].
+        qd: (N, n) velocities [rad/s]; differentiated from `q` when None.
+        t: (N,) time [s].
+        min_s: Shortest stay [s].
+        samples: Rows kept of each stay.
+        rule: Thresholds; `min_s` and `samples` win over its own.
+
+    Returns:
+        Row ranges in order; a stay shorter than `min_s` or `samples` is not among them.
+    """
+    chosen = replace(rule or DwellRule(), min_s=min_s, samples=samples)
+    speed = derivative(q, t) if qd is None else qd
+    resting = np.max(np.abs(speed), axis=1) < chosen.speed
+    found = []
+    for start, stop in _runs(resting):
+        first = start + _settled_from(q[start:stop], chosen.drift)
+        # The sample before the first one at rest is half a step away: count whole steps only.
+        long_enough = stop - first >= samples and t[stop - 1] - t[first] >= min_s - 1e-9
+        if long_enough:
+            found.append(slice(stop - samples, stop))
+    return found
+
+
+def dwells_of(dataset: Dataset, rule: DwellRule | None = None) -> Dataset:
+    """The dwells of a dataset: its dwell series, or what `find_dwells` sees in its motions.
+
+    Found dwells are numbered as poses in order of appearance.
+    """
+    planned = dataset.of_kind("dwell")
+    if len(planned.conditions):
+        return planned.select(lambda condition: condition.settled)
+    spans: list[tuple[Conditions, slice]] = []
+    chosen = rule or DwellRule()
+    qd = dataset.columns.get("qd")
+    for condition, rows in dataset.slices():
+        if rows.stop - rows.start < chosen.samples:
+            continue
+        speed = None if qd is None else qd[rows]
+        found = find_dwells(
+            dataset["q"][rows], speed, dataset["t"][rows], chosen.min_s, chosen.samples, chosen
+        )
+        spans += [(condition, slice(rows.start + s.start, rows.start + s.stop)) for s in found]
+    return _as_series(dataset, spans)
+
+
+def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Dataset:
+    rows = [np.arange(span.start, span.stop) for _, span in spans]
+    picked = np.concatenate(rows) if rows else np.empty(0, dtype=np.int64)
+    conditions = tuple(
+        replace(origin, id=f"{origin.id}/dwell{number}", kind="dwell", pose=number)
+        for number, (origin, _) in enumerate(spans)
+    )
+    return replace(
+        dataset,
+        columns={name: values[picked] for name, values in dataset.columns.items()},
+        offsets=np.concatenate(([0], np.cumsum([len(r) for r in rows]))).astype(np.int64),
+        conditions=conditions,
+    )
+
+
+def series_means(dataset: Dataset, values: FloatArray) -> FloatArray:
+    """(S, n) mean of `values` (N, n) over each series; every series has at least one row."""
+    counts: IntArray = np.diff(dataset.offsets)
+    sums: FloatArray = np.add.reduceat(values, dataset.offsets[:-1], axis=0)
+    return sums / counts[:, None]
+
+
+def _settled_from(q: FloatArray, drift: float) -> int:
+    """First row of the stay from which on no joint strays from its final position."""
+    astray = np.flatnonzero(np.max(np.abs(q - q[-1]), axis=1) > drift)
+    return int(astray[-1]) + 1 if len(astray) else 0
+
+
+def _runs(mask: BoolArray) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

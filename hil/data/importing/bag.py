@@ -1,0 +1,109 @@
+"""ROS 2 bags (sqlite3 or mcap): JointState messages, joints matched by name, never by place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.data.importing.import_map import ImportMap
+from hil.data.importing.raw import Raw
+from hil.errors import DataError, PluginError
+from hil.suggest import did_you_mean
+from hil.typing import FloatArray, IntArray
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+FIELDS = {"q": "position", "qd": "velocity", "effort": "effort"}
+
+
+def read_bag(path: Path, layout: ImportMap) -> Raw:
+    """Read the JointStates of a bag: a folder, a .db3 or an .mcap file.
+
+    Drivers list the joints in orders of their own (elbow first, alphabetically, is common); the
+    map's `joint_names` say which is which.
+
+    Raises:
+        DataError: The bag cannot be read, has no such topic, or lacks a joint.
+        PluginError: The package `rosbags` is not installed.
+    """
+    wanted = [name for name in layout.quantities() if name in FIELDS]
+    stamps: list[float] = []
+    samples: dict[str, list[FloatArray]] = {name: [] for name in wanted}
+    problems: dict[int, str] = {}
+    orders: dict[tuple[str, ...], IntArray | str] = {}
+    for row, (logged, message) in enumerate(_messages(path, layout.topic)):
+        stamp = message.header.stamp
+        seconds = stamp.sec + 1e-9 * stamp.nanosec if layout.stamp == "header" else 1e-9 * logged
+        stamps.append(seconds)
+        names = tuple(message.name)
+        order = orders.setdefault(names, _order(names, layout.joint_names))
+        for name in wanted:
+            values, why = _values(message, FIELDS[name], order, len(names), layout.n_joints)
+            samples[name].append(values)
+            if why:
+                problems.setdefault(row, why)
+    if not stamps:
+        raise DataError(f"{path}: no messages under {layout.topic}")
+    _require_joints(orders, path)
+    columns = {name: np.array(rows) for name, rows in samples.items()}
+    columns["t"] = np.array(stamps)
+    return Raw(columns, np.arange(1, len(stamps) + 1), "message", problems)
+
+
+def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise PluginError(
+            "reading ROS 2 bags needs the package rosbags", hint='pip install "hil[bags]"'
+        ) from error
+    bag = path.parent if path.suffix in (".db3", ".mcap") and _is_bag(path.parent) else path
+    try:
+        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            found = [c for c in reader.connections if c.topic == topic]
+            if not found:
+                topics = sorted({c.topic for c in reader.connections})
+                raise DataError(f"{path} has no topic {topic}", hint=did_you_mean(topic, topics))
+            if found[0].msgtype != JOINT_STATE:
+                raise DataError(f"{topic} in {path} holds {found[0].msgtype}, not {JOINT_STATE}")
+            for connection, logged, data in reader.messages(found):
+                yield logged, reader.deserialize(data, connection.msgtype)
+    except (AnyReaderError, OSError) as error:
+        raise DataError(f"cannot read {path} as a ROS 2 bag: {error}") from error
+
+
+def _is_bag(folder: Path) -> bool:
+    return (folder / "metadata.yaml").is_file()
+
+
+def _order(names: tuple[str, ...], wanted: tuple[str, ...]) -> IntArray | str:
+    """Where each wanted joint stands in a message, or which one is missing."""
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        return f"has no joint {missing[0]!r} (it lists {', '.join(names) or 'none'})"
+    return np.array([names.index(name) for name in wanted], dtype=np.int64)
+
+
+def _values(
+    message: Any, field: str, order: IntArray | str, names: int, n: int
+) -> tuple[FloatArray, str]:
+    unknown = np.full(n, np.nan)
+    if isinstance(order, str):
+        return unknown, order
+    values = np.asarray(getattr(message, field), dtype=np.float64)
+    if len(values) != names:
+        return unknown, f"has {len(values)} values of {field} for {names} joints"
+    return values[order], ""
+
+
+def _require_joints(orders: dict[tuple[str, ...], IntArray | str], path: Path) -> None:
+    """Messages of other devices may lack our joints; if all do, the map is wrong."""
+    wrong = [why for why in orders.values() if isinstance(why, str)]
+    if len(wrong) == len(orders):
+        raise DataError(
+            f"{path}: no message lists the map's joints; the first {wrong[0]}",
+            hint="correct joint_names in the map",
+        )

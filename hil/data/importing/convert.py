@@ -1,0 +1,53 @@
+"""From the file's numbers to SI, and from there to the rows of the base robot record."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.data.importing.checks import check_jumps, check_time, check_values
+from hil.data.importing.import_map import ImportMap, Quantity
+from hil.data.importing.raw import Raw
+from hil.data.importing.units import SI_SYMBOL, unit_named
+from hil.errors import DataError
+from hil.typing import FloatArray
+
+
+def convert(raw: Raw, layout: ImportMap) -> Raw:
+    """The same rows in SI units, with everything that makes no sense blamed."""
+    time = layout.columns.t
+    t = (
+        raw.columns["t"] * _factor(time.unit)[0]
+        if time.rate_hz is None
+        else (np.arange(len(raw)) / time.rate_hz)
+    )
+    out = Raw({"t": t}, raw.lines, raw.place, dict(raw.problems))
+    check_values(out, "t", t, np.array([np.inf]), "s")
+    for name, quantity in layout.quantities().items():
+        if name in raw.columns:
+            out.columns[name] = _to_si(out, name, quantity, raw.columns[name])
+    check_time(out, t)
+    fastest = layout.columns.qd and layout.columns.qd.limit
+    if fastest and layout.columns.qd is not None:
+        limit = np.array(fastest) * _factor(layout.columns.qd.unit)[0]
+        check_jumps(out, t, out.columns["q"], limit)
+    return out
+
+
+def _to_si(out: Raw, name: str, quantity: Quantity, values: FloatArray) -> FloatArray:
+    factor, offset = _factor(quantity.unit)
+    scaled = values * np.array(quantity.scale) + np.array(quantity.offset)
+    limit = np.array(quantity.limit or (np.inf,))
+    check_values(out, name, scaled, limit, quantity.unit)
+    if quantity.matrix is not None:
+        scaled = scaled @ np.array(quantity.matrix).T
+    si: FloatArray = scaled * factor + offset
+    unit = unit_named(quantity.unit)
+    check_values(out, name, si, np.array([np.inf]), SI_SYMBOL[unit.dimension] if unit else "")
+    return si
+
+
+def _factor(text: str) -> tuple[float, float]:
+    unit = unit_named(text)
+    if unit is None:
+        raise DataError(f"{text!r} is no unit")
+    return unit.factor, unit.offset

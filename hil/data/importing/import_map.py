@@ -1,0 +1,210 @@
+"""The import map: a YAML file that says what the columns of somebody else's file are."""
+
+from __future__ import annotations
+
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+
+from hil.data.importing.units import QUANTITY_DIMENSIONS, unit_named, units_of
+from hil.spec.findings import findings_of
+from hil.spec.loads import Load
+from hil.spec.messages import explain
+from hil.spec.quantities import Finite, FormatVersion, Positive, Strict, mistake
+from hil.spec.source import Problem, refuse
+from hil.spec.yaml_source import read_source
+
+FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
+Address: TypeAlias = int | str
+
+QUANTITIES = tuple(name for name in QUANTITY_DIMENSIONS if name != "t")
+"""Everything but time that a map can name."""
+
+
+def _expanded(value: Any) -> Any:
+    """`7` → [7]; `"2:7"` → [2, …, 7]; a name → [name]."""
+    if isinstance(value, bool) or not isinstance(value, int | str):
+        return value
+    first, colon, last = str(value).partition(":")
+    if colon and first.strip().isdigit() and last.strip().isdigit():
+        return list(range(int(first), int(last) + 1))
+    return [value]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+Addresses = Annotated[tuple[Address, ...], BeforeValidator(_expanded), Field(min_length=1)]
+PerJoint = Annotated[tuple[Finite, ...], BeforeValidator(_as_list), Field(min_length=1)]
+
+
+class Quantity(Strict):
+    """One measured quantity of all joints.
+
+    In the file's unit, `value = scale · number + offset`; then `matrix` mixes the joints, and the
+    result is turned into SI.
+    """
+
+    columns: Addresses | None = Field(
+        None,
+        description="One per joint: numbers from 1 (`2:7` or a list) or names from the header; "
+        "in .mat files variables (`rec.q`, or `rec.q[1]` for its first row). May be left out "
+        "where the format has its own names.",
+    )
+    unit: str = Field(description="Unit in the file, such as rad, deg, rad/s, rpm, A, mA, N·m.")
+    scale: PerJoint = Field((1.0,), description="Factor for all joints, or one per joint.")
+    offset: PerJoint = Field((0.0,), description="Added after scaling, in the file's unit.")
+    matrix: tuple[tuple[Finite, ...], ...] | None = Field(
+        None, description="n × n: joint values from the file's values, for coupled wrists."
+    )
+    file: str | None = Field(
+        None, description="File beside the one imported, when every quantity has its own."
+    )
+    limit: PerJoint | None = Field(
+        None, description="Larger magnitudes, in the file's unit, are garbage."
+    )
+    optional: bool = Field(
+        False, description="Leave the quantity out where a file lacks its columns."
+    )
+
+
+class Time(Strict):
+    """Where the time stamps are; they may be uneven, but must increase."""
+
+    columns: Addresses | None = Field(None, description="The column, by number or name.")
+    unit: str = Field("s", description="s, ms, us or ns.")
+    rate_hz: Positive | None = Field(
+        None, description="For files without time stamps: the sample rate."
+    )
+    file: str | None = Field(None, description="File beside the one imported.")
+
+
+class Columns(Strict):
+    """Which columns hold what; `q` and `effort` are needed and cannot be optional."""
+
+    t: Time = Time()
+    q: Quantity
+    effort: Quantity
+    qd: Quantity | None = None
+    temperature: Quantity | None = None
+    q_target: Quantity | None = None
+    qd_target: Quantity | None = None
+    qdd_target: Quantity | None = None
+    effort_target: Quantity | None = None
+
+
+class Window(Strict):
+    """Rows that belong to one trajectory; around it the arm does other things."""
+
+    rows: str = Field(pattern=r"^\d+:\d+$", description="First and last row, counted from 1.")
+    file: str = Field("*", description="Name or pattern of the files this holds for.")
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First and last row, counted from 1, both included."""
+        first, last = self.rows.split(":")
+        return int(first), int(last)
+
+
+class ImportMap(Strict):
+    """What a file of another tool holds, so that it is as well described as our own."""
+
+    hil_map: FormatVersion = Field(description="Version of the map format.")
+    description: str = ""
+    format: FileFormat
+    robot: str = Field(description="Built-in arm, URDF, or just a label.")
+    joint_names: tuple[str, ...] = Field(min_length=1, description="Base to flange.")
+    effort_kind: Literal["current", "torque"]
+    drive_gains_nm_a: tuple[Positive, ...] | None = None
+    drive_gains_source: str = ""
+    payload: Load = Load()
+    header: bool = Field(False, description="The first line names the columns.")
+    delimiter: str = Field(",", description="Between columns; `whitespace` for any of it.")
+    decimal: Literal[".", ","] = "."
+    topic: str = Field("/joint_states", description="ROS 2 bags: where the JointStates are.")
+    stamp: Literal["header", "log"] = Field(
+        "header", description="ROS 2 bags: time of the message's header, or of its logging."
+    )
+    columns: Columns
+    windows: tuple[Window, ...] = ()
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_names)
+
+    def quantities(self) -> dict[str, Quantity]:
+        """The quantities the map names, by field of the base robot record."""
+        found = ((name, getattr(self.columns, name)) for name in QUANTITIES)
+        return {name: quantity for name, quantity in found if quantity is not None}
+
+    def windows_of(self, file: str) -> tuple[Window, ...]:
+        """The windows that hold for a file of this name."""
+        return tuple(window for window in self.windows if fnmatch(file, window.file))
+
+    @model_validator(mode="after")
+    def _fits_the_joints(self) -> ImportMap:
+        n = self.n_joints
+        if self.drive_gains_nm_a is not None and len(self.drive_gains_nm_a) != n:
+            raise mistake(f"needs {n} values, one per joint", "drive_gains_nm_a")
+        for name, quantity in self.quantities().items():
+            if quantity.optional and name in ("q", "effort"):
+                raise mistake("is needed, so it cannot be optional", "columns", name, "optional")
+            _check_lengths(name, quantity, n)
+            _check_unit(name, quantity.unit)
+        _check_unit("t", self.columns.t.unit)
+        _check_effort(self)
+        return self
+
+
+def load_map(path: str | Path) -> ImportMap:
+    """Read an import map.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    source = read_source(path)
+    if not isinstance(source.data, dict) or "hil_map" not in source.data:
+        message = "an import map is a mapping that begins with `hil_map: 1`"
+        raise refuse([Problem(source.mark(()), (), message)])
+    try:
+        found = ImportMap.model_validate(source.data)
+    except ValidationError as error:
+        findings = findings_of(error.errors(include_url=False), ImportMap, source)
+        problems = [explain(finding, ImportMap, source) for finding in findings]
+        raise refuse(source.problems + problems) from None
+    if source.problems:
+        raise refuse(source.problems)
+    return found
+
+
+def _check_lengths(name: str, quantity: Quantity, n: int) -> None:
+    for key in ("scale", "offset", "limit"):
+        values = getattr(quantity, key)
+        if values is not None and len(values) not in (1, n):
+            raise mistake(f"needs one value or {n}, one per joint", "columns", name, key)
+    matrix = quantity.matrix
+    if matrix is not None and (len(matrix) != n or any(len(row) != n for row in matrix)):
+        raise mistake(f"must be {n} × {n}", "columns", name, "matrix")
+
+
+def _check_unit(name: str, text: str) -> None:
+    dimensions = QUANTITY_DIMENSIONS[name]
+    unit = unit_named(text)
+    if unit is None or unit.dimension not in dimensions:
+        known = ", ".join(units_of(dimensions))
+        raise mistake(f"{text!r} is no unit of {name}: use {known}", "columns", name, "unit")
+
+
+def _check_effort(chosen: ImportMap) -> None:
+    for name in ("effort", "effort_target"):
+        quantity = getattr(chosen.columns, name)
+        unit = unit_named(quantity.unit) if quantity else None
+        if unit and unit.dimension != chosen.effort_kind:
+            raise mistake(
+                f"{quantity.unit} is a {unit.dimension}, but effort_kind is {chosen.effort_kind}",
+                "columns", name, "unit",
+            )  # fmt: skip

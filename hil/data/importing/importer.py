@@ -1,0 +1,188 @@
+"""Import a recording of another tool: read, check, convert, write; all of it or nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from hil.data.importing.bag import read_bag
+from hil.data.importing.convert import convert
+from hil.data.importing.import_map import FileFormat, ImportMap, load_map
+from hil.data.importing.interleaved import read_interleaved
+from hil.data.importing.mat import read_mat
+from hil.data.importing.raw import Raw
+from hil.data.importing.recording import segments_of, write_recording
+from hil.data.importing.text import read_text
+from hil.errors import DataError, SpecError
+from hil.suggest import did_you_mean
+
+READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
+    "csv": read_text,
+    "ur_rtde": read_text,
+    "interleaved": read_interleaved,
+    "mat": read_mat,
+    "ros2bag": read_bag,
+}
+
+KEPT_LINE_NUMBERS = 1000
+"""Dropped lines that are listed in the output; their number is always given."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportReport:
+    """What an import did.
+
+    Attributes:
+        out: The MCAP written.
+        source: What was imported.
+        samples: Rows written.
+        dropped: Where the rows that were left out stand in the file.
+        place: What `dropped` counts: `line`, `message` or `sample`.
+        notes: For people.
+    """
+
+    out: Path
+    source: Path
+    samples: int
+    dropped: tuple[int, ...]
+    place: str
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "out": str(self.out),
+            "source": str(self.source),
+            "samples": self.samples,
+            "dropped": len(self.dropped),
+            f"dropped_{self.place}s": list(self.dropped),
+            "notes": list(self.notes),
+        }
+
+
+def import_file(
+    path: Path,
+    map_: ImportMap | Path,
+    *,
+    out: Path,
+    format_: str | None = None,
+    rows: tuple[int, int] | None = None,
+    drop_bad_rows: bool = False,
+) -> ImportReport:
+    """Turn a file into an MCAP with the base robot record.
+
+    Args:
+        path: The file (or the folder of a bag or of files that belong together).
+        map_: What its columns are: an `ImportMap` or the path of its YAML.
+        out: The MCAP to be made.
+        format_: Overrides the map's format.
+        rows: First and last row, counted from 1 without the header, both included; the map's
+            windows then do not apply.
+        drop_bad_rows: Leave bad rows out, with a note in the output, instead of refusing.
+
+    Raises:
+        SpecError: The map is not valid.
+        DataError: The file cannot be read, or rows make no sense.
+        RecordingError: The output exists already or cannot be written.
+    """
+    layout = map_ if isinstance(map_, ImportMap) else load_map(map_)
+    layout = _with_format(layout, format_)
+    if not path.exists():
+        raise DataError(f"{path} does not exist")
+    whole = READERS[layout.format](path, layout)
+    numbered = np.arange(1, len(whole) + 1)
+    chosen = whole.window(rows) if rows else whole
+    samples = convert(chosen, layout)
+    dropped = _judge(path, samples, drop_bad_rows)
+    windows = () if rows else layout.windows_of(path.name)
+    first, last = rows or (1, len(whole))
+    kept = numbered[first - 1 : last][samples.good]
+    good = samples.without_bad_rows()
+    segments = segments_of(kept, windows)
+    origin = _origin(path, layout, rows, samples.place, dropped)
+    write_recording(out, good, segments, layout, origin)
+    notes = _notes(samples, dropped, int(np.sum(segments >= 0)), bool(windows))
+    return ImportReport(out, path, len(good), tuple(dropped), samples.place, notes)
+
+
+def _with_format(layout: ImportMap, format_: str | None) -> ImportMap:
+    if format_ is None or format_ == layout.format:
+        return layout
+    if format_ not in get_args(FileFormat):
+        raise SpecError(
+            f"there is no import format {format_!r}",
+            hint=did_you_mean(format_, get_args(FileFormat)),
+        )
+    return layout.model_copy(update={"format": format_})
+
+
+def _judge(path: Path, samples: Raw, drop_bad_rows: bool) -> list[int]:
+    """Where the bad rows stand, if they may be dropped.
+
+    Raises:
+        DataError: They may not, or fewer than two good ones are left.
+    """
+    bad = len(samples.problems)
+    if bad and not drop_bad_rows:
+        listing = "\n".join(samples.listing())
+        raise DataError(
+            f"{path}: {bad} of {len(samples)} rows make no sense:\n{listing}",
+            hint="look at the file, or leave these rows out with --drop-bad-rows",
+        )
+    if len(samples) - bad < 2:
+        listing = "\n".join(samples.listing())
+        raise DataError(
+            f"{path}: only {len(samples) - bad} of {len(samples)} rows make sense:\n{listing}",
+            hint="is this the right map for the file?",
+        )
+    return samples.bad_lines
+
+
+def _origin(
+    path: Path,
+    layout: ImportMap,
+    rows: tuple[int, int] | None,
+    place: str,
+    dropped: list[int],
+) -> dict[str, str]:
+    """What the output says about where it came from; everything as text."""
+    return {
+        "source": path.name,
+        "source_sha256": json.dumps({file.name: _sha256(file) for file in _files(path, layout)}),
+        "format": layout.format,
+        "map": layout.model_dump_json(),
+        "rows": f"{rows[0]}:{rows[1]}" if rows else "",
+        "dropped": str(len(dropped)),
+        f"dropped_{place}s": json.dumps(dropped[:KEPT_LINE_NUMBERS]),
+    }
+
+
+def _files(path: Path, layout: ImportMap) -> list[Path]:
+    """Every file that was read."""
+    if layout.format == "ros2bag" and path.is_dir():
+        return sorted(file for file in path.iterdir() if file.is_file())
+    folder = path if path.is_dir() else path.parent
+    named = [layout.columns.t.file, *(q.file for q in layout.quantities().values())]
+    found = {folder / name if name else path for name in named}
+    return sorted(file for file in found if file.is_file())
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _notes(samples: Raw, dropped: list[int], inside: int, windowed: bool) -> tuple[str, ...]:
+    notes = []
+    if dropped:
+        notes.append(f"dropped {len(dropped)} of {len(samples)} rows:")
+        notes += list(samples.listing())
+    if windowed:
+        notes.append(f"{inside} rows lie in the map's windows; the others belong to no trajectory")
+    return tuple(notes)

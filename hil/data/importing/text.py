@@ -1,0 +1,248 @@
+"""Text tables: CSV with any delimiter, with or without header, and ur_rtde's recordings."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hil.data.importing.import_map import Address, ImportMap
+from hil.data.importing.raw import Raw
+from hil.errors import DataError
+from hil.suggest import did_you_mean
+from hil.typing import FloatArray, IntArray
+
+RTDE_NAMES = {
+    "q": "actual_q_{}",
+    "qd": "actual_qd_{}",
+    "effort": "actual_current_{}",
+    "temperature": "joint_temperatures_{}",
+    "q_target": "target_q_{}",
+    "qd_target": "target_qd_{}",
+    "qdd_target": "target_qdd_{}",
+    "effort_target": "target_current_{}",
+}
+"""Column names of ur_rtde's `startFileRecording` and of UR's own record.py, joints from 0."""
+
+RTDE_TIME = "timestamp"
+
+
+@dataclass(eq=False)
+class Table:
+    """The wanted columns of one text file.
+
+    Attributes:
+        values: (N, C) in the order they were asked for, NaN where unreadable.
+        lines: (N,) line of each row in the file, from 1.
+        problems: Row (from 0) → what is wrong with it.
+    """
+
+    values: FloatArray
+    lines: IntArray
+    problems: dict[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """A file's data lines without the blank ones, and its header."""
+
+    path: Path
+    text: list[str]
+    numbers: IntArray
+    names: list[str] | None
+    delimiter: str | None
+
+    @cached_property
+    def counts(self) -> list[int]:
+        """Number of fields of each line."""
+        if self.delimiter is None:
+            return [len(line.split()) for line in self.text]
+        return [line.count(self.delimiter) + 1 for line in self.text]
+
+    @cached_property
+    def width(self) -> int:
+        """Number of columns: of the header, or of most lines."""
+        return len(self.names) if self.names else Counter(self.counts).most_common(1)[0][0]
+
+
+def read_text(path: Path, layout: ImportMap) -> Raw:
+    """Read the columns a map names, from one file or from several side by side.
+
+    Raises:
+        DataError: A file cannot be read, or a column is missing from all of it.
+    """
+    wanted = wanted_columns(layout)
+    by_file: dict[str | None, list[str]] = {}
+    for name, (file, _) in wanted.items():
+        by_file.setdefault(file, []).append(name)
+    parts = []
+    optional = _optional(layout)
+    for file, names in by_file.items():
+        lines = _open(_beside(path, file), layout)
+        known = [n for n in names if n not in optional or _is_there(wanted[n][1], lines)]
+        addresses = [a for name in known for a in wanted[name][1]]
+        parts.append((known, _parse(lines, [_index(a, lines) for a in addresses])))
+    return _joined(parts, {name: len(columns) for name, (_, columns) in wanted.items()})
+
+
+def wanted_columns(layout: ImportMap) -> dict[str, tuple[str | None, tuple[Address, ...]]]:
+    """Which columns of which file each quantity is read from.
+
+    Raises:
+        DataError: The map leaves columns out that its format has no names for.
+    """
+    out: dict[str, tuple[str | None, tuple[Address, ...]]] = {}
+    rtde = layout.format == "ur_rtde"
+    time = layout.columns.t
+    if time.rate_hz is None:
+        columns = time.columns or ((RTDE_TIME,) if rtde else ())
+        out["t"] = (time.file, _required("t", columns, 1))
+    for name, quantity in layout.quantities().items():
+        default = tuple(RTDE_NAMES[name].format(j) for j in range(layout.n_joints)) if rtde else ()
+        columns = quantity.columns or default
+        out[name] = (quantity.file, _required(name, columns, layout.n_joints))
+    return out
+
+
+def _required(name: str, columns: tuple[Address, ...], count: int) -> tuple[Address, ...]:
+    if len(columns) != count:
+        raise DataError(
+            f"the map gives {len(columns)} columns for {name}, but {count} are needed",
+            hint="name one column per joint (or t.rate_hz when the file has no time)",
+        )
+    return columns
+
+
+def _beside(path: Path, file: str | None) -> Path:
+    if file is None:
+        return path
+    return (path if path.is_dir() else path.parent) / file
+
+
+def _open(path: Path, layout: ImportMap) -> _Lines:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DataError(
+            f"{path} is not a text file: byte {error.start} is not UTF-8",
+            hint="is the map's format right for this file?",
+        ) from error
+    lines = text.splitlines()
+    delimiter = None if layout.delimiter == "whitespace" else layout.delimiter
+    filled = [i for i, line in enumerate(lines) if line.strip()]
+    names = None
+    if layout.header or layout.format == "ur_rtde":
+        if not filled:
+            raise DataError(f"{path} is empty")
+        names = _fields(lines[filled.pop(0)], delimiter)
+    if not filled:
+        raise DataError(f"{path} holds no rows")
+    data = [lines[i] for i in filled]
+    if layout.decimal == ",":
+        data = [line.replace(",", ".") for line in data]
+    return _Lines(path, data, np.array(filled, dtype=np.int64) + 1, names, delimiter)
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    return [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _optional(layout: ImportMap) -> set[str]:
+    """ur_rtde records what it was asked for: what it was not asked for is left out."""
+    if layout.format == "ur_rtde":
+        return set(layout.quantities()) - {"q", "effort"}
+    return {name for name, quantity in layout.quantities().items() if quantity.optional}
+
+
+def _is_there(addresses: tuple[Address, ...], lines: _Lines) -> bool:
+    names = lines.names or ()
+    return all(
+        address <= lines.width if isinstance(address, int) else address in names
+        for address in addresses
+    )
+
+
+def _index(address: Address, lines: _Lines) -> int:
+    """Column number from 0."""
+    if isinstance(address, int):
+        return address - 1
+    if lines.names is None:
+        raise DataError(
+            f"the map names the column {address!r}, but says that {lines.path.name} has no header",
+            hint="set header: true, or give column numbers",
+        )
+    if address not in lines.names:
+        raise DataError(
+            f"{lines.path} has no column {address!r}", hint=did_you_mean(address, lines.names)
+        )
+    return lines.names.index(address)
+
+
+def _parse(lines: _Lines, columns: Sequence[int]) -> Table:
+    expected = lines.width
+    if max(columns, default=0) >= expected:
+        raise DataError(
+            f"the map reads column {max(columns) + 1}, but the rows of {lines.path} have "
+            f"{expected} columns",
+            hint="is this the right map for the file?",
+        )
+    if all(count == expected for count in lines.counts):
+        try:
+            values = np.loadtxt(
+                lines.text,
+                delimiter=lines.delimiter,
+                usecols=columns,
+                comments=None,
+                quotechar='"',
+                ndmin=2,
+            )
+        except ValueError:
+            pass
+        else:
+            return Table(values, lines.numbers)
+    return _parse_row_by_row(lines, columns)
+
+
+def _parse_row_by_row(lines: _Lines, columns: Sequence[int]) -> Table:
+    """The slow way, which finds out which rows are bad and why."""
+    table = Table(np.full((len(lines.text), len(columns)), np.nan), lines.numbers)
+    for row, (line, count) in enumerate(zip(lines.text, lines.counts, strict=True)):
+        if count != lines.width:
+            table.problems[row] = f"has {count} fields instead of {lines.width}"
+            continue
+        fields = _fields(line, lines.delimiter)
+        for i, column in enumerate(columns):
+            try:
+                table.values[row, i] = float(fields[column])
+            except ValueError:
+                shown = fields[column][:20] or "nothing"
+                table.problems.setdefault(row, f"column {column + 1} is no number: {shown}")
+    return table
+
+
+def _joined(parts: list[tuple[list[str], Table]], widths: dict[str, int]) -> Raw:
+    """Put files side by side; rows that one of them lacks are bad."""
+    longest = max(parts, key=lambda part: len(part[1].lines))[1]
+    raw = Raw({}, longest.lines)
+    for names, table in parts:
+        missing = len(longest.lines) - len(table.lines)
+        values = np.pad(table.values, ((0, missing), (0, 0)), constant_values=np.nan)
+        for row in range(len(table.lines), len(longest.lines)):
+            raw.blame(row, f"{names[0]} ends before, after {len(table.lines)} rows")
+        for row, why in table.problems.items():
+            raw.blame(row, why)
+        start = 0
+        for name in names:
+            block = values[:, start : start + widths[name]]
+            raw.columns[name] = block[:, 0] if name == "t" else block
+            start += widths[name]
+    return raw

@@ -1,0 +1,174 @@
+"""Datasets from run directories and MCAP files.
+
+The only module of `hil.data`, beside `hil.data.importing`, that reads recordings; `hil.data` itself
+never imports it, so that estimators stay clear of the recorder (ARCHITECTURE.md §5).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.data.dwells import SAMPLES_PER_DWELL
+from hil.data.series import Origin, Series, StepNote, assemble, cut
+from hil.errors import DataError
+from hil.payload import Payload
+from hil.record.files import read_json
+from hil.record.reader import RecordingInfo, read_info, read_topic
+from hil.record.rundir import RunDirectory
+from hil.record.writer import PARTIAL_SUFFIX
+
+MEASURED_KINDS = ("move", "dwell", "trajectory", "reference", "warmup")
+
+
+def load_source(path: str | Path) -> Dataset:
+    """The samples of a run directory or of one MCAP file, cut into series with their conditions.
+
+    A run's plan says which step every sample belongs to; a step recorded several times (after a
+    stop and a resume) counts once, as it was recorded last. An imported file is one trajectory,
+    or one per window of its map. Rows that the robot marked as unusable are left out, repeated
+    time stamps too, and a pause in the time stamps cuts a series in two.
+
+    Raises:
+        DataError: The source is missing, damaged, from a newer hil, or does not say whose samples
+            it holds; or it holds none.
+    """
+    source = Path(path)
+    if source.is_dir():
+        return _from_run(source)
+    if not source.exists():
+        raise DataError(
+            f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
+        )
+    return _from_file(source)
+
+
+def _from_run(path: Path) -> Dataset:
+    run = RunDirectory.open(path)
+    start, plan = run.start, read_json(path / "plan.json")
+    steps = _steps(plan, path / "plan.json", (run.stop or {}).get("unsettled", ()))
+    origin = _origin_of_run(start, str(path))
+    if not run.recordings:
+        raise DataError(f"{path} holds no recording")
+    found: dict[int, list[Series]] = {}
+    for attempt, file in enumerate(run.recordings):
+        rows = read_topic(file, salvage=file.name.endswith(PARTIAL_SUFFIX))
+        pieces = cut(rows, steps, attempt)
+        # A later attempt replaces what an earlier one recorded of the same step.
+        found |= {piece.step: [] for piece in pieces}
+        for piece in pieces:
+            found[piece.step].append(piece)
+    ordered = [piece for step in sorted(found) for piece in found[step]]
+    return assemble(ordered, origin, _dwell_samples(plan))
+
+
+def _from_file(path: Path) -> Dataset:
+    info = read_info(path)
+    rows = read_topic(path, salvage=not info.complete)
+    if "plan.json" in info.attachments and "start.json" in info.attachments:
+        start, plan = (_attached(info, name) for name in ("start.json", "plan.json"))
+        pieces = cut(rows, _steps(plan, path, ()), 0)
+        return assemble(pieces, _origin_of_run(start, str(path)), _dwell_samples(plan))
+    if "robot" not in info.metadata:
+        raise DataError(
+            f"{path} does not say which robot its samples are of",
+            hint="turn foreign files into recordings with: hil import FILE --map MAP.yaml -o OUT",
+        )
+    payload = _imported_payload(info.metadata.get("payload", {}))
+    numbers = np.unique(rows["segment"])
+    steps = {
+        int(n): StepNote("trajectory", trajectory=int(n), payload=payload)
+        for n in numbers[numbers >= 0]
+    }
+    return assemble(cut(rows, steps, 0), _origin_of_import(info), SAMPLES_PER_DWELL)
+
+
+def _steps(plan: Mapping[str, Any], where: Path, unsettled: Any) -> dict[int, StepNote]:
+    """What each step of a plan measured, by its index."""
+    try:
+        loads = [_load(load) for load in plan["loads"]]
+        return {
+            int(step["index"]): StepNote(
+                kind=step["kind"],
+                trajectory=int(step.get("trajectory", -1)),
+                pose=int(step.get("pose", -1)),
+                approach=int(step.get("approach", 0)),
+                load=int(step.get("load", 0)),
+                payload=loads[int(step.get("load", 0))],
+                settled=step["index"] not in unsettled,
+            )
+            for step in plan["steps"]
+            if step["kind"] in MEASURED_KINDS
+        }
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise DataError(f"{where} is no plan: {type(error).__name__} {error}") from error
+
+
+def _load(raw: Mapping[str, Any]) -> Payload:
+    return Payload(
+        float(raw["mass_kg"]),
+        tuple(raw.get("com_m", (0.0,) * 3)),
+        tuple(raw.get("inertia_kgm2", (0.0,) * 6)),
+    )
+
+
+def _dwell_samples(plan: Mapping[str, Any]) -> int:
+    return int(plan.get("dwell", {}).get("samples", SAMPLES_PER_DWELL))
+
+
+def _origin_of_run(start: Mapping[str, Any], source: str) -> Origin:
+    try:
+        robot = start["robot"]
+        gains = robot.get("drive_gains") or ()
+        return Origin(
+            source=source,
+            robot=robot["model"],
+            joint_names=tuple(robot["joint_names"]),
+            effort_kind=robot["effort_kind"],
+            drive_gains=np.array(gains, dtype=np.float64) if len(gains) else None,
+            drive_gains_source=robot.get("drive_gains_source", ""),
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise DataError(f"{source}: the start document lacks the robot's {error}") from error
+
+
+def _origin_of_import(info: RecordingInfo) -> Origin:
+    robot = info.metadata["robot"]
+    try:
+        gains = robot.get("drive_gains", "")
+        return Origin(
+            source=str(info.path),
+            robot=robot["model"],
+            joint_names=tuple(json.loads(robot["joint_names"])),
+            effort_kind="current" if robot["effort_kind"] == "current" else "torque",
+            drive_gains=np.array(json.loads(gains), dtype=np.float64) if gains else None,
+            drive_gains_source=robot.get("drive_gains_source", ""),
+        )
+    except (KeyError, ValueError) as error:
+        raise DataError(f"{info.path}: its description of the robot lacks {error}") from error
+
+
+def _imported_payload(metadata: Mapping[str, str]) -> Payload:
+    if not metadata:
+        return Payload()
+    return _load({key: json.loads(value) for key, value in metadata.items()})
+
+
+def _attached(info: RecordingInfo, name: str) -> dict[str, Any]:
+    try:
+        document: dict[str, Any] = json.loads(info.attachments[name].data)
+    except ValueError as error:
+        raise DataError(f"{info.path}: its {name} is not valid JSON: {error}") from error
+    return document
+
+
+def with_payload(dataset: Dataset, payload: Payload) -> Dataset:
+    """The same samples, declared to be recorded with another load."""
+    conditions = tuple(replace(c, payload=payload) for c in dataset.conditions)
+    return replace(dataset, conditions=conditions)

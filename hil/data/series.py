@@ -1,0 +1,182 @@
+"""Cutting recorded rows into series: by plan step, at pauses, around unusable rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset, SeriesKind
+from hil.errors import DataError
+from hil.payload import Payload
+from hil.robot.state import Status
+from hil.typing import BoolArray, FloatArray, IntArray, StructArray
+
+PAUSE = 10.0
+"""A step in time longer than this many median steps cuts a series."""
+
+SHORTEST_PIECE = 20
+"""Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""
+
+COLUMNS = (
+    "q", "qd", "effort", "temperature", "q_target", "qd_target", "qdd_target", "effort_target",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class StepNote:
+    """What one step of a plan (or one window of an import) measured; see `Conditions`."""
+
+    kind: SeriesKind
+    trajectory: int = -1
+    pose: int = -1
+    approach: int = 0
+    load: int = 0
+    payload: Payload = field(default_factory=Payload)
+    settled: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """Whose samples they are; see `Dataset`."""
+
+    source: str
+    robot: str
+    joint_names: tuple[str, ...]
+    effort_kind: Literal["current", "torque"]
+    drive_gains: FloatArray | None
+    drive_gains_source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Rows of one step without a pause in them.
+
+    Attributes:
+        step: Index of the step.
+        piece: 0 unless a pause cut the step in several.
+        attempt: Recording the rows are from.
+        note: What the step measured.
+        rows: The recorded rows.
+    """
+
+    step: int
+    piece: int
+    attempt: int
+    note: StepNote
+    rows: StructArray
+
+
+def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[Series]:
+    """The series in a recording, in order; a step that was repeated counts as recorded last."""
+    usable = rows[(rows["status"] & int(Status.MASKED)) == 0]
+    usable = usable[_advancing(usable["device_time"])]
+    if not len(usable):
+        return []
+    pause = _pauses(usable["device_time"])
+    edges = _edges((np.diff(usable["segment"]) != 0) | pause)
+    last: dict[int, list[StructArray]] = {}
+    previous = None
+    for start, stop in pairwise(edges):
+        step = int(usable["segment"][start])
+        # After a pause within a step its rows go on; coming back to it later starts it afresh.
+        if step != previous:
+            last[step] = []
+        last[step].append(usable[start:stop])
+        previous = step
+    return [
+        Series(step, i, attempt, steps[step], piece)
+        for step, pieces in last.items()
+        if step in steps
+        for i, piece in enumerate(_worth_keeping(pieces))
+    ]
+
+
+def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Dataset:
+    """The dataset of some series.
+
+    Args:
+        series: In the order they shall have.
+        origin: Whose samples they are.
+        dwell_samples: Rows kept of each dwell or reference, its last ones.
+
+    Raises:
+        DataError: There is not one usable sample, or the joints differ from the description.
+    """
+    kept = [_settled_rows(one, dwell_samples) for one in series]
+    if not sum(len(rows) for rows in kept):
+        raise DataError(
+            f"{origin.source} holds no usable samples",
+            hint="was the run stopped before it measured anything?",
+        )
+    rows = np.concatenate(kept)
+    recorded = rows.dtype["q"].shape[0]
+    if recorded != len(origin.joint_names):
+        raise DataError(
+            f"{origin.source} holds {recorded} joints, but describes {len(origin.joint_names)}"
+        )
+    columns = {name: np.ascontiguousarray(rows[name]) for name in COLUMNS}
+    present = {name: values for name, values in columns.items() if not np.all(np.isnan(values))}
+    for needed in ("q", "effort"):
+        present.setdefault(needed, columns[needed])
+    return Dataset(
+        robot=origin.robot,
+        joint_names=origin.joint_names,
+        effort_kind=origin.effort_kind,
+        columns={"t": np.ascontiguousarray(rows["device_time"]), **present},
+        offsets=np.concatenate(([0], np.cumsum([len(r) for r in kept]))).astype(np.int64),
+        conditions=tuple(_conditions(one, origin.source) for one in series),
+        drive_gains=origin.drive_gains,
+        drive_gains_source=origin.drive_gains_source,
+    )
+
+
+def _conditions(series: Series, source: str) -> Conditions:
+    note = series.note
+    piece = f"/{series.piece}" if series.piece else ""
+    return Conditions(
+        id=f"{Path(source).name}:{note.kind}{series.step}{piece}",
+        kind=note.kind,
+        source=source,
+        trajectory=note.trajectory,
+        pose=note.pose,
+        approach=note.approach,
+        load=note.load,
+        payload=note.payload,
+        attempt=series.attempt,
+        settled=note.settled,
+    )
+
+
+def _settled_rows(series: Series, dwell_samples: int) -> StructArray:
+    """All rows of a motion, the last ones of a dwell."""
+    return (
+        series.rows[-dwell_samples:] if series.note.kind in ("dwell", "reference") else series.rows
+    )
+
+
+def _worth_keeping(pieces: list[StructArray]) -> list[StructArray]:
+    if len(pieces) == 1:
+        return pieces
+    return [piece for piece in pieces if len(piece) >= SHORTEST_PIECE] or pieces[-1:]
+
+
+def _advancing(t: FloatArray) -> BoolArray:
+    """Rows whose time is known and later than every time before."""
+    before = np.concatenate(([-np.inf], np.fmax.accumulate(t)[:-1])) if len(t) else t
+    later: BoolArray = t > before
+    return later
+
+
+def _pauses(t: FloatArray) -> BoolArray:
+    """(N − 1,) whether the step to the next row is a pause."""
+    steps = np.diff(t)
+    return steps > PAUSE * np.median(steps) if len(steps) else np.zeros(0, dtype=bool)
+
+
+def _edges(breaks: BoolArray) -> IntArray:
+    return np.concatenate(([0], np.flatnonzero(breaks) + 1, [len(breaks) + 1]))

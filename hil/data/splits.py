@@ -1,0 +1,180 @@
+"""Splits that keep whole trajectories, poses or loads together, and a guard against leaks.
+
+Neighbouring samples of one motion are nearly the same sample. A model is therefore judged on
+groups it has seen nothing of; the by-sample split of the papers exists only under its own name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset, rows_of
+from hil.errors import DataError
+from hil.typing import IntArray
+
+SplitBy = Literal["trajectory", "pose", "load"]
+Group: TypeAlias = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Split:
+    """Data to fit on and data to judge on; they share no group.
+
+    Attributes:
+        train: Whole groups to fit on.
+        test: Whole groups held out.
+        by: What a group is.
+        held_out: The groups in `test`.
+    """
+
+    train: Dataset
+    test: Dataset
+    by: SplitBy
+    held_out: tuple[Group, ...]
+
+
+def group_of(condition: Conditions, by: SplitBy) -> Group | None:
+    """Which group a series belongs to; None when it belongs to none (a warm-up, say).
+
+    Poses and trajectories are numbered within their source; a load is the same load everywhere.
+    """
+    if by == "load":
+        return ("", condition.load)
+    number: int = getattr(condition, by)
+    return (condition.source, number) if number >= 0 else None
+
+
+def groups(dataset: Dataset, by: SplitBy) -> tuple[Group, ...]:
+    """The distinct groups, in order of appearance."""
+    found = (group_of(condition, by) for condition in dataset.conditions)
+    return tuple(dict.fromkeys(group for group in found if group is not None))
+
+
+def split(
+    dataset: Dataset,
+    by: SplitBy,
+    test: int | float | Sequence[int] = 0.2,
+    seed: int = 0,
+) -> Split:
+    """Hold out whole groups.
+
+    Args:
+        dataset: What to split; series outside every group are left out of both parts.
+        by: What must stay together. A pose keeps both its approaches and all its loads together.
+        test: How many groups (int), which share of them (float below 1), or which numbers.
+        seed: For the draw; not used when numbers are given.
+
+    Raises:
+        DataError: There are not enough groups, or a number does not occur.
+    """
+    everything = groups(dataset, by)
+    if isinstance(test, int | float):
+        held_out = _draw(everything, by, test, seed)
+    else:
+        held_out = _named(everything, by, test)
+    if len(held_out) == len(everything):
+        raise DataError(f"nothing would be left to fit on: all {by} groups are held out")
+    return _split_at(dataset, by, held_out)
+
+
+def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[Split]:
+    """`folds` splits whose test parts are disjoint and together hold every group once.
+
+    Raises:
+        DataError: There are fewer groups than folds.
+    """
+    everything = groups(dataset, by)
+    if not 2 <= folds <= len(everything):
+        raise DataError(
+            f"{folds} folds need at least two and at most {len(everything)} folds ({by} groups)"
+        )
+    order = np.random.default_rng(seed).permutation(len(everything))
+    for part in np.array_split(order, folds):
+        yield _split_at(dataset, by, tuple(everything[i] for i in np.sort(part)))
+
+
+def assert_disjoint(train: Dataset, test: Dataset) -> None:
+    """Refuse a test set that shares a series, a pose, a trajectory or a sample with the training.
+
+    Loads may be shared. Samples are compared by value (time, position, effort), so the same
+    recording imported twice under different names is found too; up to 1 % may coincide, as
+    noise-free simulations do where they start.
+
+    Raises:
+        DataError: Something is shared; the message names it.
+    """
+    by_kind: tuple[SplitBy, ...] = ("trajectory", "pose")
+    for by in by_kind:
+        shared = set(groups(train, by)) & set(groups(test, by))
+        if shared:
+            source, number = min(shared)
+            raise DataError(
+                f"{len(shared)} {by} group(s) are in both training and test data, "
+                f"the first is {by} {number} of {source or 'the data'}",
+                hint="split by whole groups: hil.data.splits.split(dataset, by=…)",
+            )
+    same = _shared_samples(train, test)
+    if same > 0.01 * len(test):
+        raise DataError(
+            f"{same} samples of the test data are also in the training data",
+            hint="the same recording was given twice; leave it out of one of the two",
+        )
+
+
+def paper_sample_split(
+    dataset: Dataset, shares: tuple[float, float, float] = (0.75, 0.20, 0.05), seed: int = 0
+) -> tuple[Dataset, Dataset, Dataset]:
+    """Random split by *sample*, as in both papers: for reproducing their numbers only.
+
+    Samples of the same pose or instant land on both sides, so errors measured this way say
+    nothing about new poses or motions (papers/README, errata 3 and 4). Series end up with holes,
+    which rules out filtering afterwards: prepare first.
+    """
+    kinds = np.random.default_rng(seed).choice(3, size=len(dataset), p=np.asarray(shares))
+    first, second, third = (rows_of(dataset, kinds == part) for part in range(3))
+    return first, second, third
+
+
+def _draw(everything: Sequence[Group], by: SplitBy, test: float, seed: int) -> tuple[Group, ...]:
+    count = int(test) if test >= 1 else max(1, round(test * len(everything)))
+    if count < 1 or count >= len(everything):
+        raise DataError(
+            f"cannot hold out {count} of {len(everything)} {by} group(s)",
+            hint=f"the data needs at least {count + 1} different {by} groups",
+        )
+    chosen = np.random.default_rng(seed).choice(len(everything), count, replace=False)
+    return tuple(everything[i] for i in np.sort(chosen))
+
+
+def _named(everything: Sequence[Group], by: SplitBy, numbers: Sequence[int]) -> tuple[Group, ...]:
+    held_out = tuple(group for group in everything if group[1] in set(numbers))
+    unknown = sorted(set(numbers) - {number for _, number in held_out})
+    if unknown:
+        known = sorted({number for _, number in everything})
+        raise DataError(f"no {by} {unknown[0]} in the data", hint=f"there are {known}")
+    return held_out
+
+
+def _split_at(dataset: Dataset, by: SplitBy, held_out: tuple[Group, ...]) -> Split:
+    chosen = set(held_out)
+    test = dataset.select(lambda condition: group_of(condition, by) in chosen)
+    train = dataset.select(lambda condition: group_of(condition, by) not in chosen | {None})
+    return Split(train, test, by, held_out)
+
+
+def _shared_samples(train: Dataset, test: Dataset) -> int:
+    return int(np.isin(_fingerprints(test), _fingerprints(train)).sum())
+
+
+def _fingerprints(dataset: Dataset) -> IntArray:
+    """One number per row from the bits of time, position and effort."""
+    values = np.hstack([dataset["t"][:, None], dataset["q"], dataset["effort"]])
+    bits = np.ascontiguousarray(values, dtype=np.float64).view(np.int64)
+    factors = np.random.default_rng(0).integers(1, 2**62, bits.shape[1], dtype=np.int64) | 1
+    with np.errstate(over="ignore"):
+        mixed: IntArray = ((bits ^ (bits >> 29)) * factors).sum(axis=1)
+    return mixed

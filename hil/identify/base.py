@@ -1,0 +1,170 @@
+"""What every robot-level estimator shares, and how one is found by name."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from pydantic import ValidationError
+
+from hil import plugins
+from hil.data.dataset import Conditions, Dataset, SeriesKind
+from hil.data.filters import FilterSettings, is_prepared, prepare
+from hil.data.prediction import Prediction, Stream
+from hil.dynamics import RobotModel
+from hil.errors import DataError, FitError, SpecError
+from hil.identify.parameters import Parametrised, require_known
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+GROUP = "hil.estimators"
+
+CHUNK = 4096
+"""Samples whose regressor is built at once; bounds memory on long recordings."""
+
+
+class RobotEstimator(Parametrised):
+    """Fits a model of one robot to a `Dataset` and then *is* that model.
+
+    Attributes:
+        estimator: Name under which the class is registered.
+        series_kinds: Which series it learns from, the preferred kinds first.
+        robot_: The robot model it was fitted for.
+        joint_names_: Joints, in the order of every array.
+        effort_kind_: `current` or `torque`, the unit of predictions.
+        torque_scale_: (n,) torque per unit of effort; 1 when the effort is a torque.
+        gains_source_: Where the drive gains come from.
+        sigma_: (n,) standard deviation of the training residual, in effort units.
+        samples_: Rows (or dwells) the fit used.
+    """
+
+    estimator: ClassVar[str] = ""
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
+
+    robot_: RobotModel
+    joint_names_: tuple[str, ...]
+    effort_kind_: str
+    torque_scale_: FloatArray
+    gains_source_: str
+    sigma_: FloatArray
+    samples_: int
+
+    @abstractmethod
+    def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
+        """Fit to a dataset."""
+
+    @abstractmethod
+    def predict(self, dataset: Dataset) -> Prediction:
+        """Predict every row."""
+
+    @abstractmethod
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time under a declared load."""
+
+    @abstractmethod
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """What the fit found, for the model file."""
+
+    @abstractmethod
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Inverse of `fitted_arrays` and `fitted_facts`; `robot_` is already set."""
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Names and units of what was fitted, as JSON."""
+        return {
+            "joint_names": list(self.joint_names_),
+            "effort_kind": self.effort_kind_,
+            "gains_source": self.gains_source_,
+            "samples": self.samples_,
+        }
+
+    def save(self, folder: Path) -> Path:
+        """Write `model.json` and `model.safetensors` into a folder; returns the folder."""
+        from hil.identify.model_file import save_model
+
+        return save_model(self, folder)
+
+    def _remember(self, dataset: Dataset, robot: RobotModel, scale: FloatArray) -> None:
+        self.robot_ = robot
+        self.joint_names_ = dataset.joint_names
+        self.effort_kind_ = dataset.effort_kind
+        self.torque_scale_ = scale
+        self.gains_source_ = dataset.drive_gains_source
+
+    def _restore_common(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        self.joint_names_ = tuple(facts["joint_names"])
+        self.effort_kind_ = facts["effort_kind"]
+        self.gains_source_ = facts["gains_source"]
+        self.samples_ = int(facts["samples"])
+        self.torque_scale_ = arrays["torque_scale"]
+        self.sigma_ = arrays["sigma"]
+
+    def _require_match(self, dataset: Dataset) -> None:
+        """Refuse to predict for another robot or unit than the model was fitted for."""
+        if not hasattr(self, "sigma_"):
+            raise FitError(f"{self.estimator} is not fitted yet", hint="call fit first")
+        if dataset.joint_names != self.joint_names_:
+            raise DataError(
+                f"the model is for the joints {', '.join(self.joint_names_)}, "
+                f"the data have {', '.join(dataset.joint_names)}"
+            )
+        if dataset.effort_kind != self.effort_kind_:
+            raise DataError(
+                f"the model predicts a {self.effort_kind_}, the data hold a {dataset.effort_kind}",
+                hint="fit and judge on recordings of the same quantity",
+            )
+
+
+def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:
+    """The dataset with filtered columns: those it has already, or fresh ones."""
+    return dataset if is_prepared(dataset) else prepare(dataset, settings)
+
+
+def chunks(dataset: Dataset) -> Iterator[slice]:
+    """Row ranges of bounded length, in order."""
+    for start in range(0, len(dataset), CHUNK):
+        yield slice(start, min(start + CHUNK, len(dataset)))
+
+
+def payload_torque(
+    robot: RobotModel, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
+) -> FloatArray:
+    """(N, n) torque of each series' load: the identified one where there is one, else declared."""
+    torque = np.zeros_like(q)
+    for condition, rows in dataset.slices():
+        load = load_of(condition)
+        if not load.is_empty and rows.stop > rows.start:
+            torque[rows] = robot.payload_effort(load, q[rows], qd[rows], qdd[rows])
+    return torque
+
+
+def load_of(condition: Conditions) -> Payload:
+    """The load a series was recorded with."""
+    return condition.payload_identified or condition.payload
+
+
+def estimator(name: str, /, **params: Any) -> RobotEstimator:
+    """A fresh estimator by the name it is registered under in `hil.estimators`.
+
+    Raises:
+        PluginError: There is no estimator of that name, or it does not load.
+        SpecError: It has no such parameter, or does not accept the value.
+    """
+    kind = plugins.load(GROUP, name)
+    require_known(params, kind.parameter_names(), name)
+    try:
+        made: RobotEstimator = kind(**params)
+    except (ValidationError, ValueError, TypeError) as error:
+        raise SpecError(f"{name}: {_first_line(error)}") from error
+    return made
+
+
+def _first_line(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return f"{where}: {first['msg']}"
+    return str(error)

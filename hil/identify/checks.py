@@ -1,0 +1,131 @@
+"""What must hold before a fit: one clear error each, with its remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.arms import arm_names
+from hil.data.dataset import Dataset
+from hil.data.filters import require_finite
+from hil.dynamics import RobotModel
+from hil.errors import DataError, FitError
+from hil.typing import FloatArray
+
+STILL_RAD = 1e-3
+"""A joint whose position spans less than this never moved."""
+
+
+def torque_scale(dataset: Dataset) -> FloatArray:
+    """(n,) torque per unit of the recorded effort: 1 for torques, the drive gains for currents.
+
+    Raises:
+        FitError: The effort is a current and nobody said how much torque it makes.
+    """
+    if dataset.effort_kind == "torque":
+        return np.ones(dataset.n_joints)
+    if dataset.drive_gains is None:
+        raise FitError(
+            "the effort is a motor current [A], but the drive gains [N·m/A] are unknown, so it "
+            "cannot be set against torques",
+            hint="add drive_gains_nm_a and drive_gains_source to the import map or the station",
+        )
+    return np.asarray(dataset.drive_gains, dtype=np.float64)
+
+
+def require_robot(dataset: Dataset, robot: RobotModel) -> None:
+    """Refuse data of another robot than the model's.
+
+    Raises:
+        FitError: The joints differ in number or order, or both name different built-in arms.
+    """
+    if dataset.n_joints != robot.n:
+        raise FitError(
+            f"the data have {dataset.n_joints} joints, the robot model {robot.name} has {robot.n}",
+            hint="choose the robot model the data were recorded on (--robot)",
+        )
+    ours, theirs = dataset.joint_names, tuple(robot.joint_names)
+    if set(ours) == set(theirs) and ours != theirs:
+        raise FitError(
+            f"the data list the joints as {', '.join(ours)}, the model as {', '.join(theirs)}",
+            hint="import the recording again with the joint order of the model",
+        )
+    built_in = set(arm_names())
+    if {dataset.robot, robot.name} <= built_in and dataset.robot != robot.name:
+        raise FitError(
+            f"the data were recorded on a {dataset.robot}, but the model is a {robot.name}",
+            hint=f"use --robot {dataset.robot}",
+        )
+
+
+def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
+    """Refuse NaN and infinity in the columns a fit uses.
+
+    Raises:
+        FitError: A value is not finite.
+    """
+    for name in columns:
+        try:
+            require_finite(name, dataset[name])
+        except DataError as error:
+            raise FitError(error.message, hint=error.hint) from error
+
+
+def require_motion(dataset: Dataset) -> None:
+    """Refuse data in which a joint stands still from beginning to end.
+
+    Raises:
+        FitError: A joint never moved.
+    """
+    q = dataset["q"]
+    still = [j for j in range(dataset.n_joints) if np.ptp(q[:, j]) < STILL_RAD]
+    if still:
+        names = ", ".join(dataset.joint_names[j] for j in still)
+        raise FitError(
+            f"{names} never moved in the training data, so its parameters cannot be told apart",
+            hint="add a recording in which every joint moves",
+        )
+
+
+def require_samples(have: int, need: int, what: str) -> None:
+    """Refuse fewer than `need` samples (or dwells).
+
+    Raises:
+        FitError: There are too few.
+    """
+    if have < need:
+        raise FitError(
+            f"{have} {what} are too few: the model needs at least {need}",
+            hint="record longer, or give more sources",
+        )
+
+
+def require_rank(
+    rank: int, condition: float, names: Sequence[str], regressor: FloatArray, highest: float = 1e7
+) -> None:
+    """Refuse data that leave parameters undetermined, naming those worst off.
+
+    Args:
+        rank: Excited directions.
+        condition: Condition number of the column-scaled regressor.
+        names: Parameter names, length p.
+        regressor: Any matrix (m, p) with the regressor's Gram matrix.
+        highest: Condition number above which a direction counts as not excited.
+
+    Raises:
+        FitError: The rank is short or the condition number too high.
+    """
+    if rank == len(names) and condition <= highest:
+        return
+    length = np.linalg.norm(regressor, axis=0)
+    scaled = regressor / np.where(length > 0, length, 1.0)
+    weakest = np.abs(np.linalg.svd(scaled, full_matrices=True)[2][-1])
+    weakest[length == 0] = np.inf
+    worst = ", ".join(names[i] for i in np.argsort(-weakest)[:3])
+    raise FitError(
+        f"the data determine only {rank} of {len(names)} parameters "
+        f"(condition number {condition:.2g}); least determined: {worst}",
+        hint="record motions that excite more: larger amplitudes, more joints at once, "
+        "more trajectories or poses",
+    )

@@ -1,0 +1,99 @@
+"""Two ways to write gravity as columns: shared by all joints, or eq. 15 joint by joint."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from hil.dynamics import RobotModel, base_parameters
+from hil.errors import FitError
+from hil.typing import FloatArray
+
+UR_JOINTS = 6
+
+
+class GravityForm(Protocol):
+    """Columns that gravity is a linear combination of."""
+
+    names: tuple[str, ...]
+    shared: bool
+    """True when one parameter acts on several joints, which makes torques (not currents) the
+    target."""
+
+    def columns(self, q: FloatArray) -> FloatArray:
+        """(N·n, p), sample-major, for positions (N, n)."""
+
+
+class BaseGravity:
+    """The arm's base gravity parameters: first moments that gravity can tell apart."""
+
+    shared = True
+
+    def __init__(self, robot: RobotModel) -> None:
+        self._robot = robot
+        self._base = base_parameters(robot, gravity_only=True)
+        self.names = tuple(self._base.names)
+
+    def columns(self, q: FloatArray) -> FloatArray:
+        """(N·n, p), sample-major."""
+        reduced: FloatArray = self._base.reduce(self._robot.gravity_regressor(q))
+        return reduced
+
+
+class PaperGravity:
+    """φ₂…φ₅ of the static paper's eq. 15, for Universal Robots arms in their own joint angles.
+
+    Six columns for joint 2, three for 3, two for 4, one for 5; joints 1 and 6 have none. The six
+    columns span only four directions, so their solution is not unique.
+
+    Raises:
+        FitError: The robot does not have six joints.
+    """
+
+    shared = False
+    names = (
+        *(f"joint2.phi{i}" for i in range(1, 7)),
+        *(f"joint3.phi{i}" for i in range(1, 4)),
+        *(f"joint4.phi{i}" for i in range(1, 3)),
+        "joint5.phi1",
+    )
+
+    def __init__(self, robot: RobotModel) -> None:
+        if robot.n != UR_JOINTS:
+            raise FitError(
+                f"the paper's form is for six-joint UR arms, {robot.name} has {robot.n} joints",
+                hint="use form: shared",
+            )
+
+    def columns(self, q: FloatArray) -> FloatArray:
+        """(6·N, 12), sample-major, each joint's functions in its own columns."""
+        out = np.zeros((len(q), UR_JOINTS, len(self.names)))
+        start = 0
+        for joint, functions in enumerate(paper_functions(q), start=1):
+            out[:, joint, start : start + functions.shape[1]] = functions
+            start += functions.shape[1]
+        return out.reshape(-1, len(self.names))
+
+
+def paper_functions(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Eq. 15: φ₂ (N, 6), φ₃ (N, 3), φ₄ (N, 2) and φ₅ (N, 1) for positions (N, 6)."""
+    q2, q3, q4, q5 = q[:, 1], q[:, 2], q[:, 3], q[:, 4]
+    q23, q234 = q2 + q3, q2 + q3 + q4
+    wrist = np.sin(q234), np.cos(q234) * np.sin(q5)
+    phi2 = (
+        np.cos(q23) * np.cos(q4) * np.sin(q5),
+        np.cos(q23) * np.sin(q4),
+        np.cos(q23),
+        np.cos(q2),
+        np.sin(q23) * np.sin(q4) * np.sin(q5),
+        np.sin(q23) * np.cos(q4),
+    )
+    phi3 = (wrist[0], np.cos(q23), wrist[1])
+    phi5 = (np.sin(q234) * np.cos(q5),)
+    return (
+        np.stack(phi2, axis=1),
+        np.stack(phi3, axis=1),
+        np.stack(wrist, axis=1),
+        np.stack(phi5, axis=1),
+    )
