@@ -54,7 +54,7 @@ def check_pose_file(source: Source, folder: FilePath) -> None:
     path: Path = ("excitation", "file")
     file = source.at(path)
     if isinstance(file, str) and not is_file(folder / file):
-        source.add(path, f"there is no file {shown(str(folder / file))}")
+        source.add(path, f"there is no file {_path(folder / file)}")
 
 
 def is_path(model: str) -> bool:
@@ -80,10 +80,14 @@ def _entries(source: Source, key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
     return (((key, step), entry) for step, entry in steps if isinstance(entry, dict))
 
 
+def _path(path: FilePath) -> str:
+    return shown(str(path), most=300)
+
+
 def _fault_of_model(model: str, folder: FilePath) -> str:
     if is_path(model):
         missing = not is_file(folder / model)
-        return f"there is no file {shown(str(folder / model))}" if missing else ""
+        return f"there is no file {_path(folder / model)}" if missing else ""
     if model in arm_names():
         return ""
     hint = did_you_mean(model, arm_names())

@@ -61,15 +61,14 @@ class Finding(NamedTuple):
 
 
 def findings_of(errors: Iterable[ErrorDetails], model: Model, source: Source) -> list[Finding]:
-    """The errors in the order of the file, at most a few more than are ever shown."""
+    """The errors in the order of the file."""
     findings = sorted(
         (_finding(error, model) for error in errors),
         key=lambda f: source.mark(f.path, key=f.type == "extra_forbidden"),
     )
     unknown = [f for f in findings if f.type == "extra_forbidden"][:MOST_PROBLEMS]
     meant = {(*f.path[:-1], f.meant) for f in unknown}
-    kept = [f for f in findings if not _is_echo(f, meant)]
-    return kept[: MOST_PROBLEMS + 1]
+    return [f for f in findings if not _is_echo(f, meant)]
 
 
 def _finding(error: ErrorDetails, model: Model) -> Finding:

@@ -15,7 +15,7 @@ from hil.spec.findings import findings_of
 from hil.spec.messages import explain
 from hil.spec.overrides import lay_over
 from hil.spec.quantities import Strict
-from hil.spec.source import Problem, Source, refuse
+from hil.spec.source import MOST_PROBLEMS, Problem, Source, refuse
 from hil.spec.station import Station, StationRobot
 from hil.spec.yaml_source import parse, read_source
 from hil.suggest import did_you_mean
@@ -120,10 +120,10 @@ def _validated(source: Source, model: type[M]) -> M:
     try:
         spec = model.model_validate(source.data)
     except ValidationError as error:
-        details = error.errors(include_url=False)
-        findings = findings_of(details, model, source)
-        problems = [explain(finding, model, source) for finding in findings]
-        raise refuse(source.problems + problems, hint=_HINT) from None
+        findings = findings_of(error.errors(include_url=False), model, source)
+        problems = [explain(finding, model, source) for finding in findings[:MOST_PROBLEMS]]
+        more = len(findings) - len(problems)
+        raise refuse(source.problems + problems, hint=_HINT, more=more) from None
     if source.problems:
         raise refuse(source.problems, hint=_HINT)
     return spec

@@ -47,7 +47,7 @@ def _unknown_key(f: Finding, model: Model) -> str:
 
 
 def _other_unit(key: str, known: str, value: Any) -> str:
-    new_value = converted(value, split_unit(key)[1], split_unit(known)[1])
+    new_value = converted(value, split_unit(key.casefold())[1], split_unit(known)[1])
     use = f"{known}: {new_value}" if new_value is not None else known
     return f"quantities carry their unit in the key: use {use}"
 

@@ -84,12 +84,12 @@ class Source:
                 del places[below]
 
 
-def refuse(problems: list[Problem], hint: str = "") -> SpecError:
-    """The error that lists all problems in the order of the file."""
+def refuse(problems: list[Problem], hint: str = "", more: int = 0) -> SpecError:
+    """The error that lists problems in the order of the file; `more` were not even explained."""
     ordered = sorted(set(problems), key=lambda p: (p.mark, dotted(p.path), p.message))
     lines = [str(problem) for problem in ordered[:MOST_PROBLEMS]]
-    if len(ordered) > MOST_PROBLEMS:
-        lines.append(f"… and {len(ordered) - MOST_PROBLEMS} more problems")
+    if (left := len(ordered) - len(lines) + more) > 0:
+        lines.append(f"… and {left} more")
     return SpecError("\n".join(lines), hint=hint)
 
 
@@ -98,8 +98,8 @@ def dotted(path: Path) -> str:
     return ".".join(shown(str(step)) for step in path)
 
 
-def shown(value: object) -> str:
-    """A value for a message: on one line, printable, and not too long."""
+def shown(value: object, most: int = 60) -> str:
+    """A value for a message: on one line, printable, and of at most so many characters."""
     text = value if isinstance(value, str) else repr(value)
-    text = "".join(c if c.isprintable() else "?" for c in text[:61])
-    return text if len(text) <= 60 else text[:57] + "…"
+    text = "".join(c if c.isprintable() else "?" for c in text[: most + 1])
+    return text if len(text) <= most else text[: most - 1] + "…"

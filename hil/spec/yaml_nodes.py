@@ -90,7 +90,8 @@ class Reading:
         elif node.value == "<<":
             message = "merge keys (<<) are not part of YAML 1.2: write the keys out"
         elif node.tag != TAG + "str":
-            message = f"the key {shown(node.value)} is no text: put it in quotes"
+            comma = "; decimals take a point, not a comma" if node.tag == TAG + "int" else ""
+            message = f"the key '{shown(node.value)}' is no text: put it in quotes{comma}"
         elif _has_surrogate(node.value):
             message = "the key holds half a character (a lone surrogate)"
         else:

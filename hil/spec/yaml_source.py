@@ -25,7 +25,7 @@ def read_source(path: str | FilePath) -> Source:
         raise SpecError(f"{path}: there is no such file", hint=_neighbours(file)) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise SpecError(f"{shown(str(path))}: cannot be read: {reason}") from None
+        raise SpecError(f"{shown(str(path), most=300)}: cannot be read: {reason}") from None
     return parse(raw, str(path))
 
 
@@ -57,6 +57,6 @@ def _neighbours(file: FilePath) -> str:
     try:
         names = [p.name for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
     except (OSError, ValueError):
-        return f"there is no folder {shown(str(file.parent))}"
+        return f"there is no folder {shown(str(file.parent), most=300)}"
     match = closest(file.name, names)
     return f"did you mean {file.parent / match}?" if match else ""

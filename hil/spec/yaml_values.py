@@ -118,10 +118,16 @@ _AT_THE_END = (
     ("'\\t'", "a tab: YAML is indented with spaces"),
     ("found another document", "a second document: only one per file, remove the '---'"),
     ("mapping values are not allowed", "a ':' that does not fit here: quote text that holds ': '"),
-    ("expected <block end>", "the indentation fits none of the lines above"),
+    ("expected <block end>", "this continues nothing that stands above: check the indentation"),
     ("found undefined alias", "the alias refers to an anchor that is not defined above"),
     ("expected ',' or '}'", "a ',' or '}' is missing before this"),
     ("expected ',' or ']'", "a ',' or ']' is missing before this"),
     ("found duplicate anchor", "the anchor is defined a second time"),
+    ("expected the node content", "a value is missing here"),
+    (
+        "expected '<document start>'",
+        "this continues nothing that stands above: check the indentation",
+    ),
+    ("sequence entries are not allowed", "a '-' that does not fit here: quote it or indent it"),
     ("cannot start any token", "text cannot begin with this character: put it in quotes"),
 )

@@ -1,0 +1,212 @@
+"""Reading YAML: scalars as YAML 1.2 has them, every mistake at its line and column."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hil.errors import SpecError
+from hil.spec.source import Source
+from hil.spec.yaml_nodes import MOST_BYTES
+from hil.spec.yaml_source import parse, read_source
+from hil.spec.yaml_values import scalar
+
+
+def lines_of(text: str | bytes) -> list[str]:
+    """What is said about a text, whether it could be parsed or not."""
+    try:
+        return [str(problem) for problem in parse(text, "f").problems]
+    except SpecError as error:
+        return error.message.splitlines()
+
+
+# YAML 1.2.2, example 10.9 and the tables of §10.3.2.
+CORE_SCHEMA = [
+    ("null", None),
+    ("Null", None),
+    ("~", None),
+    ("", None),
+    ("nULL", "nULL"),
+    ("true", True),
+    ("False", False),
+    ("tRUE", "tRUE"),
+    ("yes", "yes"),
+    ("on", "on"),
+    ("Off", "Off"),
+    ("n", "n"),
+    ("0", 0),
+    ("-19", -19),
+    ("+12", 12),
+    ("012", 12),
+    ("0o7", 7),
+    ("0o14", 12),
+    ("0x3A", 58),
+    ("0o8", "0o8"),
+    ("0b1", "0b1"),
+    ("1_000", "1_000"),
+    ("0.", 0.0),
+    (".5", 0.5),
+    ("-0.0", -0.0),
+    ("1e-3", 1e-3),
+    ("1E3", 1000.0),
+    ("12e03", 12000.0),
+    ("-2E+05", -2e5),
+    ("1.5e", "1.5e"),
+    (".", "."),
+    ("-.INF", -math.inf),
+    ("+.inf", math.inf),
+    ("12:30", "12:30"),
+    ("1:2:3", "1:2:3"),
+    ("2026-11-21", "2026-11-21"),
+    ("=", "="),
+    ("'1e-3'", "1e-3"),
+    ('"true"', "true"),
+    ("!!str 12", "12"),
+    ("!!float 1", 1.0),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), CORE_SCHEMA)
+def test_a_scalar_means_what_yaml_1_2_says(text: str, value: object) -> None:
+    read = parse(f"a: {text}", "f").data["a"]
+
+    assert read == value
+    assert type(read) is type(value)
+
+
+def test_not_a_number_is_a_float() -> None:
+    assert math.isnan(scalar(".NaN"))
+
+
+def test_where_yaml_1_1_and_1_2_agree_pyyaml_reads_the_same() -> None:
+    text = "a: [1, 2.5, -3.25e+2, text, 'x', null, true]\nb:\n  c: |\n    lines\n  d: >-\n   x\n"
+
+    assert parse(text, "f").data == yaml.safe_load(text)
+
+
+def test_keys_such_as_on_and_y_are_text() -> None:
+    assert parse("on: 1\ny: 2\nno: 3", "f").data == {"on": 1, "y": 2, "no": 3}
+
+
+def test_an_anchor_is_one_value_in_several_places() -> None:
+    source = parse("a: &p [1, 2]\nb: *p\n", "f")
+
+    assert source.data == {"a": [1, 2], "b": [1, 2]}
+    assert source.data["a"] is not source.data["b"]
+    assert source.mark(("b", 1)) == ("f", 1, 11)
+
+
+MISTAKES = [
+    ("a: [1, 2", "f:1:9: a ',' or ']' is missing before this"),
+    ("a: {b: 1", "f:1:9: a ',' or '}' is missing before this"),
+    ("a: 'x\nb: 1", "f:1:4: a quote is opened here and never closed"),
+    ("a: 1\nb: c: d", "f:2:5: a ':' that does not fit here: quote text that holds ': '"),
+    ("a: 1\n b: 2", "f:2:3: a ':' that does not fit here: quote text that holds ': '"),
+    ("a:\n\t- 1", "f:2:1: a tab: YAML is indented with spaces"),
+    ("a:\n  - b\n - c", "f:3:2: this continues nothing that stands above: check the indentation"),
+    ("a: 1\nword\nc: 2", "f:2:1: this is neither a key with ':' nor a value of one"),
+    ("a: *x", "f:1:4: the alias refers to an anchor that is not defined above"),
+    ("a: &x 1\nb: &x 2", "f:2:4: the anchor is defined a second time"),
+    ("a: @x", "f:1:4: text cannot begin with this character: put it in quotes"),
+    ("a: 1\n---\nb: 2", "f:2:1: a second document: only one per file, remove the '---'"),
+    ("a: {b: }, c", "f:1:9: this continues nothing that stands above: check the indentation"),
+    ("[a] b", "f:1:5: this continues nothing that stands above: check the indentation"),
+    ('a: "\\UFFFFFFFF"', "f:1:7: the escape or the number here is out of range"),
+    ("x: \x01", "f:1:4: the character U+0001 is not allowed in YAML"),
+    ("", "f:1:1: the file is empty"),
+    ("# only a comment\n", "f:1:1: the file is empty"),
+    ("&a [*a]", "f:1:1: 0: an alias contains itself"),
+    ("a: " + "[" * 60, "f:1:43: more than 40 levels"),
+    (b"a: 1\nb: \xff", "f:2:4: byte 0xff is not UTF-8: save the file as UTF-8"),
+    ("a: 1\nb: 2\na: 3", "f:3:1: a: is given twice, first at line 1, column 1"),
+    ("l: [{x: 1, x: 2}]", "f:1:12: l.0.x: is given twice, first at line 1, column 6"),
+    ("a: !!python/name:os.system x", None),
+    ("a: !mine x", "f:1:4: a: the tag !mine is not allowed: a spec is plain data"),
+    ("a: !!binary eA==", "f:1:4: a: the tag !!binary is not allowed: a spec is plain data"),
+    ("a: !!set {b}", "f:1:4: a: the tag !!set is not allowed: a spec is plain data"),
+    ("a: !!int x", "f:1:4: a: x is no int, as its tag says"),
+    ("a: 99999999999999999999", "f:1:4: a: the number is too large"),
+    ("a: " + "9" * 5000, "f:1:4: a: the number is too large"),
+    ("? [a]\n: 1", "f:1:3: a list or mapping cannot be a key"),
+    ("1: x", "f:1:1: the key '1' is no text: put it in quotes; decimals take a point, not a comma"),
+    ("true: x", "f:1:1: the key 'true' is no text: put it in quotes"),
+    ("a: {<<: {b: 1}}", "f:1:5: a: merge keys (<<) are not part of YAML 1.2: write the keys out"),
+    ('a: "\\uD800"', "f:1:4: a: the text holds half a character (a lone surrogate)"),
+]
+
+
+@pytest.mark.parametrize(("text", "line"), MISTAKES)
+def test_a_mistake_is_reported_at_its_place(text: str | bytes, line: str | None) -> None:
+    said = lines_of(text)
+
+    if line is None:
+        assert "the tag !!python/name:os.system is not allowed" in said[0]
+    else:
+        assert said == [line]
+
+
+def test_several_duplicates_and_tags_are_reported_together() -> None:
+    assert lines_of("a: 1\na: 2\nb: !x 1\nb: 3\n") == [
+        "f:2:1: a: is given twice, first at line 1, column 1",
+        "f:3:4: b: the tag !x is not allowed: a spec is plain data",
+        "f:4:1: b: is given twice, first at line 3, column 1",
+    ]
+
+
+def test_aliases_that_blow_up_are_refused() -> None:
+    laughs = ["a0: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
+    laughs += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+
+    with pytest.raises(SpecError, match="aliases expand to far more than a spec holds"):
+        parse("\n".join(laughs), "f")
+
+
+def test_aliases_of_a_long_text_are_counted_by_its_length() -> None:
+    text = f"a: &a {'x' * 50_000}\nb: [{', '.join(['*a'] * 100)}]"
+
+    with pytest.raises(SpecError, match="aliases expand"):
+        parse(text, "f")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_key() -> None:
+    assert parse(b"\xef\xbb\xbfa: 1", "f").data == {"a": 1}
+
+
+def test_a_file_beyond_the_size_limit_is_not_even_parsed(tmp_path: Path) -> None:
+    file = tmp_path / "poses.yaml"
+    file.write_text("[" + "1," * MOST_BYTES)
+
+    with pytest.raises(SpecError, match="is larger than 256 KiB") as caught:
+        read_source(file)
+    assert "excitation.file" in caught.value.hint
+
+
+def test_a_misspelt_file_name_is_guessed(tmp_path: Path) -> None:
+    (tmp_path / "ur5_dwell.yaml").write_text("a: 1")
+
+    with pytest.raises(SpecError, match=r"ur5_dwel\.yaml: there is no such file") as caught:
+        read_source(tmp_path / "ur5_dwel.yaml")
+    assert caught.value.hint == f"did you mean {tmp_path / 'ur5_dwell.yaml'}?"
+
+
+@pytest.mark.parametrize("name", ["", "no/such/folder/a.yaml", "a\0b.yaml"])
+def test_an_unreadable_path_is_a_spec_error(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SpecError):
+        read_source(tmp_path / name)
+
+
+def test_the_place_of_something_missing_is_that_of_what_surrounds_it() -> None:
+    source: Source = parse("a:\n  b: {c: 1}\n", "f")
+
+    assert source.mark(("a", "b", "nothing", 3)) == ("f", 2, 6)
+    assert source.mark(("a", "b"), key=True) == ("f", 2, 3)
+
+
+def test_a_value_on_the_command_line_is_yaml_as_well() -> None:
+    assert scalar("[4, 20, 1e-3, on]") == [4, 20, 1e-3, "on"]
+    assert scalar(" ") is None
+    with pytest.raises(SpecError, match=r"value:1:1: the tag !x"):
+        scalar("!x 1")
