@@ -19,6 +19,7 @@ class Finding(NamedTuple):
     Attributes:
         type: Pydantic's name for this kind of error.
         path: Keys in the file, without union tags.
+        about_key: True when the key is wrong and not its value.
         expected: Annotation of what belongs there, None if nothing does.
         holder: Annotation of the mapping or list around it.
         value: What was found; the mapping or list around for something missing.
@@ -28,6 +29,7 @@ class Finding(NamedTuple):
 
     type: str
     path: Path
+    about_key: bool
     expected: Any
     holder: Any
     value: Any
@@ -64,7 +66,7 @@ def findings_of(errors: Iterable[ErrorDetails], model: Model, source: Source) ->
     """The errors in the order of the file."""
     findings = sorted(
         (_finding(error, model) for error in errors),
-        key=lambda f: source.mark(f.path, key=f.type == "extra_forbidden"),
+        key=lambda f: source.mark(f.path, key=f.about_key),
     )
     unknown = [f for f in findings if f.type == "extra_forbidden"][:MOST_PROBLEMS]
     meant = {(*f.path[:-1], f.meant) for f in unknown}
@@ -79,7 +81,8 @@ def _finding(error: ErrorDetails, model: Model) -> Finding:
         path = (*path, *ctx["at"])
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         path = (*path, "kind")
-    return Finding(kind, path, expected, holder, error["input"], ctx, error["msg"])
+    about_key = kind == "extra_forbidden" or loc[-1:] == ("[key]",)
+    return Finding(kind, path, about_key, expected, holder, error["input"], ctx, error["msg"])
 
 
 def _is_echo(finding: Finding, meant: set[tuple[str | int | None, ...]]) -> bool:

@@ -16,16 +16,15 @@ from hil.suggest import closest, did_you_mean
 
 def explain(finding: Finding, model: Model, source: Source) -> Problem:
     """The problem a finding is, with its place in the file."""
-    is_key = finding.type == "extra_forbidden"
     path = finding.path[:-1] if finding.is_gap else finding.path
-    if is_key:
+    if finding.type == "extra_forbidden":
         message = _unknown_key(finding, model)
     elif finding.value is None and finding.type != "missing":
         message = "has no value: give it one, or remove the key"
     else:
         sentence = _SENTENCES.get(finding.type)
         message = sentence(finding) if sentence else finding.told
-    return Problem(source.mark(path, key=is_key), path, message)
+    return Problem(source.mark(path, key=finding.about_key), path, message)
 
 
 def name_of(value: Any) -> str:
