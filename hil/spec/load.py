@@ -12,6 +12,7 @@ from hil.errors import SpecError
 from hil.spec.checks import check_estimators, check_pose_file, check_robots, is_path
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.findings import findings_of
+from hil.spec.hashing import spec_hash
 from hil.spec.messages import explain
 from hil.spec.overrides import lay_over
 from hil.spec.quantities import Strict
@@ -19,6 +20,8 @@ from hil.spec.source import MOST_PROBLEMS, Problem, Source, refuse
 from hil.spec.station import Station, StationRobot
 from hil.spec.yaml_source import parse, read_source
 from hil.suggest import did_you_mean
+
+__all__ = ["load_spec", "load_station", "resolve_robot", "spec_from_text", "spec_hash"]
 
 M = TypeVar("M", bound=Strict)
 
