@@ -1,0 +1,183 @@
+"""Base parameters: the combinations of inertial parameters that torques can tell apart.
+
+A regressor's columns are linearly dependent, so only φ_b = φ_ind + K φ_dep can be identified
+(Gautier 1991, numerical calculation of the base inertial parameters). The rank comes from a
+column-pivoted QR. Which columns are kept is decided from left to right, so that the parameters and
+their names depend on the robot alone and not on the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from hil.dynamics.robot_model import RobotModel
+from hil.errors import FitError
+from hil.typing import FloatArray, IntArray
+
+TOLERANCE = 1e-9
+"""Relative to the largest pivot; dependent columns come out below 1e-14, independent ones above
+1e-3 for sampled arms."""
+
+SAMPLES = 150
+COEFFICIENT_DECIMALS = 9
+"""Coefficients are products of lengths in m: the rest is the noise of the samples."""
+
+
+class Conditioning(NamedTuple):
+    """Condition numbers of a regressor.
+
+    Attributes:
+        raw: As it stands, mixed units and all.
+        scaled: With all columns scaled to length 1.
+    """
+
+    raw: float
+    scaled: float
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """Which columns are kept and how the others fold into them.
+
+    Attributes:
+        independent: (b,) indices of the columns kept, ascending.
+        dependent: (p − b,) indices of the others, columns of zeros included.
+        combination: (b, p − b) K with W[:, dependent] = W[:, independent] K.
+        names: (b,) such as `mx_2 + 0.425 m_3`.
+    """
+
+    independent: IntArray
+    dependent: IntArray
+    combination: FloatArray
+    names: tuple[str, ...]
+
+    @property
+    def rank(self) -> int:
+        """Number of base parameters b."""
+        return len(self.independent)
+
+    @classmethod
+    def from_regressor(
+        cls, W: FloatArray, names: Sequence[str], tol: float = TOLERANCE
+    ) -> BaseParameters:
+        """The base parameters of a regressor sampled all over the workspace.
+
+        Args:
+            W: (M, p) with at least p rows.
+            names: Length p.
+            tol: Relative size below which a pivot counts as zero.
+
+        Raises:
+            FitError: `W` is too short, not finite or zero, or its rank depends on the order of its
+                columns: the samples do not excite the robot.
+        """
+        _require_usable(W, names)
+        length = np.linalg.norm(W, axis=0)
+        scale = np.where(length > tol * length.max(), length, np.inf)
+        R = scipy.linalg.qr(W / scale, mode="r")[0][: W.shape[1]]
+        rank = int(np.sum(_pivots(R) > tol))
+        independent = _leftmost(R, tol)
+        if len(independent) != rank:
+            raise FitError(
+                f"the regressor's rank is not clear: {rank} pivoted, {len(independent)} in order",
+                hint="sample more of the workspace, or choose another tolerance",
+            )
+        dependent = np.setdiff1d(np.arange(W.shape[1]), independent)
+        K = np.linalg.lstsq(R[:, independent], R[:, dependent], rcond=None)[0]
+        K *= np.where(np.isinf(scale), 0.0, scale)[dependent] / scale[independent][:, None]
+        K = np.round(K, COEFFICIENT_DECIMALS)
+        return cls(independent, dependent, K, _readable(names, independent, dependent, K))
+
+    def reduce(self, W: FloatArray) -> FloatArray:
+        """(M, b) columns of the base parameters of a regressor (M, p)."""
+        return W[:, self.independent]
+
+    def combine(self, parameters: FloatArray) -> FloatArray:
+        """(b,) base parameters of full ones (p,), so that reduced columns give the same torque."""
+        return np.asarray(
+            parameters[self.independent] + self.combination @ parameters[self.dependent]
+        )
+
+    def expand(self, base: FloatArray) -> FloatArray:
+        """(p,) one set of full parameters with these base parameters: the dependent ones are 0."""
+        full = np.zeros(len(self.independent) + len(self.dependent))
+        full[self.independent] = base
+        return full
+
+
+def base_parameters(
+    model: RobotModel, *, rotor: bool = True, gravity_only: bool = False, seed: int = 0
+) -> BaseParameters:
+    """The base parameters of a robot, from random samples.
+
+    Args:
+        model: The robot.
+        rotor: Whether rotor inertias count as parameters; never with `gravity_only`.
+        gravity_only: Those that act on an arm at rest.
+        seed: Of the random samples; the result does not depend on it.
+    """
+    random = np.random.default_rng(seed)
+    q, qd, qdd = random.uniform(-np.pi, np.pi, (3, SAMPLES, model.n))
+    if gravity_only:
+        names = model.parameter_names(rotor=False)
+        return BaseParameters.from_regressor(model.gravity_regressor(q), names)
+    W = model.regressor(q, qd, qdd, rotor=rotor)
+    return BaseParameters.from_regressor(W, model.parameter_names(rotor=rotor))
+
+
+def conditioning(W: FloatArray) -> Conditioning:
+    """Condition numbers of a regressor (M, p), raw and with its columns scaled to length 1."""
+    R = scipy.linalg.qr(W, mode="r", check_finite=False)[0][: W.shape[1]]
+    length = np.linalg.norm(R, axis=0)
+    if not np.all(length > 0):
+        return Conditioning(np.inf, np.inf)
+    return Conditioning(float(np.linalg.cond(R)), float(np.linalg.cond(R / length)))
+
+
+def _require_usable(W: FloatArray, names: Sequence[str]) -> None:
+    if W.ndim != 2 or W.shape[1] != len(names) or len(W) < W.shape[1]:
+        raise FitError(f"a regressor of shape {W.shape} cannot tell {len(names)} parameters apart")
+    if not np.all(np.isfinite(W)) or not np.any(W):
+        raise FitError("the regressor holds NaN or infinity, or nothing but zeros")
+
+
+def _pivots(R: FloatArray) -> FloatArray:
+    pivoted = scipy.linalg.qr(R, mode="r", pivoting=True)[0]
+    pivots = np.abs(np.diag(pivoted))
+    return np.asarray(pivots / pivots[0])
+
+
+def _leftmost(R: FloatArray, tol: float) -> IntArray:
+    """Indices of the columns that are independent of those to their left.
+
+    Columns have length 1 or 0; what is left of one after projecting out the basis is its pivot.
+    """
+    basis = np.zeros((R.shape[0], 0))
+    kept = []
+    for i, column in enumerate(R.T):
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)  # twice is enough (Kahan)
+        size = np.linalg.norm(rest)
+        if size > tol:
+            kept.append(i)
+            basis = np.column_stack([basis, rest / size])
+    return np.array(kept, dtype=np.int64)
+
+
+def _readable(
+    names: Sequence[str], independent: IntArray, dependent: IntArray, K: FloatArray
+) -> tuple[str, ...]:
+    return tuple(
+        names[i] + "".join(_term(k, names[j]) for k, j in zip(row, dependent, strict=True) if k)
+        for i, row in zip(independent, K, strict=True)
+    )
+
+
+def _term(coefficient: float, name: str) -> str:
+    sign, size = ("-" if coefficient < 0 else "+"), f"{abs(coefficient):.6g}"
+    return f" {sign} {name}" if size == "1" else f" {sign} {size} {name}"

@@ -1,0 +1,230 @@
+"""Rigid-body dynamics of a serial arm, vectorised over samples: a thin layer over Pinocchio.
+
+Every method takes rows of samples (N, n) and stacks results sample-major: row k·n + j of a
+regressor is joint j at sample k. SI throughout; prismatic joints count in m and N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from hil.arms import ArmDescription, load_arm
+from hil.dynamics.build import model_from_arm, model_from_urdf, pose_of
+from hil.dynamics.inertial import PARAMETERS, payload_inertia, transfer_matrix
+from hil.errors import DataError, SpecError
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+class RobotModel:
+    """A fixed-base serial arm.
+
+    Inertial parameters are those of Pinocchio's joint frames: frame i has its origin on the axis
+    of joint i (for DH arms: the origin of DH frame i−1) and turns with link i; the order is that
+    of `hil.dynamics.inertial.PARAMETERS`. Rotor inertias, reflected to the joint, come last.
+    An instance holds scratch memory: share it between processes, not between threads.
+
+    Attributes:
+        name: Arm name or URDF path.
+        n: Number of joints.
+        joint_names: Length n.
+        q_min, q_max: Position limits [rad], (n,); infinite for endless joints.
+        qd_max: Velocity limits [rad/s], (n,).
+        effort_max: Torque limits [N·m], (n,).
+        arm: The description the model was built from, None for a URDF.
+    """
+
+    def __init__(
+        self, model: pin.Model, flange: int, *, name: str, arm: ArmDescription | None = None
+    ) -> None:
+        self._model = model
+        self._data = model.createData()
+        self._flange = flange
+        self.name = name
+        self.arm = arm
+        self.n = int(model.nv)
+        self.joint_names = tuple(str(joint) for joint in model.names)[1:]
+        self.q_min = np.array(model.lowerPositionLimit)
+        self.q_max = np.array(model.upperPositionLimit)
+        self.qd_max = np.array(model.velocityLimit)
+        self.effort_max = np.array(model.effortLimit)
+
+    @classmethod
+    def from_arm(
+        cls,
+        name: str,
+        rotor_inertia: Sequence[float] | FloatArray | None = None,
+        gravity: Sequence[float] = GRAVITY,
+    ) -> RobotModel:
+        """A built-in arm.
+
+        Args:
+            name: Key of the arm, e.g. `ur5`.
+            rotor_inertia: (n,) rotor inertia reflected to the joint [kg·m²]; none by default.
+            gravity: (3,) in the base frame [m/s²]: says how the arm is mounted.
+
+        Raises:
+            SpecError: There is no such arm, or `rotor_inertia` has another length.
+        """
+        arm = load_arm(name)
+        model = model_from_arm(arm)
+        _configure(model, rotor_inertia, gravity)
+        return cls(model, int(model.getFrameId("flange")), name=name, arm=arm)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        rotor_inertia: Sequence[float] | FloatArray | None = None,
+        gravity: Sequence[float] = GRAVITY,
+        flange: str | None = None,
+    ) -> RobotModel:
+        """A fixed-base serial arm from a URDF file; `flange` names the link that carries loads.
+
+        Raises:
+            SpecError: The file cannot be used; the message says why.
+        """
+        model, frame = model_from_urdf(Path(path), flange)
+        _configure(model, rotor_inertia, gravity)
+        return cls(model, frame, name=str(path))
+
+    def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """(N, n) joint torques for the motion, rotor inertias included."""
+        rows = self._rows(q, qd, qdd)
+        out = np.empty(rows[0].shape)
+        for tau, *sample in zip(out, *rows, strict=True):
+            tau[:] = pin.rnea(self._model, self._data, *sample)
+        return out
+
+    def gravity(self, q: FloatArray) -> FloatArray:
+        """(N, n) joint torques that hold the arm still."""
+        (rows,) = self._rows(q)
+        out = np.empty(rows.shape)
+        for tau, sample in zip(out, rows, strict=True):
+            tau[:] = pin.computeGeneralizedGravity(self._model, self._data, sample)
+        return out
+
+    def mass_matrix(self, q: FloatArray) -> FloatArray:
+        """(N, n, n) joint-space inertia, rotor inertias included."""
+        (rows,) = self._rows(q)
+        out = np.empty((len(rows), self.n, self.n))
+        for M, sample in zip(out, rows, strict=True):
+            M[:] = pin.crba(self._model, self._data, sample)
+        upper = np.triu(out)
+        return upper + np.swapaxes(np.triu(out, 1), 1, 2)
+
+    def regressor(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, *, rotor: bool = True
+    ) -> FloatArray:
+        """(N·n, p) W with W @ parameters = inverse dynamics; p = 10·n, plus n with `rotor`.
+
+        Pinocchio leaves the rotor inertias out of its regressor: their columns hold qdd.
+        """
+        rows = self._rows(q, qd, qdd)
+        body = len(PARAMETERS) * self.n
+        out = np.zeros((len(rows[0]), self.n, body + self.n * rotor))
+        for W, *sample in zip(out[:, :, :body], *rows, strict=True):
+            W[:] = pin.computeJointTorqueRegressor(self._model, self._data, *sample)
+        if rotor:
+            joints = np.arange(self.n)
+            out[:, joints, body + joints] = rows[2]
+        return out.reshape(-1, out.shape[2])
+
+    def gravity_regressor(self, q: FloatArray) -> FloatArray:
+        """(N·n, 10·n) W with W @ parameters(rotor=False) = gravity torques."""
+        still = np.zeros(np.shape(q))
+        return self.regressor(q, still, still, rotor=False)
+
+    def parameters(self, *, rotor: bool = True) -> FloatArray:
+        """(p,) parameters in the order of the regressor's columns."""
+        bodies = [np.array(body.toDynamicParameters()) for body in self._model.inertias]
+        rotors = [np.array(self._model.armature)] if rotor else []
+        return np.concatenate([*bodies[1:], *rotors])
+
+    def parameter_names(self, *, rotor: bool = True) -> tuple[str, ...]:
+        """Names such as `m_1`, `mx_1`, …, `Izz_6`, `Ia_1` in the order of the columns."""
+        joints = range(1, self.n + 1)
+        bodies = tuple(f"{name}_{joint}" for joint in joints for name in PARAMETERS)
+        return bodies + tuple(f"Ia_{joint}" for joint in joints if rotor)
+
+    def with_payload(self, payload: Payload) -> RobotModel:
+        """The same arm with a load rigidly mounted at the flange."""
+        if payload.is_empty:
+            return self
+        model = self._model.copy()
+        body = pin.Inertia(payload.mass, np.array(payload.com), payload_inertia(payload))
+        frame = model.frames[self._flange]
+        model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
+        return RobotModel(model, self._flange, name=self.name, arm=self.arm)
+
+    def payload_effort(
+        self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        """(N, n) what a load adds to the joint torques: inverse dynamics with minus without it."""
+        loaded = self.with_payload(payload).inverse_dynamics(q, qd, qdd)
+        return loaded - self.inverse_dynamics(q, qd, qdd)
+
+    def payload_regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """(N·n, 10) W with W @ payload_parameters(payload) = payload effort, flange frame."""
+        last = slice(-len(PARAMETERS), None)
+        W = self.regressor(q, qd, qdd, rotor=False)[:, last]
+        return W @ transfer_matrix(pose_of(self._model.frames[self._flange].placement))
+
+    def flange_pose(self, q: FloatArray) -> FloatArray:
+        """(N, 4, 4) pose of the flange in the base frame."""
+        (rows,) = self._rows(q)
+        out = np.empty((len(rows), 4, 4))
+        for pose, sample in zip(out, rows, strict=True):
+            pin.framesForwardKinematics(self._model, self._data, sample)
+            pose[:] = pose_of(self._data.oMf[self._flange])
+        return out
+
+    def _rows(self, *arrays: FloatArray) -> tuple[FloatArray, ...]:
+        rows = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
+        shapes = [array.shape for array in rows]
+        if any(len(s) != 2 or s[1] != self.n or s != shapes[0] for s in shapes):
+            raise DataError(
+                f"the model {self.name} takes rows of {self.n} joints, all arrays alike; "
+                f"it got the shapes {', '.join(map(str, shapes))}",
+                hint="check that the data were recorded on this robot",
+            )
+        return rows
+
+
+def load_model(
+    name_or_path: str | Path,
+    rotor_inertia: Sequence[float] | FloatArray | None = None,
+    gravity: Sequence[float] = GRAVITY,
+) -> RobotModel:
+    """A built-in arm by name, or a URDF by path.
+
+    Raises:
+        SpecError: Neither exists, or the URDF cannot be used.
+    """
+    text = str(name_or_path)
+    if Path(text).suffix or "/" in text or Path(text).is_file():
+        return RobotModel.from_urdf(text, rotor_inertia, gravity)
+    return RobotModel.from_arm(text, rotor_inertia, gravity)
+
+
+def _configure(
+    model: pin.Model,
+    rotor_inertia: Sequence[float] | FloatArray | None,
+    gravity: Sequence[float],
+) -> None:
+    model.gravity.linear = np.asarray(gravity, dtype=np.float64)
+    if rotor_inertia is None:
+        return
+    armature = np.asarray(rotor_inertia, dtype=np.float64)
+    if armature.shape != (model.nv,):
+        raise SpecError(
+            f"{armature.size} rotor inertias were given for the {model.nv} joints of {model.name}",
+            hint="give one per joint, reflected to the joint, in kg·m²",
+        )
+    model.armature = armature
