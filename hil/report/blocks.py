@@ -1,0 +1,164 @@
+"""What a page is made of: sections of tables, plots, facts and notes. No HTML here.
+
+A new kind of result adds a function that returns a `Section`; template and style stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+from hil.report.figures import Figure
+
+Mark = Literal["", "pass", "fail", "warn", "quiet"]
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One table cell; `mark` adds a sign beside the text, never a colour alone."""
+
+    text: str
+    mark: Mark = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One table column; neighbours with the same `group` share a heading above theirs."""
+
+    title: str
+    group: str = ""
+    number: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table whose first column names the row.
+
+    Attributes:
+        caption: Says what is in it, with units.
+        columns: The first one heads the row names.
+        rows: As many cells as columns each.
+        note: Small print below.
+    """
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    kind: Literal["table"] = "table"
+
+    @property
+    def groups(self) -> list[tuple[str, int]]:
+        """Heading and width of every column group, in order; empty when there are none."""
+        if not any(column.group for column in self.columns):
+            return []
+        out: list[tuple[str, int]] = []
+        for column in self.columns:
+            if out and out[-1][0] == column.group:
+                out[-1] = (column.group, out[-1][1] + 1)
+            else:
+                out.append((column.group, 1))
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One plot.
+
+    Attributes:
+        title: Above the plot, usually the joint.
+        figure: See `figures`.
+        alt: What it shows, in words, for those who do not see it.
+        wide: Takes the whole width.
+    """
+
+    title: str
+    figure: Figure
+    alt: str
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plots:
+    """Plots of one kind side by side, with one legend for all."""
+
+    title: str
+    lead: str
+    panels: tuple[Panel, ...]
+    legend: tuple[tuple[str, str, str], ...] = ()
+    """(text, colour, `line` | `dash` | `dot` | `band` | marker character)."""
+    kind: Literal["plots"] = "plots"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Names and values, as a definition list."""
+
+    title: str
+    items: tuple[tuple[str, str], ...]
+    kind: Literal["facts"] = "facts"
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """Sentences, one below the other."""
+
+    items: tuple[str, ...]
+    kind: Literal["notes"] = "notes"
+
+
+Block: TypeAlias = Table | Plots | Facts | Notes
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the page with a heading; `folded` ones open on a click (and in print)."""
+
+    id: str
+    title: str
+    lead: str = ""
+    blocks: tuple[Block, ...] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class KeyFigure:
+    """A number people look for first."""
+
+    label: str
+    value: str
+    note: str = ""
+    mark: Mark = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Badge:
+    """The verdict in one word."""
+
+    text: str
+    mark: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    subtitle: str
+    badge: Badge
+    summary: str
+    key_figures: tuple[KeyFigure, ...] = ()
+    warnings: tuple[str, ...] = ()
+    sections: tuple[Section, ...] = field(default=())
+    footer: str = ""
+
+
+def cells(*texts: str) -> tuple[Cell, ...]:
+    """Unmarked cells."""
+    return tuple(Cell(text) for text in texts)
+
+
+def items(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Names and values as text; those without a value are left out."""
+    return tuple((key, str(value)) for key, value in values.items() if value not in (None, "", {}))

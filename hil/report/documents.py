@@ -1,0 +1,57 @@
+"""JSON and YAML read leniently: what is missing says nothing, what is damaged becomes a warning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import yaml
+
+from hil.errors import DataError
+from hil.record.files import read_json
+
+Document: TypeAlias = Mapping[str, Any]
+
+
+def document(path: Path, problems: list[str]) -> Document:
+    """The JSON object in a file; empty when absent or damaged, the latter added to `problems`."""
+    if not path.exists():
+        return {}
+    try:
+        return read_json(path)
+    except DataError as error:
+        if error.message not in problems:
+            problems.append(error.message)
+        return {}
+
+
+def yaml_document(path: Path, problems: list[str]) -> Document:
+    """The YAML mapping in a file; empty when absent or damaged."""
+    if not path.is_file():
+        return {}
+    try:
+        return as_object(yaml.safe_load(path.read_text("utf-8")))
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        problems.append(f"{path} cannot be read: {error}")
+        return {}
+
+
+def as_object(value: Any) -> Document:
+    """A value where an object is expected; anything else is an empty one."""
+    return value if isinstance(value, dict) else {}
+
+
+def as_objects(value: Any) -> Sequence[Document]:
+    """The objects of a list; whatever else is in it is left out."""
+    return [item for item in value if isinstance(item, dict)] if isinstance(value, list) else []
+
+
+def as_float(value: Any) -> float:
+    """A value where a number is expected; anything else is NaN."""
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def as_names(value: Any) -> tuple[str, ...]:
+    """A list of names."""
+    return tuple(str(item) for item in value) if isinstance(value, list) else ()

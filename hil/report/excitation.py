@@ -1,0 +1,123 @@
+"""The section about the motion: joint angles, pose map, position–velocity coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.report import figures
+from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
+from hil.report.documents import as_float, as_object
+from hil.report.facts import RunFacts
+from hil.report.recording import Recording, dwell_poses, rows_of_steps
+from hil.report.words import joint_title, number
+from hil.typing import FloatArray, IntArray
+
+DEGREES = 180 / np.pi
+COVERAGE_ROWS = 60_000
+"""Rows the coverage is counted on, evenly spread over the recording."""
+
+
+def excitation(
+    facts: RunFacts, recording: Recording, names: Sequence[str], held_out: Dataset | None
+) -> Section:
+    """Where the arm went, from the recorded positions.
+
+    Args:
+        facts: Small files of the run.
+        recording: Its samples.
+        names: Joint names, length n.
+        held_out: The series no model was fitted on, to mark their poses; None when unknown.
+    """
+    blocks: list[Block] = [_plan(facts), _angles(recording, names)]
+    poses, where = dwell_poses(facts, recording)
+    if len(poses) and len(names) > 1:
+        blocks.append(_pose_map(facts, poses, where, names, held_out))
+    blocks.append(_coverage(facts, recording, names))
+    lead = "Where the arm went, from the recorded positions."
+    return Section("excitation", "Excitation", lead, tuple(blocks))
+
+
+def _plan(facts: RunFacts) -> Facts:
+    kinds = [str(step.get("kind")) for step in facts.steps]
+    poses = {step.get("pose") for step in facts.steps if step.get("kind") == "dwell"}
+    said = {
+        "steps": f"{facts.steps_done} of {len(kinds)} done" if kinds else None,
+        "poses": len(poses) or None,
+        "dwells": kinds.count("dwell") or None,
+        "trajectories": kinds.count("trajectory") or None,
+        "reference visits": kinds.count("reference") or None,
+        "condition number of the regressor": number(as_float(facts.plan.get("condition_number"))),
+    }
+    for name, value in as_object(facts.plan.get("margins")).items():
+        said[f"margin: {name}"] = number(as_float(value))
+    return Facts("Plan", items(said))
+
+
+def _angles(recording: Recording, names: Sequence[str]) -> Plots:
+    q: FloatArray = recording.rows["q"] * DEGREES
+    panels = tuple(
+        Panel(
+            joint_title(j, name),
+            figures.over_time(recording.t, q[:, j], "position [°]", j),
+            f"Position of {name} over time, {q[:, j].min():.0f}° to {q[:, j].max():.0f}°.",
+        )
+        for j, name in enumerate(names)
+    )
+    return Plots("Joint angles over time", "", panels)
+
+
+def _pose_map(
+    facts: RunFacts,
+    poses: IntArray,
+    where: FloatArray,
+    names: Sequence[str],
+    held_out: Dataset | None,
+) -> Plots:
+    unsettled = np.isin(poses, facts.unsettled)
+    kept_away = [] if held_out is None else [c.pose for c in held_out.of_kind("dwell").conditions]
+    held = np.isin(poses, kept_away) & ~unsettled
+    groups = {
+        "trained on": np.flatnonzero(~held & ~unsettled),
+        "held out": np.flatnonzero(held),
+        "not settled": np.flatnonzero(unsettled),
+    }
+    pairs = [(j, min(j + 1, len(names) - 1)) for j in range(0, len(names), 2)]
+    panels = tuple(
+        Panel(
+            f"J{a + 1} and J{b + 1}",
+            figures.pose_map(
+                where[:, a] * DEGREES,
+                where[:, b] * DEGREES,
+                groups,
+                f"J{a + 1} position [°]",
+                f"J{b + 1} position [°]",
+            ),
+            f"{len(poses)} poses along {names[a]} and {names[b]}.",
+        )
+        for a, b in pairs
+    )
+    looks = zip(groups, figures.POSE_LOOKS, ("●", "◇", "✕"), strict=False)
+    legend = tuple((name, look[0], sign) for name, look, sign in looks if len(groups[name]))
+    return Plots("Pose map", f"The {len(poses)} poses the arm stood still at.", panels, legend)
+
+
+def _coverage(facts: RunFacts, recording: Recording, names: Sequence[str]) -> Plots:
+    trajectories = facts.indices("trajectory")
+    rows = rows_of_steps(recording, trajectories) if trajectories else recording.rows
+    rows = rows if len(rows) else recording.rows
+    rows = rows[:: max(1, len(rows) // COVERAGE_ROWS)]
+    q, qd = rows["q"] * DEGREES, rows["qd"] * DEGREES
+    panels = tuple(
+        Panel(
+            joint_title(j, name),
+            figures.coverage(q[:, j], qd[:, j], "position [°]", "velocity [°/s]"),
+            f"Position–velocity coverage of {name}, up to {np.abs(qd[:, j]).max():.0f} °/s.",
+        )
+        for j, name in enumerate(names)
+    )
+    what = "the trajectories" if trajectories else "the whole run"
+    lead = f"How often each position and velocity occurred during {what}; brighter is more often."
+    return Plots("Position and velocity coverage", lead, panels)

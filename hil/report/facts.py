@@ -1,0 +1,176 @@
+"""What a run directory says about itself, read leniently: a damaged file becomes a warning.
+
+Only the small files are read here. Samples are read by `recording`, models by `predictions`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.errors import DataError
+from hil.record.rundir import RunDirectory
+from hil.report.documents import (
+    Document,
+    as_float,
+    as_names,
+    as_object,
+    as_objects,
+    document,
+    yaml_document,
+)
+from hil.report.fit_facts import FitFacts, best_first, read_fits
+
+
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """The small files of a run.
+
+    Attributes:
+        path: The run directory.
+        status: `completed`, `stopped`, `tripped`, `failed`, `interrupted` or `damaged`.
+        start, stop, plan, preflight, verdict: The documents; empty where absent or damaged.
+        spec: The spec as plain YAML; empty where absent or damaged.
+        events: As logged.
+        fits: In order of folder name.
+        problems: Files that are there but cannot be used.
+    """
+
+    path: Path
+    status: str
+    start: Document
+    stop: Document
+    plan: Document
+    preflight: Document
+    verdict: Document
+    spec: Document
+    events: Sequence[Document]
+    fits: tuple[FitFacts, ...]
+    problems: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        return str(self.plan.get("name") or self.spec.get("name") or self.path.name)
+
+    @property
+    def robot(self) -> Document:
+        """What `start.json` says about the robot."""
+        return as_object(self.start.get("robot"))
+
+    @property
+    def robot_title(self) -> str:
+        """Model and serial number."""
+        identity = as_object(self.robot.get("identity"))
+        return " ".join(str(identity[k]) for k in ("model", "serial") if identity.get(k))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """From the plan or the robot; empty when neither says."""
+        return as_names(self.plan.get("joint_names") or self.robot.get("joint_names"))
+
+    @property
+    def effort_unit(self) -> str:
+        """`A` or `N·m`, from what the robot says it measures."""
+        return "N·m" if self.robot.get("effort_kind") == "torque" else "A"
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal sample rate [Hz]; NaN when the run does not say."""
+        return as_float(self.robot.get("rate_hz") or self.plan.get("rate_hz"))
+
+    @property
+    def steps(self) -> Sequence[Document]:
+        """The plan's steps in JSON form."""
+        return as_objects(self.plan.get("steps"))
+
+    @property
+    def steps_done(self) -> int:
+        """How far the program came: the stop document's count, or the last step logged."""
+        if isinstance(self.stop.get("steps_done"), int):
+            return int(self.stop["steps_done"])
+        logged = [e["step"] for e in self.events if isinstance(e.get("step"), int)]
+        return max(logged, default=0)
+
+    @property
+    def unsettled(self) -> tuple[int, ...]:
+        """Poses whose dwell ran into its time-out, as often as it happened."""
+        logged = [e.get("step") for e in self.events_of("dwell") if e.get("settled") is False]
+        missed, steps = self.stop.get("unsettled", logged), self.steps
+        return tuple(
+            int(steps[i].get("pose", -1)) for i in missed if isinstance(i, int) and i < len(steps)
+        )
+
+    @property
+    def judged_fits(self) -> tuple[FitFacts, ...]:
+        """The fits with held-out errors, best first."""
+        return best_first(self.fits)
+
+    @property
+    def estimators_wanted(self) -> tuple[str, ...]:
+        """What the spec asks to be fitted."""
+        return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
+
+    def events_of(self, kind: str) -> list[Document]:
+        """The events of one kind."""
+        return [event for event in self.events if event.get("kind") == kind]
+
+    def indices(self, *kinds: str) -> list[int]:
+        """Indices of the plan's steps of these kinds."""
+        return [i for i, step in enumerate(self.steps) if step.get("kind") in kinds]
+
+    def interlock_limit(self, kind: str, key: str) -> float:
+        """The limit an interlock of the spec has; NaN when the spec does not name it."""
+        limits = as_objects(self.spec.get("interlocks"))
+        return next((as_float(i.get(key)) for i in limits if i.get("kind") == kind), float("nan"))
+
+
+def read_facts(path: Path) -> RunFacts:
+    """Read the small files of a run directory.
+
+    Raises:
+        DataError: `path` is not a run directory, or was written by a newer hil.
+    """
+    if not (path / "start.json").is_file() and not (path / "plan.json").is_file():
+        raise DataError(
+            f"{path} is not a run directory: it has neither start.json nor plan.json",
+            hint="hil runs lists the runs there are",
+        )
+    problems: list[str] = []
+    start = document(path / "start.json", problems)
+    run = RunDirectory.open(path) if start else RunDirectory(path)
+    return RunFacts(
+        path=path,
+        status=_status(run, problems),
+        start=start,
+        stop=document(path / "stop.json", problems),
+        plan=document(path / "plan.json", problems),
+        preflight=document(path / "preflight.json", problems),
+        verdict=document(path / "verdict.json", problems),
+        spec=yaml_document(path / "spec.yaml", problems),
+        events=_events(run, problems),
+        fits=read_fits(_folders(path / "fit"), problems),
+        problems=tuple(problems),
+    )
+
+
+def _folders(path: Path) -> list[Path]:
+    return sorted(item for item in path.iterdir() if item.is_dir()) if path.is_dir() else []
+
+
+def _status(run: RunDirectory, problems: list[str]) -> str:
+    try:
+        return run.status
+    except DataError as error:
+        if error.message not in problems:
+            problems.append(error.message)
+        return "damaged"
+
+
+def _events(run: RunDirectory, problems: list[str]) -> list[Document]:
+    try:
+        return list(run.events())
+    except DataError as error:
+        problems.append(error.message)
+        return []

@@ -1,0 +1,265 @@
+"""Figure builders: data in, a plotly figure as a plain dict out. Nothing here reads a file.
+
+A figure is `{"data": [traces], "layout": {...}}` with numpy arrays as they are; `encode` turns it
+into JSON. Colours come from `colours`, so that the page can change them for a dark screen. New
+figures are new functions; `traces` holds what they are made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from hil.report import colours
+from hil.report.decimate import binned, decimated, thinned
+from hil.report.traces import Trace, axes, corner, line, markers, noise_band, span
+from hil.typing import FloatArray, IntArray
+
+Figure: TypeAlias = dict[str, Any]
+
+POSE_LOOKS = (
+    (colours.MEASURED, "circle", 5.0),
+    (colours.PREDICTED, "diamond-open", 7.0),
+    (colours.NEUTRAL, "x", 8.0),
+)
+"""Colour, marker and size of each group of `pose_map`, in order."""
+
+CLOUD = 700
+"""Points of a cloud: enough to see its shape, few enough to draw six of them at once."""
+
+
+def measured_predicted(
+    t: FloatArray, measured: FloatArray, predicted: FloatArray, unit: str, quantity: str
+) -> Figure:
+    """Measured and predicted effort of one joint over time, each (N,)."""
+    return {
+        "data": [
+            line(*decimated(t, measured), "measured", colours.MEASURED, width=1.2),
+            line(*decimated(t, predicted), "predicted", colours.PREDICTED, dash="solid", width=1.8),
+        ],
+        "layout": axes("time [s]", f"{quantity} [{unit}]"),
+    }
+
+
+def dwells(
+    measured: FloatArray,
+    predicted: FloatArray,
+    approach: IntArray,
+    pose: IntArray,
+    unit: str,
+    quantity: str,
+) -> Figure:
+    """Dwells of one joint ordered by what the model predicts; both approaches told apart.
+
+    Args:
+        measured: (D,) mean effort of each dwell.
+        predicted: (D,) the same as the model has it.
+        approach: (D,) +1 from below, −1 from above, 0 unknown.
+        pose: (D,) pose numbers, for hovering.
+        unit: Of the effort.
+        quantity: What the effort is, for the axis.
+
+    The distance between the two approaches at one place is the friction band of the joint.
+    """
+    order = np.argsort(predicted, kind="stable")
+    rank = np.empty(len(order))
+    rank[order] = np.arange(1, len(order) + 1)
+    looks = (
+        (1, "from below", colours.UP, "triangle-up"),
+        (-1, "from above", colours.DOWN, "triangle-down"),
+        (0, "measured", colours.MEASURED, "circle"),
+    )
+    traces = []
+    for sign, name, colour, symbol in looks:
+        rows = np.flatnonzero(approach == sign)
+        if len(rows):
+            label = [f"pose {p}" for p in pose[rows]]
+            traces.append(
+                markers(rank[rows], measured[rows], name, colour, symbol=symbol, size=5, text=label)
+            )
+    x, y = decimated(np.sort(rank), predicted[order])
+    traces.append(line(x, y, "predicted", colours.PREDICTED, width=2.2))
+    title = "held-out dwells, ordered by prediction [number]"
+    return {"data": traces, "layout": axes(title, f"{quantity} [{unit}]")}
+
+
+def residual_over(
+    x: FloatArray, residual: FloatArray, x_title: str, unit: str, noise: float = float("nan")
+) -> Figure:
+    """Residual of one joint (N,) against anything (N,): the cloud, its mean and spread per bin.
+
+    Args:
+        x: What it is plotted against.
+        residual: Measured minus predicted.
+        x_title: Axis title with unit.
+        unit: Of the residual.
+        noise: Standard deviation of the measurement noise, drawn as a band; NaN for none.
+    """
+    good = np.isfinite(x) & np.isfinite(residual)
+    x, residual = x[good], residual[good]
+    some = thinned(len(x), CLOUD)
+    cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=3, opacity=0.45)
+    layout = axes(x_title, f"residual [{unit}]")
+    layout["shapes"] = noise_band(noise)
+    return {"data": [cloud, *_mean_and_spread(x, residual)], "layout": layout}
+
+
+def residual_over_time(t: FloatArray, residual: FloatArray, unit: str, noise: float) -> Figure:
+    """Residual of one joint (N,) over time: the line with its extremes, and the noise band."""
+    layout = axes("time [s]", f"residual [{unit}]")
+    layout["shapes"] = noise_band(noise)
+    return {"data": [line(*decimated(t, residual), "residual", colours.RESIDUAL)], "layout": layout}
+
+
+def regression(measured: FloatArray, predicted: FloatArray, unit: str) -> Figure:
+    """Measured against predicted (N,) with the line of perfect agreement, R in the corner."""
+    good = np.isfinite(measured) & np.isfinite(predicted)
+    measured, predicted = measured[good], predicted[good]
+    some = thinned(len(measured), CLOUD)
+    low, high = span(np.concatenate([measured, predicted]))
+    ends = np.array([low, high])
+    layout = axes(f"predicted [{unit}]", f"measured [{unit}]")
+    layout["annotations"] = corner(f"R = {correlation(measured, predicted):.4f}")
+    return {
+        "data": [
+            markers(predicted[some], measured[some], "sample", colours.MEASURED, size=3.5),
+            line(ends, ends, "measured = predicted", colours.PREDICTED, dash="dash"),
+        ],
+        "layout": layout,
+    }
+
+
+def correlation(a: FloatArray, b: FloatArray) -> float:
+    """Pearson's R of two (N,) signals where both are finite; NaN when one does not vary."""
+    good = np.isfinite(a) & np.isfinite(b)
+    a, b = a[good], b[good]
+    if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def rmse_bars(
+    joints: Sequence[str],
+    values: Mapping[str, FloatArray],
+    noise: FloatArray,
+    unit: str,
+) -> Figure:
+    """RMSE per joint, one group of bars per joint, one bar per estimator; noise floor as ticks."""
+    traces: list[Trace] = []
+    names = [escape(joint) for joint in joints]
+    patterns = ("", "/", "x", ".", "\\", "+")
+    for i, (name, rmse) in enumerate(values.items()):
+        marker = {"color": colours.JOINTS[i % 6], "pattern": {"shape": patterns[i % 6]}}
+        traces.append(
+            {"type": "bar", "name": escape(name), "x": names, "y": rmse, "marker": marker}
+        )
+    if np.isfinite(noise).any():
+        mark = {
+            "symbol": "line-ew-open",
+            "size": 26,
+            "color": colours.NEUTRAL,
+            "line": {"width": 3},
+        }
+        traces.append(
+            {"type": "scatter", "mode": "markers", "name": "noise floor", "x": names,
+             "y": noise, "marker": mark}
+        )  # fmt: skip
+    layout = axes("joint", f"RMSE [{unit}]", barmode="group", showlegend=True)
+    return {"data": traces, "layout": layout}
+
+
+def joints_over_time(
+    t: FloatArray,
+    values: FloatArray,
+    names: Sequence[str],
+    y_title: str,
+    *,
+    limit: float = float("nan"),
+    marked: bool = False,
+) -> Figure:
+    """All joints (N, n) over time (N,) in one plot, lines differing in colour and dash.
+
+    Args:
+        t: Time [s].
+        values: One column per joint; a joint that is NaN throughout is left out.
+        names: Joint names, for legend and hovering.
+        y_title: Axis title with unit.
+        limit: Drawn as a horizontal line; NaN for none.
+        marked: Also draw the points (for few of them).
+    """
+    traces = []
+    for j, name in enumerate(names):
+        if np.isnan(values[:, j]).all():
+            continue
+        x, y = decimated(t, values[:, j])
+        trace = line(x, y, name, colours.of_joint(j), dash=colours.dash_of_joint(j))
+        if marked:
+            trace["mode"] = "lines+markers"
+            trace["marker"] = {"symbol": colours.symbol_of_joint(j), "size": 6}
+        traces.append(trace)
+    layout = axes("time [s]", y_title, showlegend=True)
+    if np.isfinite(limit):
+        traces.append(
+            line(t[[0, -1]], np.full(2, limit), "limit", colours.NEUTRAL, dash="dot", width=2.5)
+        )
+    return {"data": traces, "layout": layout}
+
+
+def over_time(t: FloatArray, value: FloatArray, y_title: str, j: int = 0) -> Figure:
+    """One signal (N,) over time in the colour of joint `j`."""
+    trace = line(*decimated(t, value), y_title, colours.of_joint(j))
+    return {"data": [trace], "layout": axes("time [s]", y_title)}
+
+
+def coverage(x: FloatArray, y: FloatArray, x_title: str, y_title: str, cells: int = 48) -> Figure:
+    """How often (x, y) was visited: a grid of counts on a logarithmic scale, empty cells blank."""
+    good = np.isfinite(x) & np.isfinite(y)
+    x, y = x[good], y[good]
+    (x_low, x_high), (y_low, y_high) = span(x), span(y)
+    column = np.clip(((x - x_low) / (x_high - x_low) * cells).astype(np.int64), 0, cells - 1)
+    row = np.clip(((y - y_low) / (y_high - y_low) * cells).astype(np.int64), 0, cells - 1)
+    count = np.bincount(row * cells + column, minlength=cells * cells).reshape(cells, cells)
+    centre = (np.arange(cells) + 0.5) / cells
+    trace = {
+        "type": "heatmap",
+        "x": x_low + centre * (x_high - x_low),
+        "y": y_low + centre * (y_high - y_low),
+        "z": np.where(count > 0, np.log10(np.maximum(count, 1)), np.nan),
+        "colorscale": "Cividis",
+        "showscale": False,
+        "hovertemplate": "%{x:.3g}, %{y:.3g}: 10^%{z:.1f} samples<extra></extra>",
+    }
+    return {"data": [trace], "layout": axes(x_title, y_title)}
+
+
+def pose_map(
+    x: FloatArray,
+    y: FloatArray,
+    groups: Mapping[str, IntArray],
+    x_title: str,
+    y_title: str,
+) -> Figure:
+    """Poses seen along two joints; `groups` names the rows of each kind (trained, held out, …)."""
+    traces = [
+        markers(x[rows], y[rows], name, colour, symbol=symbol, size=size, opacity=0.85)
+        for (name, rows), (colour, symbol, size) in zip(groups.items(), POSE_LOOKS, strict=False)
+        if len(rows)
+    ]
+    return {"data": traces, "layout": axes(x_title, y_title)}
+
+
+def _mean_and_spread(x: FloatArray, y: FloatArray) -> list[Trace]:
+    centre, mean, spread = binned(x, y)
+    if len(centre) < 2:
+        return []
+    edges = ((mean + spread, "mean + 1 SD"), (mean - spread, "mean − 1 SD"))
+    return [
+        *(
+            line(centre, edge, name, colours.PREDICTED, dash="dot", width=1.2)
+            for edge, name in edges
+        ),
+        line(centre, mean, "mean", colours.PREDICTED, width=2.2),
+    ]

@@ -1,0 +1,133 @@
+"""What a model folder says about itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hil.report.documents import Document, as_float, as_names, as_object, as_objects, document
+from hil.report.words import short_source
+from hil.typing import FloatArray
+
+Part = Literal["held_out", "trained"]
+
+
+@dataclass(frozen=True, slots=True)
+class FitFacts:
+    """One fitted model.
+
+    Attributes:
+        folder: `fit/<estimator>-<digest>`.
+        label: The estimator's name, with the digest where two folders have the same estimator,
+            and with the source where a model was judged on several.
+        evaluation: Content of `evaluation.json`, empty when it was not evaluated.
+        model: Content of `model.json`.
+    """
+
+    folder: Path
+    label: str
+    evaluation: Document
+    model: Document
+
+    @property
+    def held_out(self) -> Document:
+        """Errors on data the model has not seen; empty when there are none."""
+        if "held_out" in self.evaluation:
+            return as_object(self.evaluation["held_out"])
+        return self.evaluation if "total" in self.evaluation else {}
+
+    @property
+    def trained(self) -> Document:
+        """Errors on the data the model was fitted to; empty when not stored."""
+        return as_object(self.evaluation.get("trained"))
+
+    @property
+    def criteria(self) -> Sequence[Document]:
+        """Rows of its verdict."""
+        return as_objects(as_object(self.evaluation.get("verdict")).get("rows"))
+
+    @property
+    def source(self) -> str:
+        """Recording it was judged on; empty for the part of a run that was held out."""
+        return str(self.held_out.get("source") or "")
+
+    @property
+    def unit(self) -> str:
+        """Unit of the effort, `A` or `N·m`; empty when unknown."""
+        return str(self.held_out.get("unit", ""))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints, in the order of every value."""
+        return as_names(self.held_out.get("joint_names"))
+
+    def total(self, part: Part = "held_out") -> Document:
+        """The errors over all rows of a part."""
+        return as_object((self.held_out if part == "held_out" else self.trained).get("total"))
+
+    def mean(self, metric: str, part: Part = "held_out") -> float:
+        """Mean of a metric over the joints it is defined for; NaN when unknown.
+
+        The two means the evaluation stores itself (`rmse_raw`, `rmse_filtered`) are read, not
+        computed again.
+        """
+        stored = as_float(self.total(part).get(f"mean_{metric.removeprefix('rmse_')}"))
+        if math.isfinite(stored):
+            return stored
+        known = self.values(metric, part)
+        known = known[np.isfinite(known)]
+        return float(known.mean()) if len(known) else float("nan")
+
+    def values(self, metric: str, part: Part = "held_out") -> FloatArray:
+        """(n,) a metric per joint; NaN where it is undefined or not stored."""
+        values = self.total(part).get(metric)
+        if not isinstance(values, list) or len(values) != len(self.joint_names):
+            return np.full(len(self.joint_names), np.nan)
+        return np.array([as_float(value) for value in values])
+
+
+def read_fits(folders: Sequence[Path], problems: list[str]) -> tuple[FitFacts, ...]:
+    """The models in some folders; one that was judged on several sources appears once for each."""
+    names = [_estimator_of(folder) for folder in folders]
+    labels = (
+        name if names.count(name) == 1 else folder.name
+        for name, folder in zip(names, folders, strict=True)
+    )
+    pairs = zip(folders, labels, strict=True)
+    return tuple(fit for folder, label in pairs for fit in _read(folder, label, problems))
+
+
+def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
+    """The fits that have held-out errors, smallest raw RMSE first."""
+
+    def rank(fit: FitFacts) -> tuple[bool, float]:
+        error = fit.mean("rmse_raw")
+        return not math.isfinite(error), error
+
+    return tuple(sorted((fit for fit in fits if fit.held_out), key=rank))
+
+
+def _read(folder: Path, label: str, problems: list[str]) -> list[FitFacts]:
+    evaluation = document(folder / "evaluation.json", problems)
+    model = document(folder / "model.json", problems)
+    sources = as_objects(evaluation.get("validation"))
+    if not sources:
+        return [FitFacts(folder, label, evaluation, model)]
+    return [
+        FitFacts(
+            folder,
+            f"{label} on {short_source(str(one.get('source')))}" if len(sources) > 1 else label,
+            {"held_out": {"what": short_source(str(one.get("source"))), **one}},
+            model,
+        )
+        for one in sources
+    ]
+
+
+def _estimator_of(folder: Path) -> str:
+    return folder.name.rpartition("-")[0] or folder.name

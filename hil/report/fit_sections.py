@@ -1,0 +1,61 @@
+"""Sections about models: how they compare, and each one by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from hil.report import fit_plots, fit_tables
+from hil.report.blocks import Block, Facts, Section, items
+from hil.report.documents import as_float, as_object
+from hil.report.fit_facts import FitFacts
+from hil.report.predictions import Shown
+from hil.report.words import number
+
+READING = (
+    "RMSE raw compares the prediction with the signal as it was measured, RMSE filtered with the "
+    "same signal after a zero-phase low-pass (for dwells: their mean). The noise floor is what "
+    "that filter takes away; no model can push RMSE raw below it. NRMSE is RMSE raw over the "
+    "standard deviation of the training signal: 1 is as good as always predicting the mean."
+)
+
+
+def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list[Section]:
+    """The comparison, then every model; the best one is open, the others unfold on a click.
+
+    Args:
+        fits: With held-out errors, best first.
+        shown: Label → what can be drawn of it; models without get tables only.
+    """
+    if not fits:
+        return []
+    overview = Section(
+        "models", "Models", READING, (fit_tables.comparison(fits), fit_plots.bars(fits))
+    )
+    return [overview, *(_model(i, fit, shown.get(fit.label)) for i, fit in enumerate(fits))]
+
+
+def _model(i: int, fit: FitFacts, shown: Shown | None) -> Section:
+    blocks: list[Block] = [fit_tables.per_joint(fit)]
+    if groups := fit_tables.per_group(fit):
+        blocks.append(groups)
+    if shown is not None and shown.dwells is not None:
+        blocks += fit_plots.dwell_plots(fit, shown.dwells)
+    if shown is not None and shown.motions is not None:
+        blocks += fit_plots.motion_plots(fit, shown.motions)
+    blocks.append(_about(fit))
+    what = fit.held_out.get("what")
+    lead = f"Judged on {what}, which the fit has not seen." if what else ""
+    return Section(f"model-{i + 1}", f"Model {fit.label}", lead, tuple(blocks), folded=i > 0)
+
+
+def _about(fit: FitFacts) -> Facts:
+    fitted, settings = as_object(fit.model.get("fitted")), as_object(fit.model.get("parameters"))
+    condition = as_float(fitted.get("condition"))
+    said = {
+        "folder": fit.folder.name,
+        "samples or dwells fitted": fitted.get("samples"),
+        "condition number": number(condition) if condition == condition else None,
+        "drive gains from": fitted.get("gains_source"),
+        **{f"setting {name}": value for name, value in settings.items()},
+    }
+    return Facts("About this model", items(said))

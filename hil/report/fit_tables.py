@@ -1,0 +1,125 @@
+"""Numbers of models as tables: side by side, per joint, per group."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.report.blocks import Cell, Column, Table, cells
+from hil.report.documents import Document, as_float, as_objects
+from hil.report.fit_facts import FitFacts
+from hil.report.words import criterion_text, joint_title, number, short_source
+
+HELD_OUT, TRAINED = "held out", "trained on"
+
+
+def comparison(fits: Sequence[FitFacts]) -> Table:
+    """All models, means over the joints: held-out errors beside those on the training data."""
+    columns = (
+        Column("model", number=False),
+        Column("RMSE raw", HELD_OUT),
+        Column("RMSE filtered", HELD_OUT),
+        Column("NRMSE", HELD_OUT),
+        Column("RMSE raw", TRAINED),
+        Column("RMSE filtered", TRAINED),
+        Column("noise floor"),
+        Column("fit time [s]"),
+        Column("verdict", number=False),
+    )
+    return Table(
+        f"Models, means over the joints [{fits[0].unit}], best on held-out data first",
+        columns,
+        tuple(_comparison_row(fit) for fit in fits),
+        "Only the held-out columns say how good a model is. The others show how closely it could "
+        "follow the data it was fitted to; a large difference means it has learnt them by heart.",
+    )
+
+
+def per_joint(fit: FitFacts) -> Table:
+    """Errors per joint, held out and trained side by side, and the criteria they must meet."""
+    limits = _limits(fit.criteria)
+    held, relative, trained = f"held out [{fit.unit}]", "held out", f"trained on [{fit.unit}]"
+    columns = (
+        Column("joint", number=False),
+        *(Column(title, held) for title in ("RMSE raw", "RMSE filtered", "noise floor")),
+        *(Column(title, relative) for title in ("NRMSE", "R", "MEP [%]")),
+        *(Column(title, trained) for title in ("RMSE raw", "RMSE filtered")),
+        *(Column(title, "criteria, held out") for title in limits),
+    )
+    names = ("rmse_raw", "rmse_filtered", "noise_floor", "nrmse", "r", "mep")
+    values = [fit.values(metric) for metric in names]
+    values += [fit.values(metric, "trained") for metric in names[:2]]
+    means = [fit.mean(metric) for metric in names]
+    means += [fit.mean(metric, "trained") for metric in names[:2]]
+    rows = [
+        (
+            Cell(joint_title(j, name)),
+            *(Cell(number(of_joint[j])) for of_joint in values),
+            *(_limit_cell(limit.get(name)) for limit in limits.values()),
+        )
+        for j, name in enumerate(fit.joint_names)
+    ]
+    last = (_limit_cell(limit.get("mean")) for limit in limits.values())
+    rows.append((Cell("mean"), *(Cell(number(mean)) for mean in means), *last))
+    return Table(f"{fit.label}: errors per joint", columns, tuple(rows))
+
+
+def per_group(fit: FitFacts) -> Table | None:
+    """Held-out means per source, trajectory, load, …, where there is more than one of a kind."""
+    groups = as_objects(fit.held_out.get("tables"))
+    several = [g for g in groups if sum(other.get("by") == g.get("by") for other in groups) > 1]
+    if not several:
+        return None
+    columns = (
+        Column("grouped by", number=False),
+        Column("group", number=False),
+        Column("samples"),
+        Column(f"RMSE raw [{fit.unit}]"),
+        Column(f"RMSE filtered [{fit.unit}]"),
+    )
+    rows = tuple(_group_row(group) for group in several)
+    return Table(f"{fit.label}: held-out errors by group, means over the joints", columns, rows)
+
+
+def _comparison_row(fit: FitFacts) -> tuple[Cell, ...]:
+    means = (
+        fit.mean("rmse_raw"),
+        fit.mean("rmse_filtered"),
+        fit.mean("nrmse"),
+        fit.mean("rmse_raw", "trained"),
+        fit.mean("rmse_filtered", "trained"),
+        fit.mean("noise_floor"),
+        as_float(fit.evaluation.get("seconds")),
+    )
+    return (*cells(fit.label, *(number(value) for value in means)), _verdict_cell(fit))
+
+
+def _verdict_cell(fit: FitFacts) -> Cell:
+    if not fit.criteria:
+        return Cell("not judged", "quiet")
+    missed = sum(not row.get("passed") for row in fit.criteria)
+    if missed:
+        return Cell(f"rejected: {missed} of {len(fit.criteria)} missed", "fail")
+    return Cell(f"passed: all {len(fit.criteria)} met", "pass")
+
+
+def _limits(criteria: Sequence[Document]) -> dict[str, dict[str, Document]]:
+    """Criterion → joint name (or `mean`) → its row."""
+    out: dict[str, dict[str, Document]] = {}
+    for row in criteria:
+        out.setdefault(criterion_text(row), {})[str(row.get("what"))] = row
+    return out
+
+
+def _limit_cell(row: Document | None) -> Cell:
+    if row is None:
+        return Cell("", "quiet")
+    return Cell(number(as_float(row.get("value"))), "pass" if row.get("passed") else "fail")
+
+
+def _group_row(group: Document) -> tuple[Cell, ...]:
+    name, samples = short_source(str(group.get("name"))), as_float(group.get("samples"))
+    means = (as_float(group.get(key)) for key in ("mean_raw", "mean_filtered"))
+    shown = str(int(samples)) if np.isfinite(samples) else "–"
+    return cells(str(group.get("by")), name, shown, *(number(mean) for mean in means))

@@ -1,0 +1,130 @@
+"""The section about the recording: continuity, tracking, temperature, drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.report import figures
+from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
+from hil.report.documents import as_float
+from hil.report.facts import RunFacts
+from hil.report.recording import Drift, Recording
+from hil.report.words import count, duration, joint_title, number
+from hil.typing import FloatArray
+
+DEGREES = 180 / np.pi
+
+
+def health(
+    facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
+) -> Section:
+    """How good the recording is."""
+    unit = facts.effort_unit
+    blocks: list[Block] = [
+        _continuity(facts, recording),
+        _ranges(recording, drift, names, unit),
+        Plots("Over time", "", tuple(_panels(facts, recording, drift, names))),
+    ]
+    return Section("recording", "Recording health", "", tuple(blocks))
+
+
+def _continuity(facts: RunFacts, recording: Recording) -> Facts:
+    counts, wall = recording.counts, as_float(facts.stop.get("wall_s"))
+    measured, nominal = number(recording.measured_rate_hz, 5), number(recording.rate_hz, 5)
+    missing = f"{counts.missing} samples, {number(recording.gaps_percent, 2)} %"
+    said = {
+        "samples": count(counts.samples),
+        "recorded time": duration(float(recording.t[-1])),
+        "rate": f"{measured} Hz (nominal {nominal} Hz)",
+        "gaps": f"{counts.gaps} ({missing})",
+        "duplicates": counts.duplicates,
+        "overruns": counts.overruns,
+        "dwells that did not settle": len(facts.unsettled) if facts.indices("dwell") else None,
+        "wall time": duration(wall) if np.isfinite(wall) else None,
+        "speed": _speed(float(recording.t[-1]), wall),
+    }
+    return Facts("Continuity", items(said))
+
+
+def _speed(device: float, wall: float) -> str | None:
+    return f"{number(device / wall)} × real time" if wall > 0 else None
+
+
+def _ranges(recording: Recording, drift: Drift | None, names: Sequence[str], unit: str) -> Table:
+    q, qd = recording.rows["q"] * DEGREES, recording.rows["qd"] * DEGREES
+    error, heat = 1e3 * recording.tracking_error(), recording.rows["temperature"]
+    table: list[tuple[Column, FloatArray]] = [
+        (Column("from [°]", "position"), _over_rows(np.min, q)),
+        (Column("to [°]", "position"), _over_rows(np.max, q)),
+        (Column("peak [°/s]", "velocity"), _over_rows(np.max, np.abs(qd))),
+        (Column("RMS [mrad]", "tracking error"), np.sqrt(_over_rows(np.mean, error**2))),
+        (Column("peak [mrad]", "tracking error"), _over_rows(np.max, np.abs(error))),
+        (Column("start [°C]", "temperature"), heat[0]),
+        (Column("end [°C]", "temperature"), heat[-1]),
+    ]
+    if drift is not None:
+        largest = _over_rows(np.max, np.abs(drift.change))
+        table.append((Column(f"largest change [{unit}]", "reference pose"), largest))
+    rows = tuple(
+        cells(joint_title(j, name), *(number(float(values[j])) for _, values in table))
+        for j, name in enumerate(names)
+    )
+    columns = (Column("joint", number=False), *(column for column, _ in table))
+    return Table("Ranges per joint over the whole recording", columns, rows)
+
+
+def _over_rows(what: np.ufunc | object, values: FloatArray) -> FloatArray:
+    """A statistic per joint over the finite rows; NaN for a joint without any."""
+    assert callable(what)
+    columns = (column[np.isfinite(column)] for column in values.T)
+    return np.array([float(what(column)) if len(column) else np.nan for column in columns])
+
+
+def _panels(
+    facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
+) -> list[Panel]:
+    t, panels = recording.t, []
+    error = 1e3 * np.abs(recording.tracking_error())
+    if np.isfinite(error).any():
+        limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")
+        panels.append(_wide("Tracking error", t, error, names, "|error| [mrad]", limit))
+    heat = recording.rows["temperature"]
+    if np.isfinite(heat).any():
+        limit = facts.interlock_limit("temperature", "limit_c")
+        panels.append(_wide("Joint temperature", t, heat, names, "temperature [°C]", limit))
+    if drift is not None:
+        panels.append(_drift(drift, names, facts.effort_unit))
+    panels.append(_interval(recording))
+    return panels
+
+
+def _wide(
+    title: str, t: FloatArray, values: FloatArray, names: Sequence[str], axis: str, limit: float
+) -> Panel:
+    figure = figures.joints_over_time(t, values, names, axis, limit=limit)
+    alt = f"{title} of all joints over time; the largest value is {number(_peak(values))}."
+    return Panel(title, figure, alt, wide=True)
+
+
+def _drift(drift: Drift, names: Sequence[str], unit: str) -> Panel:
+    figure = figures.joints_over_time(drift.t, drift.change, names, f"change [{unit}]", marked=True)
+    alt = (
+        f"Change of the effort at the reference pose over {len(drift.t)} visits, "
+        f"at most {number(_peak(np.abs(drift.change)))} {unit}."
+    )
+    title = "Drift: effort at the reference pose since the first visit"
+    return Panel(title, figure, alt, wide=True)
+
+
+def _interval(recording: Recording) -> Panel:
+    steps = 1e3 * np.diff(recording.t)
+    figure = figures.over_time(recording.t[1:], steps, "interval [ms]")
+    alt = f"Time between samples by the robot's clock, at most {number(_peak(steps))} ms."
+    return Panel("Time between samples by the robot's clock", figure, alt, wide=True)
+
+
+def _peak(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else float("nan")

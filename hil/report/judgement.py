@@ -1,0 +1,115 @@
+"""The verdict in one word and one sentence, for page and terminal alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hil.report.blocks import Badge, Mark
+from hil.report.documents import Document, as_objects
+from hil.report.facts import RunFacts
+from hil.report.fit_facts import FitFacts
+from hil.report.words import listed, miss_text, number, quantity
+
+ENDINGS: dict[str, tuple[str, Mark]] = {
+    "interrupted": ("INTERRUPTED", "warn"),
+    "stopped": ("STOPPED", "warn"),
+    "tripped": ("TRIPPED", "fail"),
+    "failed": ("FAILED", "fail"),
+    "damaged": ("DAMAGED", "fail"),
+}
+VERDICTS: dict[bool | None, tuple[str, Mark]] = {
+    True: ("PASSED", "pass"),
+    False: ("REJECTED", "fail"),
+    None: ("NOT JUDGED", ""),
+}
+
+
+def badge_of(facts: RunFacts) -> Badge:
+    """How the run ended when it ended early, else the verdict on its models."""
+    if facts.status in ENDINGS:
+        return Badge(*ENDINGS[facts.status])
+    return verdict_badge(facts.verdict.get("passed"))
+
+
+def verdict_badge(passed: object) -> Badge:
+    """The badge of a verdict; anything but true and false is not judged."""
+    return Badge(*VERDICTS[passed if isinstance(passed, bool) else None])
+
+
+def sentence_of(facts: RunFacts) -> str:
+    """What came of the run, in words a lab person understands."""
+    if facts.status in ENDINGS:
+        return " ".join(filter(None, (_ending(facts), _progress(facts), _models(facts))))
+    return _models(facts) or _without_model(facts)
+
+
+def fit_sentence(fit: FitFacts) -> str:
+    """How good one model is on what it has not seen."""
+    what = fit.held_out.get("what")
+    error, noise = fit.mean("rmse_raw"), fit.mean("noise_floor")
+    text = (
+        f"On held-out data{f' ({what})' if what else ''} the model {fit.label} predicts the "
+        f"{quantity(fit.unit)} with an error of {number(error)} {fit.unit} "
+        f"(RMSE, mean of {len(fit.joint_names)} joints)"
+    )
+    if math.isfinite(noise):
+        text += f"; measurement noise alone accounts for {number(noise)} {fit.unit}"
+    return text + "."
+
+
+def criteria_sentence(rows: Sequence[Document]) -> str:
+    """How many criteria are met, and which are not; empty without criteria."""
+    missed = [row for row in rows if not row.get("passed")]
+    if not rows:
+        return ""
+    if not missed:
+        return "The criterion is met." if len(rows) == 1 else f"All {len(rows)} criteria are met."
+    words = "; ".join(miss_text(row) for row in missed[:3])
+    more = f"; and {len(missed) - 3} more" if len(missed) > 3 else ""
+    return f"{len(missed)} of {len(rows)} criteria are missed: {words}{more}."
+
+
+def _models(facts: RunFacts) -> str:
+    best = facts.judged_fits
+    if not best:
+        return ""
+    said = criteria_sentence(as_objects(facts.verdict.get("rows")))
+    return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
+
+
+def _without_model(facts: RunFacts) -> str:
+    done, wanted = "The recording is complete.", facts.estimators_wanted
+    if facts.fits:
+        names = listed([fit.label for fit in facts.fits])
+        return f"{done} {names} was fitted, but not judged on held-out data."
+    if wanted:
+        return (
+            f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
+            "fitting failed or has not been done. "
+            f"Try: hil fit {facts.path.name} --estimator {wanted[0]}"
+        )
+    return f"{done} The spec asks for no model, so nothing was fitted."
+
+
+def _ending(facts: RunFacts) -> str:
+    if facts.status == "interrupted":
+        return (
+            "The run ended without saying why: its process was killed, or the power failed. "
+            "What had reached the disk by then is kept and shown here."
+        )
+    if facts.status == "damaged":
+        return "The run directory is damaged; this page shows what can still be read."
+    words = {
+        "stopped": "The run was stopped early",
+        "tripped": "An interlock stopped the robot",
+        "failed": "The run failed",
+    }
+    reason = " ".join(str(facts.stop.get("reason") or "no reason was recorded").split())
+    return f"{words[facts.status]}: {reason.rstrip('.')}."
+
+
+def _progress(facts: RunFacts) -> str:
+    if not facts.steps:
+        return ""
+    return f"{facts.steps_done} of {len(facts.steps)} steps were done."

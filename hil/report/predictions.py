@@ -1,0 +1,162 @@
+"""Held-out data with the predictions of a model: what the plots of a fit are drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset
+from hil.data.dwells import series_means
+from hil.data.prediction import Model
+from hil.report.facts import RunFacts
+from hil.typing import FloatArray, IntArray
+
+MOST_ROWS = 60_000
+"""More rows than this are not predicted for a plot; whole series are left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dwells:
+    """Means over each held-out dwell.
+
+    Attributes:
+        t: (D,) when [s].
+        q: (D, n) where [rad].
+        measured, predicted: (D, n) mean effort.
+        approach, pose: (D,) +1, −1 or 0, and pose numbers.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    approach: IntArray
+    pose: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """Held-out trajectories, rows the model calls valid.
+
+    Attributes:
+        worst: Conditions of the trajectory with the largest error; shown over time.
+        t, measured, predicted: Of that trajectory, (M,) and (M, n).
+        q, qd, all_measured, all_predicted: Of all held-out trajectories, (N, n).
+        count: How many trajectories there are.
+    """
+
+    worst: Conditions
+    t: FloatArray
+    measured: FloatArray
+    predicted: FloatArray
+    q: FloatArray
+    qd: FloatArray
+    all_measured: FloatArray
+    all_predicted: FloatArray
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What can be drawn of one model on one held-out dataset; either part may be missing."""
+
+    dwells: Dwells | None
+    motions: Motions | None
+
+
+def held_out_of_run(facts: RunFacts) -> Dataset:
+    """The series of a run that its models were not fitted on.
+
+    Raises:
+        HilError: The recording or the spec cannot be used, or nothing was held out.
+    """
+    from hil.campaign.judging import hold_out
+    from hil.data.load import load_source
+    from hil.spec.load import load_spec
+
+    spec = load_spec(facts.path / "spec.yaml")
+    return hold_out(load_source(facts.path), spec.validation.hold_out).test
+
+
+def show(folder: Path, data: Dataset) -> Shown:
+    """Predict held-out data with a saved model.
+
+    Raises:
+        HilError: The model cannot be loaded, or does not fit the data.
+    """
+    from hil.fitting import usable_part
+    from hil.identify.model_file import load_model_file
+
+    model = load_model_file(folder)
+    return shown(model, usable_part(data, model))
+
+
+def shown(model: Model, data: Dataset) -> Shown:
+    """Predict held-out data with a model; whatever is no dwell counts as a trajectory."""
+    at_rest = _few(data.of_kind("dwell"))
+    moving = _few(data.of_kind("trajectory", "move"))
+    return Shown(
+        _dwells(model, at_rest) if at_rest.conditions else None,
+        _motions(model, moving) if moving.conditions else None,
+    )
+
+
+def _dwells(model: Model, data: Dataset) -> Dwells:
+    predicted = model.predict(data).effort
+    return Dwells(
+        t=data["t"][data.offsets[:-1]],
+        q=series_means(data, data["q"]),
+        measured=series_means(data, data["effort"]),
+        predicted=series_means(data, predicted),
+        approach=np.array([c.approach for c in data.conditions], dtype=np.int64),
+        pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
+    )
+
+
+def _motions(model: Model, data: Dataset) -> Motions:
+    prediction = model.predict(data)
+    predicted = np.where(prediction.valid, prediction.effort, np.nan)
+    measured = data["effort"]
+    qd = data["qd"] if "qd" in data.columns else np.gradient(data["q"], data["t"], axis=0)
+    spans = list(data.slices())
+    errors = [_relative_error(measured[rows], predicted[rows], measured) for _, rows in spans]
+    worst, rows = spans[int(np.argmax(errors))]
+    t = data["t"][rows]
+    return Motions(
+        worst=worst,
+        t=t - t[0],
+        measured=measured[rows],
+        predicted=predicted[rows],
+        q=data["q"],
+        qd=qd,
+        all_measured=measured,
+        all_predicted=predicted,
+        count=len(spans),
+    )
+
+
+def _relative_error(measured: FloatArray, predicted: FloatArray, all_measured: FloatArray) -> float:
+    """Mean over the joints of RMSE over signal, −1 when the model is valid nowhere."""
+    good = np.isfinite(predicted)
+    if not good.any():
+        return -1.0
+    scale = np.maximum(all_measured.std(axis=0), 1e-12)
+    error = np.where(good, (measured - predicted) / scale, 0.0)
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def _few(data: Dataset) -> Dataset:
+    """Whole series, evenly spread over the dataset, of together at most `MOST_ROWS` rows."""
+    lengths = np.diff(data.offsets)
+    usable = [i for i, length in enumerate(lengths) if length > 0]
+    total = int(lengths.sum())
+    every = max(1, -(-total // MOST_ROWS))
+    chosen = _ids(data.conditions, usable[::every])
+    return data.select(lambda condition: id(condition) in chosen)
+
+
+def _ids(conditions: Sequence[Conditions], numbers: Sequence[int]) -> set[int]:
+    return {id(conditions[i]) for i in numbers}

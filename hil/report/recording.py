@@ -1,0 +1,176 @@
+"""Recording health, computed from the samples themselves: continuity, tracking, heat, drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.record.continuity import Counts
+from hil.record.reader import read_topic
+from hil.record.rundir import RunDirectory
+from hil.record.writer import PARTIAL_SUFFIX
+from hil.report.facts import RunFacts
+from hil.typing import FloatArray, IntArray, StructArray
+
+REFERENCE_SAMPLES = 10
+"""Rows of a visit that are averaged: the last ones, when the arm has settled."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """All samples of a run, attempts behind each other.
+
+    Attributes:
+        rows: Records of `state_dtype(n)`.
+        t: (N,) seconds since the first sample of the run.
+        counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
+        rate_hz: Nominal rate; NaN when the run does not say.
+        problems: What could not be read, and torn files that were read as far as they go.
+    """
+
+    rows: StructArray
+    t: FloatArray
+    counts: Counts
+    rate_hz: float
+    problems: tuple[str, ...]
+
+    @property
+    def measured_rate_hz(self) -> float:
+        """Samples per second where the recording has no gap; NaN when it is too short."""
+        steps = np.diff(self.t)
+        steps = steps[(steps > 0) & (steps < 1.5 * np.median(steps))] if len(steps) else steps
+        return float(1.0 / steps.mean()) if len(steps) else float("nan")
+
+    @property
+    def gaps_percent(self) -> float:
+        """Missing samples as a share of those there should be [%]."""
+        expected = self.counts.samples + self.counts.missing
+        return 100.0 * self.counts.missing / expected if expected else float("nan")
+
+    def tracking_error(self) -> FloatArray:
+        """(N, n) position minus commanded position [rad]; NaN where nothing is commanded."""
+        error: FloatArray = self.rows["q"] - self.rows["q_target"]
+        return error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """The effort at the reference pose, visit by visit.
+
+    Attributes:
+        t: (V,) time of each visit [s].
+        change: (V, n) mean effort minus that of the first visit under the same load.
+        load: (V,) load of each visit.
+    """
+
+    t: FloatArray
+    change: FloatArray
+    load: IntArray
+
+
+def read_recording(facts: RunFacts) -> Recording | None:
+    """The samples of a run; torn files are read as far as they go, None when nothing is left."""
+    problems: list[str] = []
+    blocks = [_read(path, problems) for path in RunDirectory(facts.path).recordings]
+    kept = [block for block in blocks if block is not None and len(block)]
+    if not kept:
+        return None
+    rate_hz = facts.rate_hz
+    rows = kept[0] if len(kept) == 1 else np.concatenate(kept)
+    return Recording(rows, _times(kept), _count(kept, rate_hz), rate_hz, tuple(problems))
+
+
+def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
+    """How the effort at the reference pose changed; None with fewer than two visits."""
+    visits = np.array(facts.indices("reference"), dtype=np.int64)
+    segment = recording.rows["segment"].astype(np.int64)
+    means, times, loads = [], [], []
+    for first, last in _stays(segment, visits):
+        rows = slice(max(first, last - REFERENCE_SAMPLES), last)
+        means.append(recording.rows["effort"][rows].mean(axis=0))
+        times.append(recording.t[last - 1])
+        loads.append(int(facts.steps[int(segment[first])].get("load", 0)))
+    if len(means) < 2:
+        return None
+    effort, load = np.array(means), np.array(loads)
+    change = np.empty_like(effort)
+    for one in np.unique(load):
+        same = load == one
+        change[same] = effort[same] - effort[same][0]
+    return Drift(np.array(times), change, load)
+
+
+def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
+    """Pose numbers (P,) and where the arm stood at them (P, n) [rad], each pose once."""
+    poses, where = [], []
+    segment = recording.rows["segment"].astype(np.int64)
+    for _, last in _stays(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
+        poses.append(int(facts.steps[int(segment[last - 1])].get("pose", -1)))
+        where.append(recording.rows["q"][last - 1])
+    if not poses:
+        return np.empty(0, np.int64), np.empty((0, 0))
+    number, first = np.unique(np.array(poses), return_index=True)
+    return number, np.array(where)[first]
+
+
+def rows_of_steps(recording: Recording, steps: Sequence[int]) -> StructArray:
+    """The rows recorded while one of these plan steps was executing."""
+    wanted = np.zeros(max(steps, default=-1) + 2, np.bool_)
+    wanted[list(steps)] = True
+    segment = np.clip(recording.rows["segment"], -1, len(wanted) - 1)
+    chosen: StructArray = recording.rows[wanted[segment]]
+    return chosen
+
+
+def _stays(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
+    """Row ranges in which `segment` stays at one of `steps`."""
+    edges = np.flatnonzero(np.diff(segment)) + 1
+    starts = np.concatenate(([0], edges))
+    stops = np.concatenate((edges, [len(segment)]))
+    wanted = np.isin(segment[starts], steps)
+    return [(int(a), int(b)) for a, b in zip(starts[wanted], stops[wanted], strict=True)]
+
+
+def _read(path: Path, problems: list[str]) -> StructArray | None:
+    if path.name.endswith(PARTIAL_SUFFIX):
+        problems.append(
+            f"{path.name} was never finished: it is read as far as it was written to the disk"
+        )
+    try:
+        return read_topic(path, salvage=True)
+    except DataError as error:
+        problems.append(error.message)
+        return None
+
+
+def _times(blocks: Sequence[StructArray]) -> FloatArray:
+    """Device times on one axis; an attempt whose clock started afresh follows the one before."""
+    out: list[FloatArray] = []
+    end = 0.0
+    shift = -float(blocks[0]["device_time"][0])
+    for block in blocks:
+        times: FloatArray = block["device_time"] + shift
+        if times[0] < end:
+            shift += end - float(times[0])
+            times = block["device_time"] + shift
+        out.append(times)
+        end = float(times[-1])
+    return np.concatenate(out)
+
+
+def _count(blocks: Sequence[StructArray], rate_hz: float) -> Counts:
+    """Counts of each attempt added up: the pause between two of them is no gap."""
+    parts = [Counts().after(block, rate_hz) for block in blocks]
+    names = ("samples", "gaps", "missing", "duplicates", "overruns")
+    total = {name: sum(getattr(part, name) for part in parts) for name in names}
+    last = parts[-1]
+    return Counts(
+        **total,
+        first_time=parts[0].first_time,
+        last_time=last.last_time,
+        last_host_time=last.last_host_time,
+    )

@@ -1,0 +1,168 @@
+"""The reports: one HTML file per run, or per model that was judged outside a run.
+
+A report is a view: a pure function of the directory it is made from, replaced whenever it is made
+again, and read by nothing but people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from hil.data.dataset import Dataset
+from hil.errors import DataError, HilError
+from hil.report.background import preflight, provenance, timeline
+from hil.report.blocks import Page, Section
+from hil.report.excitation import excitation
+from hil.report.facts import RunFacts, read_facts
+from hil.report.fit_facts import FitFacts, best_first, read_fits
+from hil.report.fit_sections import model_sections
+from hil.report.health import health
+from hil.report.highlights import fit_highlights, fit_warnings, run_highlights, run_warnings
+from hil.report.judgement import (
+    badge_of,
+    criteria_sentence,
+    fit_sentence,
+    sentence_of,
+    verdict_badge,
+)
+from hil.report.predictions import Shown, held_out_of_run, show
+from hil.report.recording import Drift, Recording, drift_of, read_recording
+from hil.report.render import write_page
+from hil.report.words import listed, when
+
+REPORT_FILE = "report.html"
+MOST_PLOTTED = 6
+"""Models beyond this many get their tables, but no plots: the page must stay light."""
+
+
+def render_report(run: Path) -> Path:
+    """Write `report.html` into a run directory, whatever state the run is in.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        DataError: It is not a run directory, or was written by a newer hil.
+    """
+    return write_page(run_page(Path(run)), Path(run) / REPORT_FILE)
+
+
+def render_fit_report(
+    fits: Path | Sequence[Path], held_out: Mapping[str, Dataset], out: Path
+) -> Path:
+    """Write a page about models that were fitted or judged outside a run.
+
+    Args:
+        fits: Model folders (`model.json`, `evaluation.json`), one or several.
+        held_out: Source as `evaluation.json` names it → its samples, for the plots; models judged
+            on other sources get tables only.
+        out: The HTML file, replaced when it exists.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        DataError: No folder holds an evaluation.
+    """
+    folders = [fits] if isinstance(fits, Path) else list(fits)
+    return write_page(fit_page(folders, held_out), Path(out))
+
+
+def run_page(path: Path) -> Page:
+    """The page of a run, as blocks."""
+    facts = read_facts(path)
+    problems: list[str] = []
+    # Before the recording is read: a dataset of a long run and its rows need not be held at once.
+    held_out = _held_out(facts, problems)
+    shown = _shown(facts.judged_fits, {} if held_out is None else {"": held_out}, problems)
+    recording = read_recording(facts)
+    drift = drift_of(facts, recording) if recording else None
+    about = (path.resolve().name, facts.robot_title, when(facts.start.get("started")))
+    return Page(
+        title=facts.name,
+        subtitle=" · ".join(filter(None, about)),
+        badge=badge_of(facts),
+        summary=sentence_of(facts),
+        key_figures=tuple(run_highlights(facts, recording, drift)),
+        warnings=(*run_warnings(facts, recording), *problems),
+        sections=(
+            *model_sections(facts.judged_fits, shown),
+            *_run_sections(facts, recording, drift, held_out),
+        ),
+        footer=_footer(path),
+    )
+
+
+def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
+    """The page of models outside a run, as blocks."""
+    problems: list[str] = []
+    fits = best_first(read_fits(folders, problems))
+    if not fits:
+        names = ", ".join(str(folder) for folder in folders)
+        raise DataError(
+            f"there is no evaluation in {names}" + "".join(f"\n{text}" for text in problems),
+            hint="judge the model first: hil evaluate MODEL SOURCE",
+        )
+    shown = _shown(fits, held_out, problems)
+    rows = [row for fit in fits for row in fit.criteria]
+    return Page(
+        title=listed([fit.label for fit in fits]),
+        subtitle="Models judged on recordings",
+        badge=verdict_badge(all(row.get("passed") for row in rows) if rows else None),
+        summary=f"{fit_sentence(fits[0])} {criteria_sentence(rows)}".strip(),
+        key_figures=tuple(fit_highlights(fits[0])),
+        warnings=(*problems, *fit_warnings(fits)),
+        sections=tuple(model_sections(fits, shown)),
+        footer=_footer(folders[0]),
+    )
+
+
+def _run_sections(
+    facts: RunFacts, recording: Recording | None, drift: Drift | None, held_out: Dataset | None
+) -> list[Section]:
+    sections: list[Section | None] = []
+    if recording is not None:
+        names = _joint_names(facts, recording)
+        sections.append(excitation(facts, recording, names, held_out))
+        sections.append(health(facts, recording, drift, names))
+    sections += [preflight(facts), timeline(facts), provenance(facts)]
+    return [section for section in sections if section is not None]
+
+
+def _joint_names(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
+    n = int(recording.rows["q"].shape[1])
+    names = facts.joint_names
+    return names if len(names) == n else tuple(f"joint {j + 1}" for j in range(n))
+
+
+def _held_out(facts: RunFacts, problems: list[str]) -> Dataset | None:
+    if not facts.judged_fits:
+        return None
+    try:
+        return held_out_of_run(facts)
+    except HilError as error:
+        problems.append(f"The plots of the models are left out: {error.message}")
+        return None
+
+
+def _shown(
+    fits: Sequence[FitFacts], held_out: Mapping[str, Dataset], problems: list[str]
+) -> dict[str, Shown]:
+    out: dict[str, Shown] = {}
+    for fit in fits[:MOST_PLOTTED]:
+        data = held_out.get(fit.source)
+        try:
+            if data is not None:
+                out[fit.label] = show(fit.folder, data)
+        except HilError as error:
+            problems.append(f"The plots of {fit.label} are left out: {error.message}")
+    return out
+
+
+def _footer(path: Path) -> str:
+    return (
+        f"Made by hil {version('hil')} from {path.resolve().name} and nothing else; "
+        "it can be made again at any time."
+    )

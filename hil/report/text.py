@@ -1,0 +1,91 @@
+"""The same summary for a terminal: plain lines of at most 80 columns (paths stay whole)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import wrap
+
+from hil.report.documents import as_float
+from hil.report.facts import RunFacts, read_facts
+from hil.report.fit_facts import FitFacts
+from hil.report.judgement import badge_of, sentence_of
+from hil.report.words import criterion_text, duration, joint_title, number, when
+
+WIDTH = 80
+LABEL = 11
+
+
+def summary_lines(run: Path) -> list[str]:
+    """What a run was, how it ended and what its models are worth; the samples are not read.
+
+    Raises:
+        DataError: It is not a run directory, or was written by a newer hil.
+    """
+    facts = read_facts(Path(run))
+    lines = [*wrap(f"{badge_of(facts).text}  {facts.name}", WIDTH), ""]
+    lines += [*wrap(sentence_of(facts), WIDTH), ""]
+    for label, value in _details(facts):
+        lines += _labelled(label, value)
+    for fit in facts.judged_fits:
+        lines += ["", *_fit_lines(fit)]
+    for problem in facts.problems:
+        lines += ["", *wrap(f"Warning: {problem}", WIDTH)]
+    return lines
+
+
+def _details(facts: RunFacts) -> list[tuple[str, str]]:
+    start, stop, page = facts.start, facts.stop, facts.path / "report.html"
+    out = [
+        ("run", str(facts.path)),
+        ("started", when(start.get("started"))),
+        ("robot", facts.robot_title),
+        ("operator", str(start.get("operator") or "")),
+        ("program", f"{facts.steps_done} of {len(facts.steps)} steps" if facts.steps else ""),
+        ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
+        ("report", str(page) if page.is_file() else f"none yet; make it: hil report {facts.path}"),
+    ]
+    if "samples" in stop:
+        took = duration(as_float(stop.get("device_s")))
+        said = (
+            f"{stop['samples']} samples in {took}; {stop.get('missing', 0)} missing in "
+            f"{stop.get('gaps', 0)} gaps, {stop.get('duplicates', 0)} duplicates"
+        )
+        out.insert(5, ("recorded", said))
+    return [(label, value) for label, value in out if value]
+
+
+def _labelled(label: str, value: str) -> list[str]:
+    return wrap(
+        value,
+        WIDTH,
+        initial_indent=label.ljust(LABEL),
+        subsequent_indent=" " * LABEL,
+        break_long_words=False,  # a path that is cut in two cannot be copied
+        break_on_hyphens=False,
+    )
+
+
+def _fit_lines(fit: FitFacts) -> list[str]:
+    columns = [fit.values(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
+    columns.append(fit.values("rmse_raw", "trained"))
+    means = [fit.mean(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
+    means.append(fit.mean("rmse_raw", "trained"))
+    lines = wrap(f"{fit.label}: RMSE [{fit.unit}] on held-out data, raw on trained", WIDTH)
+    lines.append(_row("joint", ["raw", "filtered", "noise", "trained"]))
+    for j, name in enumerate(fit.joint_names):
+        lines.append(_row(joint_title(j, name), [number(values[j]) for values in columns]))
+    lines.append(_row("mean", [number(mean) for mean in means]))
+    return lines + [line for row in fit.criteria for line in _criterion(row)]
+
+
+def _row(name: str, values: list[str]) -> str:
+    cut = name if len(name) <= 26 else f"{name[:25]}…"
+    return f"{cut:<28}" + "".join(f"{value:>11}" for value in values)
+
+
+def _criterion(row: object) -> list[str]:
+    assert isinstance(row, dict)
+    word = "pass" if row.get("passed") else "FAIL"
+    found = number(as_float(row.get("value")))
+    text = f"{word}  {criterion_text(row)}: {found} ({row.get('what')})"
+    return wrap(text, WIDTH, subsequent_indent=" " * 6)

@@ -1,0 +1,86 @@
+"""The parts figures are made of: axes, lines, markers, bands; one look for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from hil.report import colours
+from hil.typing import FloatArray
+
+Trace: TypeAlias = dict[str, Any]
+
+
+def axes(x: str, y: str, **layout: Any) -> dict[str, Any]:
+    """A layout with titled axes; titles carry the unit in brackets."""
+    return {
+        "xaxis": {"title": {"text": escape(x)}},
+        "yaxis": {"title": {"text": escape(y)}},
+        "showlegend": False,
+        **layout,
+    }
+
+
+def line(
+    x: FloatArray, y: FloatArray, name: str, colour: str, *, dash: str = "solid", width: float = 1.6
+) -> Trace:
+    """A line through (N,) points; NaN breaks it."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": escape(name),
+        "x": x,
+        "y": y,
+        "line": {"color": colour, "dash": dash, "width": width},
+    }
+
+
+def markers(
+    x: FloatArray,
+    y: FloatArray,
+    name: str,
+    colour: str,
+    *,
+    symbol: str = "circle",
+    size: float = 4,
+    opacity: float = 0.7,
+    text: Sequence[str] = (),
+) -> Trace:
+    """Marks at (N,) points; `text` is shown on hovering."""
+    trace: Trace = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": escape(name),
+        "x": x,
+        "y": y,
+        "marker": {"color": colour, "symbol": symbol, "size": size, "opacity": opacity},
+    }
+    return trace | ({"text": [escape(item) for item in text]} if text else {})
+
+
+def noise_band(noise: float) -> list[dict[str, Any]]:
+    """A band of ± `noise` behind the data; nothing when the noise is not known."""
+    if not np.isfinite(noise):
+        return []
+    band = {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -noise, "y1": noise}
+    look = {"fillcolor": colours.LIMIT, "opacity": 0.25, "line": {"width": 0}, "layer": "below"}
+    return [band | look]
+
+
+def corner(text: str) -> list[dict[str, Any]]:
+    """A short text in the upper left corner."""
+    place = {"xref": "paper", "yref": "paper", "x": 0.03, "y": 0.97}
+    look = {"xanchor": "left", "yanchor": "top", "showarrow": False}
+    return [{"text": escape(text)} | place | look]
+
+
+def span(values: FloatArray) -> tuple[float, float]:
+    """Smallest and largest finite value, never equal."""
+    finite = values[np.isfinite(values)]
+    if len(finite) == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    return (low, high) if high > low else (low - 0.5, high + 0.5)

@@ -1,0 +1,99 @@
+"""How numbers, times and metrics are said, on the page and in the terminal alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import PurePath
+from typing import Any
+
+METRIC_WORDS = {
+    "rmse_raw": "RMSE raw",
+    "rmse_filtered": "RMSE filtered",
+    "nrmse": "NRMSE",
+    "mep": "MEP",
+    "r": "R",
+    "gaps_percent": "missing samples",
+}
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """`value` with `digits` significant digits, never in exponents a reader stumbles over."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value)))
+    if -4 <= magnitude < 6:
+        return f"{value:.{max(0, digits - 1 - magnitude)}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def count(value: int) -> str:
+    """A whole number with its thousands apart (narrow no-break spaces)."""
+    return f"{value:,}".replace(",", "\u202f")
+
+
+def duration(seconds: float | None) -> str:
+    """`12.3 s`, `4 min 05 s` or `1 h 19 min`."""
+    if seconds is None or not math.isfinite(seconds):
+        return "–"
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest:02d} s"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def when(text: Any) -> str:
+    """An ISO time in UTC as people write it; the text itself when it is none."""
+    try:
+        return datetime.fromisoformat(str(text)).strftime("%d %b %Y, %H:%M UTC")
+    except ValueError:
+        return str(text or "")
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """`a, b, c and 5 more`."""
+    if len(names) <= most:
+        return ", ".join(names)
+    return f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
+def quantity(unit: str) -> str:
+    """What an effort in this unit is."""
+    return "motor current" if unit == "A" else "joint torque"
+
+
+def joint_title(j: int, name: str) -> str:
+    """`J2 shoulder_lift_joint`."""
+    return f"J{j + 1} {name}"
+
+
+def with_unit(value: Any, unit: Any) -> str:
+    """A number and its unit; dimensionless ones have the unit `1`, which is not said."""
+    said = number(float(value)) if isinstance(value, int | float) else "–"
+    return said if unit in (None, "", "1") else f"{said} {unit}"
+
+
+def criterion_text(row: Mapping[str, Any]) -> str:
+    """A row of a verdict as its criterion: `RMSE raw ≤ 0.0200 A`."""
+    metric = str(row.get("metric"))
+    return f"{METRIC_WORDS.get(metric, metric)} ≤ {with_unit(row.get('max'), row.get('unit'))}"
+
+
+def miss_text(row: Mapping[str, Any]) -> str:
+    """A missed criterion: `RMSE raw of elbow_joint 0.0340 A, limit 0.0200 A`."""
+    metric, unit = str(row.get("metric")), row.get("unit")
+    who = f" of {row['what']}" if row.get("what") else ""
+    model = f" ({row['estimator']})" if row.get("estimator") else ""
+    found, limit = with_unit(row.get("value"), unit), with_unit(row.get("max"), unit)
+    return f"{METRIC_WORDS.get(metric, metric)}{who} {found}, limit {limit}{model}"
+
+
+def short_source(name: str) -> str:
+    """A source without the folders it lies in; what follows a `#` or `:` is kept."""
+    path, mark, rest = name.partition("#")
+    return PurePath(path).name + mark + rest if "/" in path else name
