@@ -26,7 +26,8 @@ ROS_OF_NUMPY = {
 }  # fmt: skip
 _NUMPY_OF_ROS = {ros: code for code, ros in ROS_OF_NUMPY.items()}
 _FIELD_NAME = re.compile(r"[a-z]([a-z0-9]|_(?!_|$))*")
-_SCHEMA_LINE = re.compile(r"(\w+)(?:\[(\d{1,6})\])?\s+(\w+)")
+_CONSTANT = re.compile(r"\w+\s+\w+\s*=")
+_SCHEMA_LINE = re.compile(r"(\w+)(?:\[([1-9]\d{0,5})\])?\s+(\w+)")
 
 
 def cdr_problem(dtype: np.dtype[Any]) -> str | None:
@@ -57,7 +58,7 @@ def dtype_of_schema(text: str) -> np.dtype[Any]:
     fields: list[Any] = []
     for line in text.splitlines():
         declaration = line.partition("#")[0].strip()
-        if not declaration or "=" in declaration:
+        if not declaration or _CONSTANT.match(declaration):
             continue
         match = _SCHEMA_LINE.fullmatch(declaration)
         if match is None or match[1] not in _NUMPY_OF_ROS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator
 from typing import IO, Any, NamedTuple
@@ -39,19 +40,28 @@ class ChunkContent(NamedTuple):
     offsets: dict[int, list[int]]
 
 
-def read_chunk(file: IO[bytes], span: ChunkSpan) -> bytes:
-    """The decompressed, checksummed content of a chunk. Raises `Torn` when it is damaged."""
+def read_chunk(file: IO[bytes], span: ChunkSpan, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """The decompressed, checksummed content of a chunk.
+
+    Args:
+        file: The open file.
+        span: The chunk.
+        zstd: One for all chunks of a file: making one costs as much as using it on a small chunk.
+
+    Raises:
+        Torn: The chunk is damaged.
+    """
     file.seek(span.offset)
     chunk = parse(Chunk.read, file.read(span.length))
     if chunk.uncompressed_size > _LARGEST_CHUNK_BYTES:
         raise Torn(f"a chunk that claims {chunk.uncompressed_size} bytes")
     try:
-        if chunk.compression == "zstd":
-            _require_claimed_size(chunk)
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(length)
+        data = _decompress(chunk, zstd)
     except (McapError, ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
         raise Torn(f"a chunk that does not decompress: {error}") from error
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise Torn("a chunk whose checksum is wrong")
+    return data
 
 
 def walk(data: bytes) -> ChunkContent:
@@ -72,20 +82,21 @@ def walk(data: bytes) -> ChunkContent:
 
 
 def indexed_offsets(file: IO[bytes], span: ChunkSpan, of_topic: BoolArray) -> IntArray:
-    """Offsets of a topic's messages within the chunk, in file order, from its message indexes.
+    """Offsets of a topic's messages within the chunk, from its message indexes.
 
     Args:
         file: The open file.
         span: The chunk.
         of_topic: (65536,) true for the channel ids that belong to the topic.
     """
-    found = [np.empty(0, np.int64)]
+    found = []
     for channel, (offset, messages) in span.indexes.items():
         if of_topic[channel]:
             file.seek(offset)
-            entries = np.frombuffer(file.read(16 * messages), "<i8").reshape(-1, 2)
-            found.append(entries[:, 1])
-    return np.sort(np.concatenate(found))
+            found.append(np.frombuffer(file.read(16 * messages), "<i8")[1::2])
+    if len(found) == 1:
+        return found[0]
+    return np.concatenate(found) if found else np.empty(0, np.int64)
 
 
 def rows_at(
@@ -94,7 +105,7 @@ def rows_at(
     """The rows of the messages at `offsets`, as raw `V{itemsize}` records.
 
     Args:
-        data: Content of the chunk.
+        data: Content of a chunk, or of several behind each other.
         offsets: (N,) where the message records begin, ascending.
         of_topic: (65536,) true for the channel ids that belong to the topic.
         dtype: What a row must be.
@@ -106,12 +117,15 @@ def rows_at(
     room = len(data) - MESSAGE_HEAD.itemsize - size
     if not len(offsets):
         return np.empty(0, f"V{size}")
-    if offsets[0] < 0 or offsets[-1] > room or (np.diff(offsets) <= 0).any():
-        raise Torn("a chunk whose messages overlap or lie outside it")
+    if offsets[0] < 0 or (offsets[1:] <= offsets[:-1]).any():
+        raise Torn("a chunk whose messages overlap")
+    other = Torn(f"a chunk with messages that are not little-endian CDR of {size} bytes")
+    if offsets[-1] > room:
+        raise other
     head = _at(data, offsets, MESSAGE_HEAD.itemsize).view(MESSAGE_HEAD)
     whole = (head["opcode"] == Opcode.MESSAGE) & (head["length"] == _LENGTH_BEFORE_ROW + size)
     if not (whole & of_topic[head["channel"]] & (head["cdr"] == _CDR)).all():
-        raise Torn(f"a chunk with messages that are not little-endian CDR of {size} bytes")
+        raise other
     return _at(data, offsets + MESSAGE_HEAD.itemsize, size)
 
 
@@ -134,8 +148,12 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
         offset += head + length
 
 
-def _require_claimed_size(chunk: Chunk) -> None:
-    """A frame that announces another size than the chunk would allocate what it likes."""
+def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
+    if chunk.compression != "zstd":
+        stream, length = get_chunk_data_stream(chunk)
+        return stream.read(length)
+    # A frame that announces another size than the chunk would allocate what it likes.
     announced = zstandard.frame_content_size(chunk.data)
     if announced not in (-1, chunk.uncompressed_size):
         raise ValueError(f"it claims {chunk.uncompressed_size} bytes and holds {announced}")
+    return zstd.decompress(chunk.data, max_output_size=chunk.uncompressed_size)

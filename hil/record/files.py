@@ -39,6 +39,23 @@ def write_once(path: Path, content: bytes) -> None:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def write_replacing(path: Path, content: bytes) -> None:
+    """Write a view (a report, a plan on request), replacing an older one whole.
+
+    Raises:
+        RecordingError: The disk refuses; an older file is still there then.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        draft.write_bytes(content)
+        draft.replace(path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise RecordingError(
+            f"cannot write {path}: {error.strerror or error}", hint="choose another place for it"
+        ) from error
+
+
 def fsync_directory(directory: Path) -> None:
     """Make creations and renames in a directory survive a power loss."""
     descriptor = os.open(directory, os.O_RDONLY)

@@ -67,9 +67,10 @@ class JointStateView:
         if n_names != n_joints:
             raise ValueError(f"{n_names} joint names for a state of {n_joints} joints")
         messages = np.repeat(self._template, len(rows))
-        stamp = np.clip(np.nan_to_num(rows["host_time"]), 0.0, 2.0**31 - 1)
-        messages["sec"] = stamp.astype(np.int64)
-        messages["nanosec"] = (stamp % 1.0 * 1e9).astype(np.int64)
+        # fmax takes the 0 where the host time is NaN.
+        stamp = np.fmin(np.fmax(rows["host_time"], 0.0), 2.0**31 - 1)
+        messages["sec"] = stamp
+        messages["nanosec"] = stamp % 1.0 * 1e9
         for ours, theirs in (("q", "position"), ("qd", "velocity"), ("effort", "effort")):
             messages[theirs] = rows[ours]
         return messages

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import DataError
+from hil.record.columns import read_rows
 from hil.record.recording import Recording
 from hil.record.topic import STATE_TOPIC
 from hil.record.writer import Attachment
@@ -80,7 +81,7 @@ def read_topic(path: Path, topic: str = STATE_TOPIC, *, salvage: bool = False) -
             is missing or not of fixed size.
     """
     with _opened(path) as recording:
-        return recording.rows(topic, salvage=salvage)
+        return read_rows(recording, topic, salvage=salvage)
 
 
 def read_info(path: Path) -> RecordingInfo:

@@ -1,27 +1,27 @@
-"""An open recording: which messages of which topic stand where, and how to lift them out."""
+"""An open recording: which messages of which topic stand where."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+import zstandard
 from mcap.records import Channel
 
 from hil.errors import DataError
 from hil.record.cdr import dtype_of_schema
-from hil.record.chunks import indexed_offsets, read_chunk, rows_at, walk
+from hil.record.chunks import indexed_offsets, read_chunk, walk
 from hil.record.files import require_known_version
-from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, scan
+from hil.record.scan import RECORD_HEADER, Torn, scan
 from hil.record.topic import STATE_TOPIC
 from hil.record.writer import FILE_FORMAT_VERSION, FILE_METADATA
 from hil.robot.state import STATE_SCHEMA_VERSION
-from hil.typing import BoolArray, StructArray
+from hil.typing import BoolArray, IntArray
 
 _KNOWN_VERSIONS = {STATE_TOPIC: STATE_SCHEMA_VERSION}
 _LOOSE = -1
-_Offsets = dict[int, list[int]]
 
 
 class Recording:
@@ -38,11 +38,11 @@ class Recording:
     def __init__(self, file: IO[bytes], path: Path) -> None:
         self.path = path
         self.layout = scan(file, path)
-        self._file = file
+        self._file, self._zstd = file, zstandard.ZstdDecompressor()
         own = self.layout.metadata.get(FILE_METADATA)
         if own is not None:
             require_known_version(path, own, "format_version", FILE_FORMAT_VERSION)
-        self._walked: dict[int, _Offsets] = {}
+        self._walked: dict[int, dict[int, list[int]]] = {}
         self._damage: dict[int, str] = {}
         for number, span in enumerate(self.layout.chunks):
             if not span.indexed or not span.indexes.keys() <= self.layout.channels.keys():
@@ -104,86 +104,52 @@ class Recording:
                 hint="`hil import` converts ROS 2 bags with messages of any kind",
             ) from None
 
-    def rows(self, topic: str, *, salvage: bool) -> StructArray:
-        """All rows of a topic, in file order; `salvage` skips what is torn or damaged.
+    @property
+    def units(self) -> list[int]:
+        """What can be read on its own: the chunks, and all messages outside them together."""
+        return [*range(len(self.layout.chunks)), *([_LOOSE] if self.layout.loose else [])]
 
-        Raises:
-            DataError: The topic is missing or no rows, or the file is torn or damaged.
+    def content(self, unit: int) -> bytes:
+        """The records of a unit, decompressed. Raises `Torn` when it is damaged."""
+        if unit in self._damage:
+            raise Torn(self._damage[unit])
+        if unit != _LOOSE:
+            return read_chunk(self._file, self.layout.chunks[unit], self._zstd)
+        return b"".join(self._loose_record(*where) for where in self.layout.loose)
+
+    def offsets(self, unit: int, of_topic: BoolArray) -> IntArray:
+        """Where a topic's messages are in a unit's content, in any order.
+
+        Args:
+            unit: One of `units`.
+            of_topic: (65536,) true for the channel ids that belong to the topic.
         """
-        channels = self.channels_of(topic)
-        dtype = self.dtype_of(channels[0])
-        if any(self.dtype_of(channel) != dtype for channel in channels):
-            raise DataError(f"{self.path}: the messages of {topic} are of several kinds")
-        if not salvage:
-            self._require_whole(topic, channels)
-        out, filled = np.empty(self.count(channels), dtype), 0
-        for block in self._blocks(channels, dtype, salvage=salvage):
-            if (excess := filled + len(block) - len(out)) > 0:
-                out = np.append(out, np.empty(excess, dtype))
-            out[filled : filled + len(block)] = block.view(dtype)
-            filled += len(block)
-        return out[:filled]
+        if unit not in self._walked:
+            return indexed_offsets(self._file, self.layout.chunks[unit], of_topic)
+        walked = self._walked[unit].items()
+        return np.array([o for i, offsets in walked if of_topic[i] for o in offsets], np.int64)
 
-    def _require_whole(self, topic: str, channels: Sequence[Channel]) -> None:
-        if self.layout.complete:
-            return
-        raise DataError(
-            f"{self.path} is {self.tear}; {len(self.layout.chunks)} complete chunks with "
-            f"{self.count(channels)} messages of {topic} can be read",
-            hint="hil.record.read_topic(path, topic, salvage=True) reads them",
-        )
+    def distrust_index(self, unit: int) -> None:
+        """Find a unit's messages by walking through it: checksums do not cover indexes."""
+        if unit not in self._walked:
+            self._walk(unit)
 
-    def _blocks(
-        self, channels: Sequence[Channel], dtype: np.dtype[Any], *, salvage: bool
-    ) -> Iterator[StructArray]:
-        of_topic = np.zeros(1 << 16, np.bool_)
-        of_topic[[channel.id for channel in channels]] = True
-        for number in [*range(len(self.layout.chunks)), *([_LOOSE] if self.layout.loose else [])]:
-            try:
-                yield self._block(number, of_topic, dtype)
-            except Torn as tear:
-                if not salvage:
-                    raise self._damaged(number, tear) from tear
+    def place_of(self, unit: int) -> str:
+        """Where a unit is, for messages."""
+        if unit == _LOOSE:
+            return "a message outside chunks"
+        return f"chunk {unit} at byte {self.layout.chunks[unit].offset}"
 
-    def _block(self, number: int, of_topic: BoolArray, dtype: np.dtype[Any]) -> StructArray:
-        if number in self._damage:
-            raise Torn(self._damage[number])
-        data = self._content(number)
-        if number not in self._walked:
-            span = self.layout.chunks[number]
-            try:
-                return rows_at(data, indexed_offsets(self._file, span, of_topic), of_topic, dtype)
-            except Torn:
-                # The index is not covered by the chunk's checksum: look for ourselves.
-                self._walk(number)
-        found = self._walked.get(number, {})
-        offsets = sorted(offset for i, where in found.items() if of_topic[i] for offset in where)
-        return rows_at(data, np.array(offsets, np.int64), of_topic, dtype)
-
-    def _walk(self, number: int) -> None:
+    def _walk(self, unit: int) -> None:
         try:
-            content = walk(self._content(number))
+            content = walk(self.content(unit))
         except Torn as tear:
-            self._damage[number] = str(tear)
+            self._damage[unit] = str(tear)
             return
-        self._walked[number] = content.offsets
+        self._walked[unit] = content.offsets
         self.layout.schemas.update((schema.id, schema) for schema in content.schemas)
         self.layout.channels.update((channel.id, channel) for channel in content.channels)
-
-    def _content(self, number: int) -> bytes:
-        """The records of a chunk, or of the messages outside chunks, behind each other."""
-        if number != _LOOSE:
-            return read_chunk(self._file, self.layout.chunks[number])
-        return b"".join(self._loose_record(*where) for where in self.layout.loose)
 
     def _loose_record(self, offset: int, length: int) -> bytes:
         self._file.seek(offset - RECORD_HEADER.size)
         return self._file.read(RECORD_HEADER.size + length)
-
-    def _damaged(self, number: int, tear: Torn) -> DataError:
-        span: ChunkSpan | None = self.layout.chunks[number] if number != _LOOSE else None
-        where = f"chunk {number} at byte {span.offset}" if span else "a message outside chunks"
-        return DataError(
-            f"{self.path} is damaged: {where} is {tear}",
-            hint="hil.record.read_topic(path, topic, salvage=True) reads the rest",
-        )

@@ -8,6 +8,7 @@ used, so garbage cannot ask for absurd amounts of memory.
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -24,6 +25,8 @@ from hil.errors import DataError
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
 _INDEX_HEADER = struct.Struct("<HI")
+_FOOTER = struct.Struct("<QQI")
+_CHECKSUM_BYTES = 4
 _CHUNK_TIMES = struct.Struct("<QQ")
 _INDEX_ENTRY_BYTES = 16
 _LONGEST_EXPLANATION_BYTES = 1 << 28
@@ -124,10 +127,11 @@ def _next_record(file: IO[bytes], layout: Layout) -> None:
     _take(file, layout, opcode, content, length)
     layout.good_bytes = content + length
     if opcode == Opcode.FOOTER:
+        _require_true_summary(file, layout, content, length)
         file.seek(layout.good_bytes)
-        layout.complete = file.read(len(MAGIC)) == MAGIC
-        if not layout.complete:
+        if file.read(len(MAGIC)) != MAGIC:
             raise Torn("it ends without the closing magic bytes")
+        layout.complete = True
 
 
 def _take(file: IO[bytes], layout: Layout, opcode: int, offset: int, length: int) -> None:
@@ -157,6 +161,25 @@ def _take_index(file: IO[bytes], layout: Layout, offset: int, length: int) -> No
         raise Torn("a message index of impossible length")
     span = (offset + _INDEX_HEADER.size, entries // _INDEX_ENTRY_BYTES)
     layout.chunks[-1].indexes[channel] = span
+
+
+def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: int) -> None:
+    """Believe what the summary repeated about channels only if its checksum is right."""
+    if length < _FOOTER.size:
+        raise Torn("a footer without content")
+    file.seek(offset)
+    start, _, checksum = _FOOTER.unpack(file.read(_FOOTER.size))
+    covered = offset + _FOOTER.size - _CHECKSUM_BYTES - start
+    if checksum == 0:
+        return
+    true = 0 < covered < _LONGEST_EXPLANATION_BYTES
+    if true:
+        file.seek(start)
+        true = zlib.crc32(file.read(covered)) == checksum
+    if not true:
+        layout.schemas.clear()
+        layout.channels.clear()
+        raise Torn("its summary is damaged")
 
 
 def _explain(layout: Layout, opcode: int, content: bytes) -> None:

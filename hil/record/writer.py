@@ -248,6 +248,7 @@ def _with_cdr_header(rows: StructArray) -> StructArray:
 
 def _nanoseconds(seconds: StructArray) -> list[int]:
     """Times as MCAP stores them: whole nanoseconds, not negative; 0 where unknown."""
-    whole = np.clip(np.nan_to_num(seconds), 0.0, 9.2e9) * 1e9
+    # fmax and fmin take the number where the other one is NaN.
+    whole = np.fmin(np.fmax(seconds, 0.0), 9.2e9) * 1e9
     nanoseconds: list[int] = whole.astype(np.int64).tolist()
     return nanoseconds

@@ -1,0 +1,104 @@
+"""Recording and reading MCAP: our writer's cost, our columnar reader against its peers."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.record import STATE_TOPIC, McapWriter, Topic, read_topic, state_topic
+from hil.typing import StructArray
+
+RATE_HZ = 500.0
+MESSAGES, QUICK_MESSAGES = 600_000, 30_000
+_ROWS_PER_FLUSH = 50
+"""What the recorder flushes every 0.1 s at 500 Hz."""
+
+
+def run(quick: bool = False) -> dict[str, Any]:
+    """Write a recording as the recorder does, then read it three ways; CPU seconds.
+
+    Args:
+        quick: Use 30,000 messages instead of 600,000.
+    """
+    topic = state_topic(6, RATE_HZ, clock="controller", effort_unit="A")
+    rows = synthetic_rows(topic, QUICK_MESSAGES if quick else MESSAGES)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "00.mcap"
+        write_s, _ = _cpu_seconds(lambda: _write(path, topic, rows))
+        columnar_s, read = _cpu_seconds(lambda: read_topic(path))
+        if read.tobytes() != rows.tobytes():
+            raise AssertionError("the reader did not give back what was written")
+        frombuffer_s, _ = _cpu_seconds(lambda: _iterate_and_view(path, topic))
+        decoder_s, decoded = _cpu_seconds(lambda: _decode_all(path))
+        size = path.stat().st_size
+    if decoded != len(rows):
+        raise AssertionError(f"the decoder found {decoded} messages of {len(rows)}")
+    return {
+        "name": "mcap",
+        "figures": {
+            "messages": len(rows),
+            "write_us_per_message": 1e6 * write_s / len(rows),
+            "bytes_per_message": size / len(rows),
+            "columnar_read_s": columnar_s,
+            "iterator_frombuffer_s": frombuffer_s,
+            "iterator_ros2_decoder_s": decoder_s,
+        },
+        "ratios": {
+            "columnar_vs_ros2_decoder": decoder_s / columnar_s,
+            "columnar_vs_iterator_frombuffer": frombuffer_s / columnar_s,
+        },
+    }
+
+
+def synthetic_rows(topic: Topic, count: int) -> StructArray:
+    """(count,) state rows as a moving arm gives them: smooth commands, noisy measurements."""
+    rng = np.random.default_rng(0)
+    rows = topic.blank(count)
+    rows["device_time"] = np.arange(count) / RATE_HZ
+    rows["host_time"] = 1.8e9 + rows["device_time"] + rng.exponential(2e-4, count)
+    phase = rows["device_time"][:, None] * np.arange(1, 7) * 0.3
+    for quantity, order in (("q_target", 0), ("qd_target", 1), ("qdd_target", 2)):
+        rows[quantity] = np.sin(phase + order * np.pi / 2)
+    for quantity in ("q", "qd", "effort"):
+        rows[quantity] = np.sin(phase) + rng.normal(0.0, 1e-3, phase.shape)
+    rows["temperature"] = np.round(30 + rows["device_time"][:, None] / 600, 1)
+    rows["segment"] = np.arange(count) // 1000
+    return rows
+
+
+def _cpu_seconds(work: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.process_time()
+    result = work()
+    return time.process_time() - start, result
+
+
+def _write(path: Path, topic: Topic, rows: StructArray) -> None:
+    names = [f"joint_{i}" for i in range(6)]
+    with McapWriter(path, [topic], joint_names=names) as writer:
+        for begin in range(0, len(rows), _ROWS_PER_FLUSH):
+            writer.write(STATE_TOPIC, rows[begin : begin + _ROWS_PER_FLUSH])
+            writer.flush(durable=False)
+
+
+def _iterate_and_view(path: Path, topic: Topic) -> StructArray:
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages(topics=STATE_TOPIC, log_time_order=False)
+        content = b"".join(message.data[4:] for _, _, message in messages)
+    return np.frombuffer(content, topic.dtype)
+
+
+def _decode_all(path: Path) -> int:
+    """The usual way to read a ROS 2 recording; it does not even fill arrays."""
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return sum(1 for _ in reader.iter_decoded_messages(topics=STATE_TOPIC))

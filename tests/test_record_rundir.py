@@ -1,0 +1,182 @@
+"""The run directory: numbers, documents, outcomes, damage, versions, checksums."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recorded_rows import record_state
+
+from hil.errors import DataError, RecordingError
+from hil.record import RunDirectory, list_runs
+
+
+def started(root: Path, name: str = "fourier") -> RunDirectory:
+    run = RunDirectory.create(root, "ur5", name)
+    run.write_start({"uid": "u-1", "host": "lab"})
+    return run
+
+
+def create_runs(arguments: tuple[Path, str, int]) -> list[int]:
+    root, name, count = arguments
+    return [RunDirectory.create(root, "ur5", name).number for _ in range(count)]
+
+
+def test_runs_are_numbered_below_day_and_robot(tmp_path: Path) -> None:
+    first = RunDirectory.create(tmp_path, "UR5", "Dwell 650, 3 kg")
+    second = RunDirectory.create(tmp_path, "ur10e", "fourier")
+    assert first.path.name == "0001-dwell-650-3-kg"
+    assert first.path.parent.name == "ur5"
+    assert first.path.parents[2] == tmp_path
+    assert second.path.name == "0002-fourier"
+
+
+def test_name_cannot_leave_the_runs_folder(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path / "runs", "../..", "../../../etc/passwd")
+    assert run.path.resolve().is_relative_to((tmp_path / "runs").resolve())
+
+
+def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(4) as pool:
+        numbers = pool.map(create_runs, [(tmp_path, f"p{i}", 10) for i in range(4)], chunksize=1)
+    taken = [number for of_process in numbers for number in of_process]
+    assert len(set(taken)) == 40
+    assert sorted(run.number for run in list_runs(tmp_path)) == sorted(taken)
+
+
+def test_a_number_that_another_process_has_just_taken_is_not_given_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert RunDirectory.create(tmp_path, "ur5", "theirs").number == 1
+    monkeypatch.setattr("hil.record.rundir.numbered_runs", lambda root: [])  # a look before that
+    assert RunDirectory.create(tmp_path, "ur5", "ours").number == 2
+
+
+def test_a_claim_left_by_a_crash_only_skips_its_number(tmp_path: Path) -> None:
+    (tmp_path / ".claim-0001").mkdir()
+    assert RunDirectory.create(tmp_path, "ur5", "fourier").number == 2
+
+
+def test_documents_come_back_and_are_never_rewritten(tmp_path: Path) -> None:
+    run = started(tmp_path)
+    run.write_text("spec.yaml", "hil: 1\n")
+    run.write_json("plan.json", {"waypoints": 650})
+    assert json.loads((run.path / "plan.json").read_text()) == {"waypoints": 650}
+    for write in (
+        lambda: run.write_text("spec.yaml", "hil: 2\n"),
+        lambda: run.write_json("plan.json", {}),
+        lambda: run.write_start({}),
+    ):
+        with pytest.raises(RecordingError, match="no file of a run is rewritten"):
+            write()
+    assert (run.path / "spec.yaml").read_text() == "hil: 1\n"
+
+
+def test_a_write_that_fails_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = started(tmp_path)
+    before = set(run.path.iterdir())
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(RecordingError, match="No space left on device"):
+        run.write_json("plan.json", {"waypoints": 650})
+    assert set(run.path.iterdir()) == before
+
+
+@pytest.mark.parametrize("outcome", ["completed", "stopped", "tripped", "failed"])
+def test_outcome_is_the_status(tmp_path: Path, outcome: Any) -> None:
+    run = started(tmp_path)
+    assert RunDirectory.open(run.path).status == "interrupted"
+    run.write_stop(outcome, "because", {"gaps": 3})
+    stop = RunDirectory.open(run.path).stop
+    assert stop is not None
+    assert (RunDirectory.open(run.path).status, stop["reason"], stop["gaps"]) == (
+        outcome,
+        "because",
+        3,
+    )
+
+
+def test_stop_document_has_the_checksum_of_every_file(tmp_path: Path) -> None:
+    run = started(tmp_path)
+    record_state(run.next_recording(), 10)
+    run.write_stop("completed", "all steps done")
+    checksums = (run.stop or {})["sha256"]
+    assert set(checksums) == {"start.json", "recording/00.mcap"}
+    content = (run.path / "recording/00.mcap").read_bytes()
+    assert checksums["recording/00.mcap"] == hashlib.sha256(content).hexdigest()
+    assert run.verify() == []
+    (run.path / "recording/00.mcap").write_bytes(content[:-1])
+    assert run.verify() == ["recording/00.mcap has changed since the run ended"]
+    (run.path / "recording/00.mcap").unlink()
+    assert run.verify() == ["recording/00.mcap is missing"]
+
+
+def test_every_attempt_gets_a_recording_of_its_own(tmp_path: Path) -> None:
+    run = started(tmp_path)
+    assert run.next_recording().name == "00.mcap"
+    record_state(run.next_recording(), 4)
+    (run.path / "recording" / "01.mcap.partial").write_bytes(b"")
+    (run.path / "recording" / "notes.txt").write_text("not a recording")
+    assert [path.name for path in run.recordings] == ["00.mcap", "01.mcap.partial"]
+    assert run.next_recording().name == "02.mcap"
+
+
+def test_run_of_a_newer_hil_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path, "ur5", "fourier")
+    run.write_json("start.json", {"hil_run": 2})
+    with pytest.raises(DataError, match="hil_run is 2, known here up to 1") as caught:
+        RunDirectory.open(run.path)
+    assert "update hil" in caught.value.hint
+
+
+def test_what_is_no_run_directory_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"no start\.json"):
+        RunDirectory.open(tmp_path)
+
+
+NOT_STARTS = [b"", b"{", b"[]", b"null", b'{"uid": 1}', b'{"hil_run": "x"}', b"\xff\xfe"]
+
+
+@pytest.mark.parametrize(
+    "content", [*NOT_STARTS, b"[" * 100_000], ids=lambda content: repr(content[:12])
+)
+def test_damaged_start_document_is_refused_and_listed_as_damaged(
+    tmp_path: Path, content: bytes
+) -> None:
+    run = RunDirectory.create(tmp_path, "ur5", "fourier")
+    (run.path / "start.json").write_bytes(content)
+    with pytest.raises(DataError, match=r"start\.json"):
+        RunDirectory.open(run.path)
+    (listing,) = list_runs(tmp_path)
+    assert listing.status == "damaged"
+    assert "start.json" in listing.problem
+
+
+def test_list_shows_every_run_with_its_status_whatever_lies_beside_it(tmp_path: Path) -> None:
+    done = started(tmp_path, "done")
+    done.write_stop("tripped", "tracking error on joint 2")
+    started(tmp_path, "cut")
+    odd = started(tmp_path, "odd")
+    (odd.path / "stop.json").write_text('{"outcome": "great"}')
+    RunDirectory.create(tmp_path, "ur5", "empty")
+    renamed = started(tmp_path, "renamed")
+    renamed.path.rename(renamed.path.with_name("the good one"))
+    (done.path.parent / "0099-file").write_text("not a directory")
+    assert [(run.number, run.status) for run in list_runs(tmp_path)] == [
+        (0, "interrupted"),
+        (1, "tripped"),
+        (2, "interrupted"),
+        (3, "damaged"),
+        (4, "damaged"),
+    ]
+    assert list_runs(tmp_path / "nowhere") == []
