@@ -27,6 +27,12 @@ from hil_mock_robot.truth import (
 
 
 @cache
+def published(arm: str) -> ArmDescription:
+    """The published description of an arm; parsing it takes longer than drawing a robot."""
+    return load_arm(arm)
+
+
+@cache
 def ranges() -> dict[str, Any]:
     """The frozen parameter ranges."""
     text = files("hil_mock_robot").joinpath("ranges.yaml").read_text("utf-8")
@@ -47,7 +53,7 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
         raise SpecError(
             f"the mock has no profile {profile!r}", hint="use 'full' (every effect) or 'ideal'"
         )
-    truth = _draw_full(load_arm(arm), seed)
+    truth = _draw_full(published(arm), seed)
     return truth if profile == "full" else _idealise(truth)
 
 
@@ -102,7 +108,7 @@ def _scaled_table(arm: ArmDescription) -> dict[str, FloatArray]:
     arms = ranges()["arms"]
     if arm.name in arms:
         return {key: np.array(column) for key, column in arms[arm.name].items()}
-    ratio = arm.effort_max / load_arm("ur5").effort_max
+    ratio = arm.effort_max / published("ur5").effort_max
     power = {"resistance_k_w": -1.0, "copper_w_a2": 0.0}
     return {key: np.array(c) * ratio ** power.get(key, 1.0) for key, c in arms["ur5"].items()}
 
@@ -195,7 +201,7 @@ def _draw_friction(base: dict[str, float], dice: _Dice) -> FrictionTruth:
         slip_s=dice.within(limits["slip_s"]),
         creep_s=dice.within(limits["creep_s"]),
         creep_floor=dice.within(limits["creep_floor"]),
-        smooth_rad_s=float(ranges()["ideal"]["smooth_rad_s"]),
+        smooth_rad_s=0.0,
     )
 
 
@@ -246,6 +252,7 @@ def _idealise(truth: Truth) -> Truth:
 def _ideal_joint(joint: JointTruth) -> JointTruth:
     friction = replace(
         joint.friction,
+        smooth_rad_s=_smooth_width(joint),
         stribeck_nm=0.0, viscous_power=1.0, load_share=0.0, asymmetry=0.0,
         offset_nm=0.0, elements=(), slip_s=0.0, creep_s=0.0, creep_floor=0.0,
     )  # fmt: skip
@@ -261,3 +268,10 @@ def _ideal_joint(joint: JointTruth) -> JointTruth:
         drive=replace(joint.drive, square_nm_a2=0.0, constant_nm=0.0, ripple_nm=0.0),
         sensor=replace(joint.sensor, moving_a=joint.sensor.rest_a, quantum_a=0.0),
     )
+
+
+def _smooth_width(joint: JointTruth) -> float:
+    """The narrowest smooth sign [rad/s] that steps of 1 ms integrate without ringing."""
+    ideal = ranges()["ideal"]
+    per_step = joint.friction.coulomb_nm * 1e-3 / joint.drive.rotor_kgm2
+    return max(float(ideal["smooth_rad_s"]), per_step / float(ideal["smooth_steps"]))

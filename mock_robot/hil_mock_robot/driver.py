@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.arms import load_arm
 from hil.errors import CommandRefused, PluginError, RobotConnectionError, RobotFault
 from hil.robot import Capabilities, Identity, Limits, Payload, Segment, Status, state_dtype
 from hil.typing import FloatArray, StructArray
+from hil_mock_robot.draw import published
 from hil_mock_robot.motion import Motion
 from hil_mock_robot.options import mounted_of, options_of, start_of, truth_of
 from hil_mock_robot.records import timing_of
@@ -59,7 +59,7 @@ class MockRobot:
         self._name = name
         self._options = options_of(options)
         self._truth = truth_of(model, self._options)
-        self._arm = load_arm(self._truth.arm)
+        self._arm = published(self._truth.arm)
         self._rate = self._options.rate_hz or self._arm.rate_hz
         timing_of(self._rate, self._options.substep_hz)
         self._motion = Motion(self.limits, self._rate, start_of(self._arm, self._options))
@@ -116,12 +116,16 @@ class MockRobot:
 
     def connect(self) -> None:
         """Switch the robot on, or clear its fault; does nothing when connected without one."""
+        if self._simulation is None or self._fault == RUNAWAY:
+            # Outside the lock: the first one compiles for seconds and stop() must not wait.
+            built = self._switch_on()
+        else:
+            built = self._simulation
         with self._lock:
-            if self._simulation is None or self._fault == RUNAWAY:
-                self._simulation = self._switch_on()
-            elif self._fault:
-                self._motion.coast(self._simulation.position, np.zeros(self._arm.n_joints))
-            self._fault, self._connected = 0, True
+            if self._fault:
+                built.engage_brakes()
+                self._motion.coast(built.position, built.speed)
+            self._simulation, self._fault, self._connected = built, 0, True
 
     def set_payload(self, payload: Payload) -> Payload:
         """Declare a load and, unless `mounted_payload` says otherwise, mount it.
@@ -175,9 +179,7 @@ class MockRobot:
         with self._lock:
             simulation = self._require_connection()
             if self._fault:
-                raise RobotFault(
-                    f"{self._name}: {FAULTS[self._fault]}", hint="find the cause, then reconnect"
-                )
+                raise self._protective_stop()
             if np.isfinite(simulation.disturbances.torque).any():
                 return self._read_in_torque_control(simulation)
             setpoints, status = self._motion.take(self._options.block)
@@ -275,8 +277,15 @@ class MockRobot:
         rows["q"], rows["qd"], rows["effort"], rows["temperature"] = measured
         return rows
 
+    def _protective_stop(self) -> RobotFault:
+        return RobotFault(
+            f"{self._name}: {FAULTS[self._fault]}", hint="find the cause, then reconnect"
+        )
+
     def _with_fault(self, rows: StructArray, samples: Samples) -> StructArray:
         self._fault = samples.fault
+        if self._fault and not len(rows):
+            raise self._protective_stop()
         if self._fault:
             rows["status"][-1:] |= int(Status.FAULT | Status.MASKED)
             rows["fault_code"][-1:] = self._fault

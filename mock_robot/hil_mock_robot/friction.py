@@ -75,7 +75,7 @@ def _law_of(joint: JointTruth, reference_c: float, dt: float) -> tuple[float, ..
     return (
         f.coulomb_nm, f.stribeck_nm, f.stribeck_rad_s, f.stribeck_shape, f.viscous_nm,
         f.viscous_power, f.load_share, f.asymmetry, f.offset_nm, follow, f.creep_s,
-        f.creep_floor, 0.0 if f.elements else f.smooth_rad_s,
+        f.creep_floor, f.smooth_rad_s,
         t.coulomb_per_k, t.viscous_per_k, reference_c,
         d.ripple_nm, d.ripple_per_turn, d.ripple_phase_rad,
     )  # fmt: skip

@@ -32,7 +32,7 @@ REST_BAND_RAD = 5e-5
 WINDUP_SHARE = 0.3
 """The integrator may reach this share of the torque limit."""
 SIGN_RAD_S = 0.003
-"""Width of the smooth sign in the friction feed-forward."""
+"""Width of the smooth sign in the friction feed-forward: it lets go at the very end of a motion."""
 COMMANDS = 3
 """Rows of a set-point: position, velocity, acceleration."""
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.arms import ArmDescription, load_arm
+from hil.arms import ArmDescription
 from hil.payload import Payload
 from hil.typing import FloatArray
-from hil_mock_robot.draw import nominal_rotors
+from hil_mock_robot.draw import nominal_rotors, published
 from hil_mock_robot.friction import friction_laws, slip_elements
 from hil_mock_robot.native import address_of
 from hil_mock_robot.plant import MOUNTS, Plant, build_plant, nominal_links
@@ -79,6 +79,8 @@ class Simulation:
         arm: Its published description.
         disturbances: Pushes, torque commands and wear; change their arrays in place.
         samples: Number of samples since it was switched on.
+        plant: The rigid body, rebuilt when the payload changes.
+        joints: Parameters and state of friction, drives and servo.
     """
 
     truth: Truth
@@ -87,13 +89,15 @@ class Simulation:
     arm: ArmDescription = field(init=False)
     disturbances: Disturbances = field(init=False)
     samples: int = field(default=0, init=False)
+    plant: Plant = field(init=False)
+    joints: Joints = field(init=False)
 
     def __post_init__(self) -> None:
-        self.arm = load_arm(self.truth.arm)
+        self.arm = published(self.truth.arm)
         self._timing = timing_of(self.setting.rate_hz, self.setting.substep_hz)
         n = self.arm.n_joints
         self.disturbances = Disturbances(np.zeros(n), np.full(n, np.nan), np.ones(n))
-        self._joints = self._build_joints()
+        self.joints = self._build_joints()
         self._setpoint = np.zeros((COMMANDS, n))
         self._setpoint[0] = self.q
         self._load(Payload(), Payload(), self.q, np.zeros(n))
@@ -106,22 +110,22 @@ class Simulation:
     @property
     def position(self) -> FloatArray:
         """(n,) true joint position [rad]."""
-        return np.array(self._plant.data.qpos)
+        return np.array(self.plant.data.qpos)
 
     @property
     def speed(self) -> FloatArray:
         """(n,) true joint speed [rad/s]."""
-        return np.array(self._plant.data.qvel)
+        return np.array(self.plant.data.qvel)
 
     @property
     def celsius(self) -> FloatArray:
         """(n,) joint temperatures."""
-        return np.array(self._joints.states["celsius"])
+        return np.array(self.joints.states["celsius"])
 
     @property
     def friction(self) -> FloatArray:
         """(n,) friction torque of the last step [N·m]."""
-        return np.array(self._joints.states["friction"])
+        return np.array(self.joints.states["friction"])
 
     def set_payloads(self, mounted: Payload, declared: Payload) -> None:
         """Mount one body and tell the controller about another (usually the same) one."""
@@ -131,6 +135,13 @@ class Simulation:
         """Make a state (n,), (n,) the set-point; used around torque control."""
         self._setpoint[:] = position, speed, np.zeros_like(speed)
 
+    def engage_brakes(self) -> None:
+        """Freeze the arm where it is and forget what the servo had wound up."""
+        self.plant.data.qvel[:] = 0.0
+        for held in ("integral", "overload_s"):
+            self.joints.states[held] = 0.0
+        self.track(self.position, self.speed)
+
     def advance(self, setpoints: FloatArray) -> Samples:
         """Follow `setpoints` (N, 3, n), one per sample.
 
@@ -139,7 +150,7 @@ class Simulation:
         path = np.concatenate((self._setpoint[None], setpoints))
         values = np.zeros((len(setpoints), len(CHANNELS), self.arm.n_joints))
         done, fault = simulate(
-            self._native, self._views, self._joints, self.disturbances, self._timing,
+            self._native, self._views, self.joints, self.disturbances, self._timing,
             self._room, self.samples, path, values,
         )  # fmt: skip
         self.samples += done
@@ -151,7 +162,7 @@ class Simulation:
         rows = round(seconds * self.setting.rate_hz)
         celsius = self.celsius
         self.advance(np.repeat(self._setpoint[None], rows, axis=0))
-        self._joints.states["celsius"] = celsius
+        self.joints.states["celsius"] = celsius
         self.samples = 0
 
     def _build_joints(self) -> Joints:
@@ -178,11 +189,11 @@ class Simulation:
 
     def _load(self, mounted: Payload, declared: Payload, q: FloatArray, v: FloatArray) -> None:
         """Build both models anew and put the arm into a state (n,), (n,)."""
-        self._plant = build_plant(
-            self.arm.dh, self.truth.links, self._joints.rotors.tolist(), mounted,
+        self.plant = build_plant(
+            self.arm.dh, self.truth.links, self.joints.rotors.tolist(), mounted,
             self.setting.gravity, self._timing.dt,
         )  # fmt: skip
-        self._plant.data.qpos[:], self._plant.data.qvel[:] = q, v
+        self.plant.data.qpos[:], self.plant.data.qvel[:] = q, v
         self._nominal = self._build_nominal(declared)
         self._attach()
 
@@ -194,7 +205,7 @@ class Simulation:
 
     def _attach(self) -> None:
         """Point the compiled step at the present models."""
-        plant, nominal = self._plant, self._nominal
+        plant, nominal = self.plant, self._nominal
         truth = self.truth
         self._native = Native(
             address_of("mj_step1"), address_of("mj_step2"), address_of("mj_inverse"),
@@ -208,7 +219,7 @@ class Simulation:
             truth.ambient_phase_rad,
         )
         at = self._nominal.inverse(*self._setpoint)
-        self._joints.states["feedforward_1"] = at
+        self.joints.states["feedforward_1"] = at
 
 
 def _views_of(plant: Plant, nominal: Plant) -> Views:
