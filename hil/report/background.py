@@ -41,7 +41,8 @@ def preflight(facts: RunFacts) -> Section | None:
         return None
     columns = tuple(Column(title, number=False) for title in ("check", "result", "details"))
     table = Table("Checks before motion", columns, tuple(_check(check) for check in checks))
-    return Section("preflight", "Preflight", "", (table,), folded=True)
+    passed = all(check.get("passed") for check in checks)
+    return Section("preflight", "Preflight", "", (table,), folded=passed)
 
 
 def provenance(facts: RunFacts) -> Section:

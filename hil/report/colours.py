@@ -16,6 +16,9 @@ UP = "#0072B2"
 DOWN = "#E69F00"
 """Poses approached from above."""
 
+SELDOM, OFTEN = "#BFD9EA", "#003A5C"
+"""Ends of the scale of counts: one hue, told apart by lightness."""
+
 JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#595959")
 DASHES = ("solid", "dash", "dot", "longdash", "dashdot", "longdashdot", "solid")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x")
@@ -28,6 +31,8 @@ DARK = {
     "#595959": "#B3B3B3",
     "#E69F00": "#F2B733",
     "#56B4E9": "#A9D9F5",
+    "#BFD9EA": "#1F4E6B",
+    "#003A5C": "#BDE3FF",
 }
 """What each colour becomes on a dark page: the same hue, light enough to be read there."""
 

@@ -12,7 +12,7 @@ from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
 from hil.report.documents import as_float, as_object
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording, dwell_poses, rows_of_steps
-from hil.report.words import joint_title, number
+from hil.report.words import joint_title, number, with_unit_apart
 from hil.typing import FloatArray, IntArray
 
 DEGREES = 180 / np.pi
@@ -43,16 +43,18 @@ def excitation(
 def _plan(facts: RunFacts) -> Facts:
     kinds = [str(step.get("kind")) for step in facts.steps]
     poses = {step.get("pose") for step in facts.steps if step.get("kind") == "dwell"}
-    said = {
+    said: dict[str, object] = {
         "steps": f"{facts.steps_done} of {len(kinds)} done" if kinds else None,
         "poses": len(poses) or None,
         "dwells": kinds.count("dwell") or None,
         "trajectories": kinds.count("trajectory") or None,
         "reference visits": kinds.count("reference") or None,
-        "condition number of the regressor": number(as_float(facts.plan.get("condition_number"))),
     }
+    condition = as_float(facts.plan.get("condition_number"))
+    if np.isfinite(condition):
+        said["condition number of the regressor"] = number(condition)
     for name, value in as_object(facts.plan.get("margins")).items():
-        said[f"margin: {name}"] = number(as_float(value))
+        said[f"margin: {with_unit_apart(name)}"] = number(as_float(value))
     return Facts("Plan", items(said))
 
 
@@ -106,8 +108,8 @@ def _pose_map(
 
 def _coverage(facts: RunFacts, recording: Recording, names: Sequence[str]) -> Plots:
     trajectories = facts.indices("trajectory")
-    rows = rows_of_steps(recording, trajectories) if trajectories else recording.rows
-    rows = rows if len(rows) else recording.rows
+    chosen = rows_of_steps(recording, trajectories)
+    rows = chosen if len(chosen) else recording.rows
     rows = rows[:: max(1, len(rows) // COVERAGE_ROWS)]
     q, qd = rows["q"] * DEGREES, rows["qd"] * DEGREES
     panels = tuple(
@@ -118,6 +120,6 @@ def _coverage(facts: RunFacts, recording: Recording, names: Sequence[str]) -> Pl
         )
         for j, name in enumerate(names)
     )
-    what = "the trajectories" if trajectories else "the whole run"
-    lead = f"How often each position and velocity occurred during {what}; brighter is more often."
+    when = "on the trajectories" if len(chosen) else "in the whole run"
+    lead = f"How often each position and velocity occurred {when}: the stronger, the more often."
     return Plots("Position and velocity coverage", lead, panels)

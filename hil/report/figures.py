@@ -77,12 +77,11 @@ def dwells(
         rows = np.flatnonzero(approach == sign)
         if len(rows):
             label = [f"pose {p}" for p in pose[rows]]
-            traces.append(
-                markers(rank[rows], measured[rows], name, colour, symbol=symbol, size=5, text=label)
-            )
+            x, y, size = rank[rows], measured[rows], 2 + _mark_size(len(order))
+            traces.append(markers(x, y, name, colour, symbol=symbol, size=size, text=label))
     x, y = decimated(np.sort(rank), predicted[order])
     traces.append(line(x, y, "predicted", colours.PREDICTED, width=2.2))
-    title = "held-out dwells, ordered by prediction [number]"
+    title = "dwell, in the order of the prediction"
     return {"data": traces, "layout": axes(title, f"{quantity} [{unit}]")}
 
 
@@ -101,7 +100,8 @@ def residual_over(
     good = np.isfinite(x) & np.isfinite(residual)
     x, residual = x[good], residual[good]
     some = thinned(len(x), CLOUD)
-    cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=3, opacity=0.45)
+    size = _mark_size(len(some))
+    cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=size, opacity=0.45)
     layout = axes(x_title, f"residual [{unit}]")
     layout["shapes"] = noise_band(noise)
     return {"data": [cloud, *_mean_and_spread(x, residual)], "layout": layout}
@@ -122,10 +122,17 @@ def regression(measured: FloatArray, predicted: FloatArray, unit: str) -> Figure
     low, high = span(np.concatenate([measured, predicted]))
     ends = np.array([low, high])
     layout = axes(f"predicted [{unit}]", f"measured [{unit}]")
-    layout["annotations"] = corner(f"R = {correlation(measured, predicted):.4f}")
+    r = correlation(measured, predicted)
+    layout["annotations"] = corner(f"R = {r:.4f}" if np.isfinite(r) else "R undefined")
     return {
         "data": [
-            markers(predicted[some], measured[some], "sample", colours.MEASURED, size=3.5),
+            markers(
+                predicted[some],
+                measured[some],
+                "sample",
+                colours.MEASURED,
+                size=_mark_size(len(some)),
+            ),
             line(ends, ends, "measured = predicted", colours.PREDICTED, dash="dash"),
         ],
         "layout": layout,
@@ -159,9 +166,9 @@ def rmse_bars(
     if np.isfinite(noise).any():
         mark = {
             "symbol": "line-ew-open",
-            "size": 26,
-            "color": colours.NEUTRAL,
-            "line": {"width": 3},
+            "size": 30,
+            "color": colours.LIMIT,
+            "line": {"width": 4},
         }
         traces.append(
             {"type": "scatter", "mode": "markers", "name": "noise floor", "x": names,
@@ -228,7 +235,7 @@ def coverage(x: FloatArray, y: FloatArray, x_title: str, y_title: str, cells: in
         "x": x_low + centre * (x_high - x_low),
         "y": y_low + centre * (y_high - y_low),
         "z": np.where(count > 0, np.log10(np.maximum(count, 1)), np.nan),
-        "colorscale": "Cividis",
+        "colorscale": [[0, colours.SELDOM], [1, colours.OFTEN]],
         "showscale": False,
         "hovertemplate": "%{x:.3g}, %{y:.3g}: 10^%{z:.1f} samples<extra></extra>",
     }
@@ -249,6 +256,11 @@ def pose_map(
         if len(rows)
     ]
     return {"data": traces, "layout": axes(x_title, y_title)}
+
+
+def _mark_size(points: int) -> float:
+    """Few marks are drawn large, many small [px]."""
+    return 3.0 if points > 300 else 4.0 if points > 100 else 6.0
 
 
 def _mean_and_spread(x: FloatArray, y: FloatArray) -> list[Trace]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import PurePath
 
 import numpy as np
 
+from hil.data.dataset import Conditions
 from hil.report import colours, figures
 from hil.report.blocks import Panel, Plots
 from hil.report.figures import Figure
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import Dwells, Motions
-from hil.report.words import joint_title, number, quantity, short_source
+from hil.report.words import joint_title, number, quantity
 from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
@@ -119,7 +121,7 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
             x[:, j] * DEGREES, residual[:, j], axis, unit, float(noise[j])
         )
 
-    which = short_source(motions.worst.id)
+    which = _name_of(motions.worst)
     several = f"{which}: the worst of {motions.count} held-out trajectories."
     panels = _Panels(fit, residual)
     return [
@@ -156,6 +158,13 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
             REGRESSION,
         ),
     ]
+
+
+def _name_of(condition: Conditions) -> str:
+    source = PurePath(condition.source).name
+    if condition.trajectory < 0:
+        return f"{condition.kind.capitalize()} {condition.id}"
+    return f"Trajectory {condition.trajectory} of {source}"
 
 
 class _Panels:

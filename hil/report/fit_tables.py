@@ -67,7 +67,7 @@ def per_joint(fit: FitFacts) -> Table:
 
 def per_group(fit: FitFacts) -> Table | None:
     """Held-out means per source, trajectory, load, …, where there is more than one of a kind."""
-    groups = as_objects(fit.held_out.get("tables"))
+    groups = [g for g in as_objects(fit.held_out.get("tables")) if g.get("samples")]
     several = [g for g in groups if sum(other.get("by") == g.get("by") for other in groups) > 1]
     if not several:
         return None

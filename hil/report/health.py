@@ -16,6 +16,9 @@ from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 
+NEAR_LIMIT = 0.3
+"""Values above this share of a limit are shown together with it."""
+
 
 def health(
     facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
@@ -89,11 +92,11 @@ def _panels(
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
         limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")
-        panels.append(_wide("Tracking error", t, error, names, "|error| [mrad]", limit))
+        panels.append(_wide("Tracking error", t, error, names, "mrad", limit))
     heat = recording.rows["temperature"]
     if np.isfinite(heat).any():
         limit = facts.interlock_limit("temperature", "limit_c")
-        panels.append(_wide("Joint temperature", t, heat, names, "temperature [°C]", limit))
+        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit))
     if drift is not None:
         panels.append(_drift(drift, names, facts.effort_unit))
     panels.append(_interval(recording))
@@ -101,11 +104,15 @@ def _panels(
 
 
 def _wide(
-    title: str, t: FloatArray, values: FloatArray, names: Sequence[str], axis: str, limit: float
+    title: str, t: FloatArray, values: FloatArray, names: Sequence[str], unit: str, limit: float
 ) -> Panel:
-    figure = figures.joints_over_time(t, values, names, axis, limit=limit)
-    alt = f"{title} of all joints over time; the largest value is {number(_peak(values))}."
-    return Panel(title, figure, alt, wide=True)
+    peak = _peak(values)
+    # A limit far above the data would press them flat; then it is only said.
+    drawn = limit if peak > NEAR_LIMIT * limit else float("nan")
+    figure = figures.joints_over_time(t, values, names, f"{title.lower()} [{unit}]", limit=drawn)
+    alt = f"{title} of all joints over time; the largest value is {number(peak)} {unit}."
+    said = f"{title}, limit {limit:g} {unit}" if np.isfinite(limit) else title
+    return Panel(said, figure, alt, wide=True)
 
 
 def _drift(drift: Drift, names: Sequence[str], unit: str) -> Panel:

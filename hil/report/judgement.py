@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from hil.report.blocks import Badge, Mark
-from hil.report.documents import Document, as_objects
+from hil.report.documents import Document, as_float, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
-from hil.report.words import listed, miss_text, number, quantity
+from hil.report.words import criterion_text, listed, number, quantity, with_unit
 
 ENDINGS: dict[str, tuple[str, Mark]] = {
     "interrupted": ("INTERRUPTED", "warn"),
@@ -65,9 +65,24 @@ def criteria_sentence(rows: Sequence[Document]) -> str:
         return ""
     if not missed:
         return "The criterion is met." if len(rows) == 1 else f"All {len(rows)} criteria are met."
-    words = "; ".join(miss_text(row) for row in missed[:3])
-    more = f"; and {len(missed) - 3} more" if len(missed) > 3 else ""
-    return f"{len(missed)} of {len(rows)} criteria are missed: {words}{more}."
+    groups = dict.fromkeys(_group(row) for row in missed)
+    words = [_missed([row for row in rows if _group(row) == group]) for group in groups]
+    return f"Criteria are missed: {'; '.join(words)}."
+
+
+def _group(row: Document) -> tuple[str, str]:
+    return str(row.get("estimator") or ""), criterion_text(row)
+
+
+def _missed(rows: Sequence[Document]) -> str:
+    """`RMSE raw ≤ 0.02 A by 2 of 6 joints, worst elbow_joint with 0.034 A (static-wls)`."""
+    missed = [row for row in rows if not row.get("passed")]
+    worst = max(missed, key=lambda row: as_float(row.get("value")))
+    model, criterion = _group(worst)
+    found = with_unit(worst.get("value"), worst.get("unit"))
+    several = f" by {len(missed)} of {len(rows)} joints, worst" if len(rows) > 1 else " by the"
+    text = f"{criterion}{several} {worst.get('what')} with {found}"
+    return f"{text} ({model})" if model else text
 
 
 def _models(facts: RunFacts) -> str:

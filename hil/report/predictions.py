@@ -11,6 +11,8 @@ import numpy as np
 from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import series_means
 from hil.data.prediction import Model
+from hil.errors import DataError
+from hil.report.documents import as_object
 from hil.report.facts import RunFacts
 from hil.typing import FloatArray, IntArray
 
@@ -71,14 +73,19 @@ def held_out_of_run(facts: RunFacts) -> Dataset:
     """The series of a run that its models were not fitted on.
 
     Raises:
-        HilError: The recording or the spec cannot be used, or nothing was held out.
+        DataError: The recording or the spec cannot be used, or nothing was held out.
     """
     from hil.campaign.judging import hold_out
     from hil.data.load import load_source
-    from hil.spec.load import load_spec
+    from hil.spec.experiment import HoldOut
 
-    spec = load_spec(facts.path / "spec.yaml")
-    return hold_out(load_source(facts.path), spec.validation.hold_out).test
+    # Only this part of the spec: the rest may name files that are not in the run directory.
+    asked = as_object(as_object(facts.spec.get("validate")).get("hold_out"))
+    try:
+        how = HoldOut.model_validate(asked)
+    except ValueError as error:
+        raise DataError(f"validate.hold_out of {facts.path / 'spec.yaml'}: {error}") from error
+    return hold_out(load_source(facts.path), how).test
 
 
 def show(folder: Path, data: Dataset) -> Shown:

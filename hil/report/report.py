@@ -21,6 +21,7 @@ from hil.report.fit_sections import model_sections
 from hil.report.health import health
 from hil.report.highlights import fit_highlights, fit_warnings, run_highlights, run_warnings
 from hil.report.judgement import (
+    ENDINGS,
     badge_of,
     criteria_sentence,
     fit_sentence,
@@ -122,13 +123,17 @@ def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
 def _run_sections(
     facts: RunFacts, recording: Recording | None, drift: Drift | None, held_out: Dataset | None
 ) -> list[Section]:
-    sections: list[Section | None] = []
+    sections: list[Section] = []
     if recording is not None:
         names = _joint_names(facts, recording)
         sections.append(excitation(facts, recording, names, held_out))
         sections.append(health(facts, recording, drift, names))
-    sections += [preflight(facts), timeline(facts), provenance(facts)]
-    return [section for section in sections if section is not None]
+    happened = [timeline(facts)]
+    if checks := preflight(facts):
+        happened.insert(0, checks)
+    # Of a run that ended early, what happened is asked first; otherwise it is rarely looked at.
+    early = facts.status in ENDINGS
+    return [*(happened + sections if early else sections + happened), provenance(facts)]
 
 
 def _joint_names(facts: RunFacts, recording: Recording) -> tuple[str, ...]:

@@ -79,21 +79,33 @@ def with_unit(value: Any, unit: Any) -> str:
 
 
 def criterion_text(row: Mapping[str, Any]) -> str:
-    """A row of a verdict as its criterion: `RMSE raw ≤ 0.0200 A`."""
-    metric = str(row.get("metric"))
-    return f"{METRIC_WORDS.get(metric, metric)} ≤ {with_unit(row.get('max'), row.get('unit'))}"
-
-
-def miss_text(row: Mapping[str, Any]) -> str:
-    """A missed criterion: `RMSE raw of elbow_joint 0.0340 A, limit 0.0200 A`."""
-    metric, unit = str(row.get("metric")), row.get("unit")
-    who = f" of {row['what']}" if row.get("what") else ""
-    model = f" ({row['estimator']})" if row.get("estimator") else ""
-    found, limit = with_unit(row.get("value"), unit), with_unit(row.get("max"), unit)
-    return f"{METRIC_WORDS.get(metric, metric)}{who} {found}, limit {limit}{model}"
+    """A row of a verdict as its criterion: `RMSE raw ≤ 0.02 A`."""
+    metric, limit, unit = str(row.get("metric")), row.get("max"), row.get("unit")
+    said = f"{limit:g}" if isinstance(limit, int | float) else "–"
+    text = f"{METRIC_WORDS.get(metric, metric)} ≤ {said}"
+    return text if unit in (None, "", "1") else f"{text} {unit}"
 
 
 def short_source(name: str) -> str:
     """A source without the folders it lies in; what follows a `#` or `:` is kept."""
     path, mark, rest = name.partition("#")
     return PurePath(path).name + mark + rest if "/" in path else name
+
+
+def with_unit_apart(key: str) -> str:
+    """A key that ends in its unit, as people write it: `velocity_rad_s` → `velocity [rad/s]`."""
+    for ending, unit in _UNITS.items():
+        if key.endswith(ending):
+            return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
+
+
+_UNITS = {
+    "_rad_s2": "rad/s²",
+    "_rad_s": "rad/s",
+    "_rad": "rad",
+    "_nm": "N·m",
+    "_kg": "kg",
+    "_m": "m",
+    "_s": "s",
+}
