@@ -82,6 +82,7 @@ class Evaluation:
         tables: Every grouping, `all` not among them.
         coverage: Share of the rows for which the model says its prediction is valid; only those
             are judged.
+        series: Ids of the series judged.
     """
 
     unit: str
@@ -89,6 +90,7 @@ class Evaluation:
     total: Errors
     tables: tuple[Errors, ...] = field(default_factory=tuple)
     coverage: float = 1.0
+    series: tuple[str, ...] = ()
 
     def table(self, by: str) -> tuple[Errors, ...]:
         """The groups of one grouping."""
@@ -102,6 +104,7 @@ class Evaluation:
             "coverage": self.coverage,
             "total": self.total.to_dict(),
             "tables": [errors.to_dict() for errors in self.tables],
+            "series": list(self.series),
         }
 
 
@@ -126,7 +129,9 @@ def evaluate(model: Model, dataset: Dataset, train_std: FloatArray | None = None
     groups += [signals.errors("motion", name, rows) for name, rows in _motion(dataset)]
     total = signals.errors("all", "all", np.ones((len(dataset), 1), dtype=bool))
     coverage = float(np.mean(np.all(judged, axis=1))) if len(dataset) else 0.0
-    return Evaluation(dataset.effort_unit, dataset.joint_names, total, tuple(groups), coverage)
+    series = tuple(condition.id for condition in dataset.conditions)
+    unit, names = dataset.effort_unit, dataset.joint_names
+    return Evaluation(unit, names, total, tuple(groups), coverage, series)
 
 
 def filtered_effort(dataset: Dataset) -> FloatArray:

@@ -17,9 +17,6 @@ class GravityForm(Protocol):
     """Columns that gravity is a linear combination of."""
 
     names: tuple[str, ...]
-    shared: bool
-    """True when one parameter acts on several joints, which makes torques (not currents) the
-    target."""
 
     def columns(self, q: FloatArray) -> FloatArray:
         """(N·n, p), sample-major, for positions (N, n)."""
@@ -27,8 +24,6 @@ class GravityForm(Protocol):
 
 class BaseGravity:
     """The arm's base gravity parameters: first moments that gravity can tell apart."""
-
-    shared = True
 
     def __init__(self, robot: RobotModel) -> None:
         self._robot = robot
@@ -44,14 +39,13 @@ class BaseGravity:
 class PaperGravity:
     """φ₂…φ₅ of the static paper's eq. 15, for Universal Robots arms in their own joint angles.
 
-    Six columns for joint 2, three for 3, two for 4, one for 5; joints 1 and 6 have none. The six
-    columns span only four directions, so their solution is not unique.
+    Six columns for joint 2, three for 3, two for 4, one for 5; joints 1 and 6 have none. Four
+    would do for joint 2: the printed six split two sums whose parts have equal coefficients.
 
     Raises:
         FitError: The robot does not have six joints.
     """
 
-    shared = False
     names = (
         *(f"joint2.phi{i}" for i in range(1, 7)),
         *(f"joint3.phi{i}" for i in range(1, 4)),

@@ -79,8 +79,7 @@ class StaticWls(WlsEstimator):
         dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
         self.samples_ = len(dwells.conditions)
         require_samples(self.samples_, len(self.parameter_names_), "dwells")
-        observed = self._observe(_one_row_each(dwells))
-        self._solve(observed, weighted=self.weighted, full_rank=self._form.shared)
+        self._solve(self._observe(_one_row_each(dwells)), weighted=self.weighted)
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:

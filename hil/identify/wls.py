@@ -67,7 +67,7 @@ class WlsEstimator(RobotEstimator):
         self.parameter_names_ = tuple(facts["parameter_names"])
         self.condition_ = float(facts["condition"])
 
-    def _solve(self, observed: JointwiseQR, *, weighted: bool, full_rank: bool = True) -> None:
+    def _solve(self, observed: JointwiseQR, *, weighted: bool) -> None:
         """Fit to the observations, whose target is a torque; sets the fitted attributes."""
         from hil.identify.linear import WeightedLeastSquares
 
@@ -79,8 +79,7 @@ class WlsEstimator(RobotEstimator):
             floor = 1e-12 * float(np.max(np.abs(y)))
             solver.fit(X, y, sample_weight=1.0 / np.maximum(sigma, floor)[joint] ** 2)
             sigma = observed.residual_std(solver.coef_)
-        if full_rank:
-            require_rank(solver.rank_, solver.condition_, self.parameter_names_, X)
+        require_rank(solver.rank_, solver.condition_, self.parameter_names_, X)
         self.coefficients_, self.condition_ = solver.coef_, float(solver.condition_)
         self.sigma_ = sigma / self.torque_scale_
         variance = 1.0 if weighted else float(np.mean(sigma**2))

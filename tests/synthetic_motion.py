@@ -1,0 +1,142 @@
+"""Datasets of a UR5 whose efforts are known exactly, for tests of estimators and evaluation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from hil.data import Conditions, Dataset
+from hil.dynamics import RobotModel, load_model
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+GAINS = np.array([10.0, 11.0, 9.0, 8.0, 7.0, 6.0])
+COULOMB = np.array([6.0, 7.0, 5.0, 1.5, 1.2, 1.0])
+VISCOUS = np.array([8.0, 9.0, 6.0, 2.0, 1.5, 1.0])
+OFFSET = np.array([0.3, -0.2, 0.1, 0.05, -0.05, 0.02])
+ROTORS = np.array([0.7, 0.8, 0.6, 0.1, 0.12, 0.09])
+SIGN_WIDTH = 0.01
+LOAD = Payload(2.0, (0.02, -0.03, 0.06), (0.004, 0.005, 0.003, 0.0, 0.0, 0.0))
+
+
+@cache
+def plant() -> RobotModel:
+    """The UR5 with rotor inertias, whose torques the tests take as the truth."""
+    return RobotModel.from_arm("ur5", rotor_inertia=ROTORS)
+
+
+@cache
+def nominal() -> RobotModel:
+    """The UR5 an estimator is given."""
+    return load_model("ur5")
+
+
+def fourier(seed: int, samples: int = 600, rate_hz: float = 100.0) -> tuple[FloatArray, ...]:
+    """Smooth random motion of six joints: t (N,), q, qd, qdd (N, 6)."""
+    random = np.random.default_rng(seed)
+    t = np.arange(samples) / rate_hz
+    q, qd, qdd = (np.zeros((samples, 6)) for _ in range(3))
+    q += random.uniform(-1.0, 1.0, 6)
+    for harmonic in range(1, 6):
+        w = 2 * np.pi * 0.1 * harmonic
+        a, b = random.uniform(-0.6, 0.6, (2, 6)) / harmonic
+        s, c = np.sin(w * t)[:, None], np.cos(w * t)[:, None]
+        q += a * s + b * c
+        qd += w * (a * c - b * s)
+        qdd -= w * w * (a * s + b * c)
+    return t, q, qd, qdd
+
+
+def true_torque(
+    q: FloatArray, qd: FloatArray, qdd: FloatArray, load: Payload | None = None
+) -> FloatArray:
+    """Rigid-body torque with the load mounted, plus Coulomb, viscous and offset."""
+    robot = plant().with_payload(load) if load else plant()
+    friction = COULOMB * np.tanh(qd / SIGN_WIDTH) + VISCOUS * qd + OFFSET
+    return robot.inverse_dynamics(q, qd, qdd) + friction
+
+
+def moving(
+    *seeds: int,
+    noise_a: float = 0.0,
+    load: Payload | None = None,
+    kind: str = "current",
+    samples: int = 600,
+) -> Dataset:
+    """One trajectory per seed, already prepared with its exact derivatives."""
+    parts = []
+    for seed in seeds:
+        t, q, qd, qdd = fourier(seed, samples)
+        scale = GAINS if kind == "current" else np.ones(6)
+        clean = true_torque(q, qd, qdd, load) / scale
+        noise = noise_a * np.random.default_rng(1000 + seed).normal(size=clean.shape)
+        columns = {"t": t, "q": q, "qd": qd, "effort": clean + noise}
+        columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd, "effort_f": clean + noise}
+        condition = Conditions(
+            f"trajectory{seed}", "trajectory", f"run{seed}", seed, payload=load or Payload()
+        )
+        parts.append(dataset(columns, [samples], [condition], kind))
+    return Dataset.concatenate(parts)
+
+
+def dwelling(
+    poses: int,
+    *,
+    seed: int = 0,
+    stiction_nm: float = 0.0,
+    both: bool = False,
+    load: Payload | None = None,
+    noise_a: float = 0.002,
+) -> Dataset:
+    """Dwells of ten samples at random poses, stuck friction ± `stiction_nm` by approach."""
+    random = np.random.default_rng(seed)
+    where = random.uniform(-2.0, 2.0, (poses, 6))
+    robot = plant().with_payload(load) if load else plant()
+    held = robot.gravity(where) + OFFSET
+    conditions, q, effort = [], [], []
+    for pose in range(poses):
+        for approach in (1, -1) if both else (1 if random.random() < 0.5 else -1,):
+            current = (held[pose] + approach * stiction_nm) / GAINS
+            q.append(np.repeat(where[pose][None], 10, axis=0))
+            effort.append(current + noise_a * random.normal(size=(10, 6)))
+            conditions.append(
+                Conditions(
+                    f"dwell{len(conditions)}", "dwell", "run", pose=pose, approach=approach,
+                    payload=load or Payload(),
+                )
+            )  # fmt: skip
+    rows = 10 * len(conditions)
+    columns = {
+        "t": np.arange(rows) * 0.008,
+        "q": np.concatenate(q),
+        "qd": np.zeros((rows, 6)),
+        "effort": np.concatenate(effort),
+    }
+    return dataset(columns, [10] * len(conditions), conditions, "current")
+
+
+def dataset(
+    columns: dict[str, FloatArray],
+    lengths: list[int],
+    conditions: list[Conditions],
+    kind: str = "current",
+) -> Dataset:
+    """A UR5 dataset with the tests' drive gains."""
+    return Dataset(
+        robot="ur5",
+        joint_names=nominal().joint_names,
+        effort_kind=kind,  # type: ignore[arg-type]
+        columns=columns,
+        offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
+        conditions=tuple(conditions),
+        drive_gains=GAINS if kind == "current" else None,
+        drive_gains_source="the tests",
+    )
+
+
+def raw(data: Dataset) -> Dataset:
+    """The dataset without its prepared columns."""
+    kept = {name: values for name, values in data.columns.items() if not name.endswith("_f")}
+    return replace(data, columns=kept)

@@ -1,0 +1,157 @@
+"""From recordings to a stored, validated model: what `hil fit` does."""
+
+import json
+
+import numpy as np
+import pytest
+from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
+
+from hil.data.importing import ImportMap, import_file
+from hil.errors import DataError, FitError, PluginError, SpecError
+from hil.fitting import evaluate_sources, fit_sources, parse_payload
+from hil.payload import Payload
+
+
+def layout(**changes):
+    columns = {
+        "t": {"columns": 1},
+        "q": {"columns": "2:7", "unit": "rad"},
+        "qd": {"columns": "8:13", "unit": "rad/s"},
+        "effort": {"columns": "14:19", "unit": "A"},
+    }
+    return ImportMap.model_validate(
+        {
+            "hil_map": 1,
+            "format": "csv",
+            "robot": "ur5",
+            "joint_names": nominal().joint_names,
+            "effort_kind": "current",
+            "drive_gains_nm_a": GAINS.tolist(),
+            "columns": columns,
+        }
+        | changes
+    )
+
+
+def recording(folder, seed, *, load=None, name="", **changes):
+    t, q, qd, qdd = fourier(seed, 1000)
+    current = true_torque(q, qd, qdd, load) / GAINS
+    if changes.get("effort_kind") == "torque":
+        columns = layout().columns.model_dump()
+        columns["effort"]["unit"] = "N·m"
+        changes |= {"columns": columns, "drive_gains_nm_a": None}
+    path = folder / f"{name or seed}.csv"
+    np.savetxt(path, np.column_stack([t, q, qd, current]), delimiter=",", fmt="%.12g")
+    out = path.with_suffix(".mcap")
+    import_file(path, layout(**changes), out=out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sources")
+    return [recording(folder, seed) for seed in (1, 2, 9)]
+
+
+def test_report_has_the_keys_of_the_contract_and_the_model_is_stored(sources, tmp_path) -> None:
+    report = fit_sources(
+        sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
+    ).to_dict()
+    assert set(report) == {"model", "estimator", "seconds", "validation"}
+    assert report["estimator"] == "rigid-wls"
+    (entry,) = report["validation"]
+    assert {"source", "unit", "rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered"} <= set(
+        entry
+    )
+    assert entry["source"] == str(sources[2])
+    assert entry["unit"] == "A"
+    assert entry["mean_raw"] == pytest.approx(np.mean(entry["rmse_raw"]))
+    assert entry["mean_raw"] < 0.05
+    (folder,) = tmp_path.iterdir()
+    assert str(folder) == report["model"]
+    assert {f.name for f in folder.iterdir()} == {
+        "model.json",
+        "model.safetensors",
+        "evaluation.json",
+    }
+    json.dumps(report, allow_nan=False)
+
+
+def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> None:
+    report = fit_sources(
+        sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
+    ).to_dict()
+    (again,) = evaluate_sources(tmp_path / report["model"], sources[2:])
+    assert again["rmse_raw"] == report["validation"][0]["rmse_raw"]
+
+
+def test_equal_fits_share_a_folder_and_different_ones_do_not(sources, tmp_path) -> None:
+    for width in (0.01, 0.01, 0.02):
+        fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path, sign_width=width)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_declared_payload_overrides_what_the_recordings_say(sources, tmp_path) -> None:
+    loaded = [recording(tmp_path, seed, load=LOAD) for seed in (11, 12)]
+
+    def error(payload):
+        report = fit_sources(
+            loaded,
+            estimator="rigid-wls",
+            payload=payload,
+            validate=sources[:1],
+            out=tmp_path / "models",
+        )
+        return report.to_dict()["validation"][0]["mean_raw"]
+
+    assert error(LOAD) < 0.1 * error(None)
+
+
+def test_validating_on_training_data_is_refused(sources, tmp_path) -> None:
+    with pytest.raises(DataError, match="both training and test"):
+        fit_sources(sources, estimator="rigid-wls", validate=sources[:1], out=tmp_path)
+
+
+def test_training_data_under_another_name_are_found(sources, tmp_path) -> None:
+    copy = recording(tmp_path, 1, name="copy")
+    with pytest.raises(DataError, match="samples of the test data are also in the training"):
+        fit_sources(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
+
+
+def test_mixed_robots_and_units_are_refused(sources, tmp_path) -> None:
+    other = recording(tmp_path, 5, name="other", robot="ur10e")
+    with pytest.raises(FitError, match="robot is 'ur5' in one source and 'ur10e'"):
+        fit_sources([*sources, other], estimator="rigid-wls", out=tmp_path)
+    torque = recording(tmp_path, 6, name="torque", effort_kind="torque")
+    with pytest.raises(FitError, match=r"a current \[A\], the validation data a torque"):
+        fit_sources(sources, estimator="rigid-wls", validate=[torque], out=tmp_path)
+
+
+def test_slips_are_found_before_any_data_are_read(tmp_path) -> None:
+    nowhere = [tmp_path / "nowhere.mcap"]
+    with pytest.raises(PluginError):
+        fit_sources(nowhere, estimator="rigid", out=tmp_path)
+    with pytest.raises(SpecError, match="no parameter 'width'"):
+        fit_sources(nowhere, estimator="rigid-wls", out=tmp_path, width=3)
+
+
+def test_robot_label_without_a_model_asks_for_one(tmp_path) -> None:
+    labelled = recording(tmp_path, 1, robot="our-arm")
+    with pytest.raises(SpecError, match="no built-in arm 'our-arm'"):
+        fit_sources([labelled], estimator="rigid-wls", out=tmp_path)
+    report = fit_sources([labelled], estimator="rigid-wls", robot="ur5", out=tmp_path / "models")
+    assert report.fitted.model.robot_.name == "ur5"
+
+
+@pytest.mark.parametrize(
+    ("text", "payload"),
+    [("2.8", Payload(2.8)), ("2.8,0,0,0.05", Payload(2.8, (0.0, 0.0, 0.05)))],
+)
+def test_payload_as_typed(text, payload) -> None:
+    assert parse_payload(text) == payload
+
+
+@pytest.mark.parametrize("text", ["", "x", "1,2", "-1", "1,2,3,nan"])
+def test_payload_that_cannot_be_is_refused(text) -> None:
+    with pytest.raises(SpecError, match="neither MASS nor"):
+        parse_payload(text)
