@@ -40,7 +40,11 @@ def test_file_cut_anywhere_gives_its_whole_chunks_or_a_clear_refusal(
     rows, content = rows_and_bytes
     path = tmp_path / "00.mcap.partial"
     lengths = []
-    ends = {*range(0, 600, 2), *range(600, len(content), 13), *range(len(content) - 60, len(content))}
+    ends = {
+        *range(0, 600, 2),
+        *range(600, len(content), 13),
+        *range(len(content) - 60, len(content)),
+    }
     for end in sorted(ends):
         path.write_bytes(content[:end])
         with pytest.raises(DataError, match=str(path)):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from hil.errors import DataError
-from hil.record.rundir import RunDirectory, RunStatus, numbered_runs
+from hil.record.rundir import RunDirectory, RunStatus, run_folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +35,11 @@ class RunListing:
 
 def list_runs(runs_root: Path) -> list[RunListing]:
     """Every run under `runs_root`, by number; damaged directories are listed as such."""
-    root = Path(runs_root)
-    found = {*numbered_runs(root), *(start.parent for start in root.glob("*/*/*/start.json"))}
-    listings = [_listing(path) for path in found if path.is_dir()]
+    listings = [
+        _listing(path)
+        for path in run_folders(runs_root)
+        if RunDirectory(path).number or (path / "start.json").exists()
+    ]
     return sorted(listings, key=lambda run: (run.number, run.path))
 
 

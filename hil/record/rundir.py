@@ -14,6 +14,7 @@ No `stop.json` means *interrupted*. No file is ever rewritten.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -208,15 +209,24 @@ class RunDirectory:
             raise RecordingError(f"cannot read {self.path} back: {error}") from error
 
 
-def numbered_runs(runs_root: Path) -> list[Path]:
-    """The directories that bear a run number, in no particular order."""
-    found = Path(runs_root).glob("*/*/*-*")
-    return [path for path in found if _NUMBERED.fullmatch(path.name)]
+def run_folders(runs_root: Path) -> list[Path]:
+    """Every folder where a run may be, `DAY/ROBOT/RUN`; what vanishes meanwhile is left out."""
+    days = _folders(Path(runs_root))
+    return [run for day in days for robot in _folders(day) for run in _folders(robot)]
+
+
+def _folders(parent: Path) -> list[Path]:
+    try:
+        with os.scandir(parent) as entries:
+            found = [entry for entry in entries if entry.is_dir()]
+    except OSError:
+        return []
+    return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
 
 
 def _claim(root: Path, folder: Path, name: str) -> Path:
     """Make `folder/NNNN-name`. Who holds a claim is alone in looking at and taking its number."""
-    number = max((RunDirectory(path).number for path in numbered_runs(root)), default=0)
+    number = max((RunDirectory(path).number for path in run_folders(root)), default=0)
     while True:
         number += 1
         claim = root / f".claim-{number:04d}"
@@ -225,7 +235,7 @@ def _claim(root: Path, folder: Path, name: str) -> Path:
         except FileExistsError:
             continue
         try:
-            if not any(root.glob(f"*/*/{number:04d}-*")):
+            if all(RunDirectory(run).number != number for run in run_folders(root)):
                 path = folder / f"{number:04d}-{name}"
                 path.mkdir()
                 return path
