@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from recorded_rows import record_state
 
-import hil.record.rundir as rundir
+import hil.record.numbering as numbering
 from hil.errors import DataError, RecordingError
 from hil.record import RunDirectory, list_runs
 
@@ -54,13 +54,13 @@ def test_a_number_that_another_process_has_just_taken_is_not_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert RunDirectory.create(tmp_path, "ur5", "theirs").number == 1
-    look, looks = rundir.run_folders, [0]
+    look, looks = numbering.run_folders, [0]
 
     def stale_at_first(root: Path) -> list[Path]:
         looks[0] += 1
         return [] if looks[0] == 1 else look(root)
 
-    monkeypatch.setattr(rundir, "run_folders", stale_at_first)
+    monkeypatch.setattr(numbering, "run_folders", stale_at_first)
     assert RunDirectory.create(tmp_path, "ur5", "ours").number == 2
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from hil.errors import DataError
-from hil.record.rundir import RunDirectory, RunStatus, run_folders
+from hil.record.numbering import number_of, run_folders
+from hil.record.rundir import RunDirectory, RunStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ def list_runs(runs_root: Path) -> list[RunListing]:
     listings = [
         _listing(path)
         for path in run_folders(runs_root)
-        if RunDirectory(path).number or (path / "start.json").exists()
+        if number_of(path) or (path / "start.json").exists()
     ]
     return sorted(listings, key=lambda run: (run.number, run.path))
 
@@ -47,7 +48,7 @@ def _listing(path: Path) -> RunListing:
     status, uid, problem = _state_of(path)
     return RunListing(
         path=path,
-        number=RunDirectory(path).number,
+        number=number_of(path),
         date=path.parents[1].name,
         robot=path.parent.name,
         status=status,

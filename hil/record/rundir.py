@@ -14,7 +14,6 @@ No `stop.json` means *interrupted*. No file is ever rewritten.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from hil.record.files import (
     sha256_of,
     write_once,
 )
+from hil.record.numbering import claim, name_for_path, number_of
 from hil.record.provenance import utc_now
 from hil.record.writer import PARTIAL_SUFFIX
 
@@ -41,7 +41,6 @@ Outcome = Literal["completed", "stopped", "tripped", "failed"]
 RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-_NUMBERED = re.compile(r"(\d{4,})-.+")
 _RECORDING = re.compile(rf"(\d\d+)\.mcap({re.escape(PARTIAL_SUFFIX)})?")
 
 
@@ -69,10 +68,12 @@ class RunDirectory:
         Raises:
             RecordingError: The directory cannot be made.
         """
-        folder = Path(runs_root) / datetime.now().astimezone().date().isoformat() / _slug(robot)
+        folder = (
+            Path(runs_root) / datetime.now().astimezone().date().isoformat() / name_for_path(robot)
+        )
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            path = _claim(Path(runs_root), folder, _slug(name))
+            path = claim(Path(runs_root), folder, name_for_path(name))
             (path / "recording").mkdir()
             fsync_directory(path)
             fsync_directory(folder)
@@ -102,8 +103,7 @@ class RunDirectory:
     @property
     def number(self) -> int:
         """The running number, 0 when somebody has renamed the directory."""
-        match = _NUMBERED.fullmatch(self.path.name)
-        return int(match[1]) if match else 0
+        return number_of(self.path)
 
     @property
     def start(self) -> dict[str, Any]:
@@ -207,44 +207,6 @@ class RunDirectory:
             return {path.relative_to(self.path).as_posix(): sha256_of(path) for path in paths}
         except OSError as error:
             raise RecordingError(f"cannot read {self.path} back: {error}") from error
-
-
-def run_folders(runs_root: Path) -> list[Path]:
-    """Every folder where a run may be, `DAY/ROBOT/RUN`; what vanishes meanwhile is left out."""
-    days = _folders(Path(runs_root))
-    return [run for day in days for robot in _folders(day) for run in _folders(robot)]
-
-
-def _folders(parent: Path) -> list[Path]:
-    try:
-        with os.scandir(parent) as entries:
-            found = [entry for entry in entries if entry.is_dir()]
-    except OSError:
-        return []
-    return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
-
-
-def _claim(root: Path, folder: Path, name: str) -> Path:
-    """Make `folder/NNNN-name`. Who holds a claim is alone in looking at and taking its number."""
-    number = max((RunDirectory(path).number for path in run_folders(root)), default=0)
-    while True:
-        number += 1
-        claim = root / f".claim-{number:04d}"
-        try:
-            claim.mkdir()
-        except FileExistsError:
-            continue
-        try:
-            if all(RunDirectory(run).number != number for run in run_folders(root)):
-                path = folder / f"{number:04d}-{name}"
-                path.mkdir()
-                return path
-        finally:
-            claim.rmdir()
-
-
-def _slug(name: str) -> str:
-    return re.sub(r"[^a-z0-9._]+", "-", name.lower()).strip("-.") or "run"
 
 
 def _recording(path: Path) -> re.Match[str] | None:
