@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,8 @@ from typing import Any, Literal
 
 from hil.excite.motion import Motion, motion_from_dict
 from hil.payload import Payload
+from hil.plan.extremes import Extremes, extremes_of
+from hil.typing import FloatArray
 
 PLAN_FORMAT = 1
 
@@ -78,10 +81,17 @@ class DwellRule:
 
 @dataclass(frozen=True, slots=True)
 class LoadStep:
-    """A load of the plan and what the operator is told."""
+    """A load of the plan.
+
+    Attributes:
+        payload: What is mounted.
+        prompt: What the operator is told before it is.
+        size_m: Length and radius of its body along the flange axis, None when not known.
+    """
 
     payload: Payload
     prompt: str = ""
+    size_m: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -98,7 +108,7 @@ class Plan:
         dwell: When a dwell is over.
         margins: Smallest distance to every limit (see `hil plan`), all ≥ 0.
         condition_number: Column-scaled condition number of the base regressor on the plan's
-            measuring samples.
+            measuring samples; infinite where they do not determine the parameters.
     """
 
     name: str
@@ -109,7 +119,7 @@ class Plan:
     loads: tuple[LoadStep, ...]
     dwell: DwellRule = DwellRule()
     margins: dict[str, float] = field(default_factory=dict)
-    condition_number: float = float("nan")
+    condition_number: float = math.inf
 
     def __iter__(self) -> Iterator[Step]:
         return iter(self.steps)
@@ -126,6 +136,21 @@ class Plan:
     def duration_s(self) -> float:
         """Estimated duration: motions plus the shortest possible dwells [s]."""
         return sum(self.step_duration_s(step) for step in self.steps)
+
+    @property
+    def motions(self) -> list[Motion]:
+        """The motions in order, steps without one left out."""
+        return [step.motion for step in self.steps if step.motion is not None]
+
+    @property
+    def q_start(self) -> FloatArray:
+        """(n,) where the robot must stand before the first motion [rad]."""
+        return self.motions[0].q_start
+
+    @cached_property
+    def extremes(self) -> Extremes:
+        """How far, fast and hard each joint goes."""
+        return extremes_of(self.motions, self.rate_hz)
 
     def step_duration_s(self, step: Step) -> float:
         """Estimated duration of one step [s]; a dwell also needs a moment to settle."""
@@ -159,13 +184,14 @@ class Plan:
             },
             "loads": [_load_to_dict(load) for load in self.loads],
             "margins": self.margins,
-            "condition_number": self.condition_number,
+            "condition_number": number_or_none(self.condition_number),
             "steps": [step.to_dict() for step in self.steps],
         }
 
     @staticmethod
     def from_dict(raw: dict[str, Any]) -> Plan:
         """Inverse of `to_dict`."""
+        condition = raw["condition_number"]
         return Plan(
             name=raw["name"],
             robot_model=raw["robot_model"],
@@ -175,7 +201,7 @@ class Plan:
             loads=tuple(_load_from_dict(load) for load in raw["loads"]),
             dwell=DwellRule(**raw["dwell"]),
             margins=raw["margins"],
-            condition_number=raw["condition_number"],
+            condition_number=math.inf if condition is None else condition,
         )
 
 
@@ -183,9 +209,15 @@ SETTLING_S = 0.1
 """Typical time an arm needs to come to rest after the set-point did [s]; for estimates only."""
 
 
+def number_or_none(value: float) -> float | None:
+    """The value, or None where JSON has no word for it."""
+    return value if math.isfinite(value) else None
+
+
 def _load_to_dict(load: LoadStep) -> dict[str, Any]:
     p = load.payload
-    return {
+    size = {} if load.size_m is None else {"size_m": list(load.size_m)}
+    return size | {
         "mass_kg": p.mass,
         "com_m": list(p.com),
         "inertia_kgm2": list(p.inertia),
@@ -195,4 +227,5 @@ def _load_to_dict(load: LoadStep) -> dict[str, Any]:
 
 def _load_from_dict(raw: dict[str, Any]) -> LoadStep:
     payload = Payload(raw["mass_kg"], tuple(raw["com_m"]), tuple(raw["inertia_kgm2"]))
-    return LoadStep(payload, raw["prompt"])
+    size = tuple(raw["size_m"]) if "size_m" in raw else None
+    return LoadStep(payload, raw["prompt"], size)

@@ -1,1 +1,22 @@
 """Checks before motion."""
+
+from hil.preflight.check import Check, CheckResult, Context, Situation
+from hil.preflight.preflight import (
+    BUILT_IN,
+    document_of,
+    preflight,
+    preflight_context,
+    require_preflight,
+)
+
+__all__ = [
+    "BUILT_IN",
+    "Check",
+    "CheckResult",
+    "Context",
+    "Situation",
+    "document_of",
+    "preflight",
+    "preflight_context",
+    "require_preflight",
+]

@@ -1,0 +1,165 @@
+"""From visits to one connected sequence of actions: order, ways between, warm-up, references."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.errors import PlanError
+from hil.excite.motion import STANDSTILL_RAD, Line
+from hil.excite.roadmap import Roadmap
+from hil.excite.visit import Action, Program, Visit
+from hil.excite.workspace import Workspace
+from hil.typing import FloatArray
+
+LOOK_AHEAD = 6
+"""How many of the remaining visits are tried in a straight line at once."""
+
+PATIENCE = 60
+"""After so many visits without a straight way, one over other poses is taken."""
+
+REPETITION_PENALTY = 0.2
+"""Share of the joint range by which a warm-up pose is less attractive after each visit to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """How visits become a sequence.
+
+    Attributes:
+        roadmap: How to get about.
+        reference: The visit that is repeated to see drift; None for none.
+        every: Visits of the program between two visits to the reference.
+    """
+
+    roadmap: Roadmap
+    reference: Visit | None = None
+    every: int = 50
+
+    @property
+    def workspace(self) -> Workspace:
+        """Where it happens."""
+        return self.roadmap.workspace
+
+    def go_home(self, here: FloatArray) -> list[Action]:
+        """The way to the roadmap's home pose from `here` (n,).
+
+        Raises:
+            PlanError: There is none.
+        """
+        lines = self.roadmap.way(here, self.roadmap.home)
+        if lines is None:
+            raise PlanError(
+                f"no clear way leads away from the pose {_degrees(here)}",
+                hint="jog the robot to a pose with more room around it and plan again",
+            )
+        return _moves(lines)
+
+    def warm_up(self, here: FloatArray, duration_s: float) -> list[Action]:
+        """Clear motion between roomy poses for at least `duration_s`, moving every joint far.
+
+        Raises:
+            PlanError: There is no room for it.
+        """
+        out: list[Action] = []
+        used = np.zeros(len(self.roadmap.poses))
+        left_s = duration_s
+        while left_s > 0:
+            line, index = self._far_away(here, used)
+            out.append(Action("warmup", line, checkpoint=not out))
+            used[index] += 1
+            left_s -= line.duration_s
+            here = line.q_end
+        return out
+
+    def measure(self, program: Program, here: FloatArray) -> Iterator[Action]:
+        """The program's visits from the position `here` (n,), the reference among them.
+
+        Raises:
+            PlanError: A visit cannot be reached.
+        """
+        remaining, spares = _ordered(program), list(program.spares)
+        since_reference = self.every
+        while remaining:
+            if since_reference >= self.every and (group := self._see_reference(here)):
+                yield from group
+                here, since_reference = group[-1].motion.q_end, 0
+            ahead = remaining if program.shuffle_seed is not None else remaining[:1]
+            found = self._next(here, ahead)
+            if found is None:
+                remaining, spares = _replaced(remaining, spares, ahead)
+                continue
+            index, lines = found
+            visit = remaining.pop(index)
+            yield from _group(lines, visit)
+            here = visit.exit
+            since_reference += 1
+        if since_reference:
+            yield from self._see_reference(here)
+
+    def _next(self, here: FloatArray, visits: Sequence[Visit]) -> tuple[int, list[Line]] | None:
+        """The first visit with a straight clear way, else the first with any way."""
+        for i in range(0, min(len(visits), PATIENCE), LOOK_AHEAD):
+            some = visits[i : min(i + LOOK_AHEAD, PATIENCE)]
+            lines = [self.workspace.line(here, visit.entry) for visit in some]
+            if (found := self.workspace.first_clear(lines)) is not None:
+                return i + found, [lines[found]]
+        for i, visit in enumerate(visits):
+            if (way := self.roadmap.way(here, visit.entry)) is not None:
+                return i, way
+        return None
+
+    def _see_reference(self, here: FloatArray) -> list[Action]:
+        if self.reference is None:
+            return []
+        lines = self.roadmap.way(here, self.reference.entry)
+        return [] if lines is None else _group(lines, self.reference)
+
+    def _far_away(self, here: FloatArray, used: FloatArray) -> tuple[Line, int]:
+        """A clear line on which even the least moved joint moves far, and its pose's index."""
+        poses = self.roadmap.poses
+        share = np.abs(poses - here) / (self.workspace.high - self.workspace.low)
+        order = np.argsort(REPETITION_PENALTY * used - share.min(axis=1), kind="stable")
+        lines = [self.workspace.line(here, poses[i]) for i in order if share[i].min() > 0]
+        found = self.workspace.first_clear(lines)
+        if found is None:
+            raise PlanError(
+                "there is no room for a warm-up motion",
+                hint="set warm_up.duration_s to 0 or widen excitation.range_deg",
+            )
+        return lines[found], int([i for i in order if share[i].min() > 0][found])
+
+
+def _group(lines: Sequence[Line], visit: Visit) -> list[Action]:
+    """The way to a visit and the visit; a run can be resumed where the group begins."""
+    group = [*_moves(lines), *visit.actions]
+    return [replace(group[0], checkpoint=True), *group[1:]]
+
+
+def _moves(lines: Sequence[Line]) -> list[Action]:
+    return [Action("move", line) for line in lines if line.distance >= STANDSTILL_RAD]
+
+
+def _ordered(program: Program) -> list[Visit]:
+    if program.shuffle_seed is None:
+        return list(program.visits)
+    order = np.random.default_rng(program.shuffle_seed).permutation(len(program.visits))
+    return [program.visits[i] for i in order]
+
+
+def _replaced(
+    remaining: list[Visit], spares: list[Visit], unreachable: Sequence[Visit]
+) -> tuple[list[Visit], list[Visit]]:
+    if len(spares) < len(unreachable):
+        raise PlanError(
+            "\n".join(f"{visit.label}: no clear way leads there" for visit in unreachable),
+            hint="drop these poses, or see whether the station's surroundings are as described",
+        )
+    n = len(unreachable)
+    return spares[:n] + remaining[n:], spares[n:]
+
+
+def _degrees(q: FloatArray) -> str:
+    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q))})°"

@@ -1,0 +1,106 @@
+"""The dwell program: many well-spread poses, approached from both sides, measured at rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import SpecError
+from hil.excite.poses import draw_poses
+from hil.excite.roadmap import Roadmap
+from hil.excite.visit import Program, Visit, pose_visit
+from hil.excite.waypoint_file import WaypointFile, read_waypoints, shortened
+from hil.excite.workspace import Workspace
+from hil.spec.experiment import Dwell
+from hil.typing import FloatArray
+
+SPARE_SHARE = 0.05
+"""Poses drawn beyond those asked for, to stand in for unreachable ones."""
+
+RADIAN_SUSPICION = 0.5
+"""Share of poses beyond the limits from which degrees read as radians are suspected."""
+
+
+class DwellProgram:
+    """Poses drawn by seed or read from a file; visited in random order, as `excitation` says.
+
+    The order is random so that drift during the run is not mistaken for a function of the pose.
+
+    Args:
+        spec: The excitation part of an experiment.
+        folder: What `file` is relative to.
+    """
+
+    def __init__(self, spec: Dwell, folder: Path = Path()) -> None:
+        self.spec = spec
+        self.folder = folder
+
+    def program(self, roadmap: Roadmap) -> Program:
+        """All visits, clear in themselves.
+
+        Raises:
+            SpecError: The waypoint file has mistakes; all of them are listed.
+            PlanError: There are too few clear poses.
+        """
+        if self.spec.file is not None:
+            return Program(self._from_file(roadmap), shuffle_seed=self.spec.seed)
+        wanted = self.spec.waypoints
+        visits = self._drawn(roadmap, wanted + max(4, int(SPARE_SHARE * wanted)))
+        return Program(visits[:wanted], visits[wanted:], shuffle_seed=self.spec.seed)
+
+    def _drawn(self, roadmap: Roadmap, count: int) -> list[Visit]:
+        """`count` visits to drawn poses, the stretches to and from each pose clear as well."""
+        workspace = roadmap.workspace
+        kept: list[FloatArray] = []
+        for block in draw_poses(workspace, self.spec.seed):
+            visits = self._visits(workspace, block[roadmap.seem_connected(block)])
+            kept += [q for q, visit in visits if workspace.are_clear(visit.motions)]
+            if len(kept) >= count:
+                break
+        return [self._visit(workspace, q, f"pose {i}", i) for i, q in enumerate(kept[:count])]
+
+    def _visits(self, workspace: Workspace, poses: FloatArray) -> list[tuple[FloatArray, Visit]]:
+        """Each of `poses` (m, n) with its visit; their distances are computed in one go."""
+        visits = [self._visit(workspace, q, "", -1) for q in poses]
+        workspace.clearances([motion for visit in visits for motion in visit.motions])
+        return list(zip(poses, visits, strict=True))
+
+    def _from_file(self, roadmap: Roadmap) -> list[Visit]:
+        workspace = roadmap.workspace
+        file = read_waypoints(
+            self.folder / str(self.spec.file), workspace.joint_names, self.spec.file_unit
+        )
+        visits = [self._visit(workspace, q, file.place(row), row) for row, q in enumerate(file.q)]
+        problems = list(file.problems)
+        for q, visit in zip(file.q, visits, strict=True):
+            problems += _complaints(roadmap, q, visit)
+        if problems:
+            raise SpecError(shortened(problems), hint=self._hint(workspace, file))
+        return visits
+
+    def _visit(self, workspace: Workspace, q: FloatArray, label: str, pose: int) -> Visit:
+        delta = float(np.radians(self.spec.approach_deg))
+        return pose_visit(workspace, q, self.spec.approach, delta, label=label, pose=pose)
+
+    def _hint(self, workspace: Workspace, file: WaypointFile) -> str:
+        """Suspect the unit when many poses are beyond the limits as radians."""
+        beyond = 1 - workspace.within_limits(file.q).mean() if len(file.q) else 0.0
+        if self.spec.file_unit == "rad" and beyond >= RADIAN_SUSPICION:
+            return "if these numbers are degrees, say excitation.file_unit: deg"
+        return "mend or drop these poses; nothing was planned"
+
+
+def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:
+    """What is wrong with a pose of a file, else with the way to it."""
+    workspace = roadmap.workspace
+    if complaint := workspace.complaint(q):
+        return [f"{visit.label}: {complaint}"]
+    for motion in visit.motions:
+        if complaint := workspace.complaint(motion.q_start):
+            return [f"{visit.label}: where the pose is approached from, {complaint}"]
+    if not workspace.are_clear(visit.motions):
+        return [f"{visit.label}: the arm comes too close to something on its approach"]
+    if roadmap.way(roadmap.home, visit.entry) is None:
+        return [f"{visit.label}: no clear way leads there"]
+    return []

@@ -1,0 +1,153 @@
+"""Ways between poses: straight when that is clear, else over a few well-spread poses.
+
+Joint space may fall apart into regions that no motion within the joint ranges connects (a wrist
+that cannot turn past the forearm is enough). The roadmap keeps to the largest one. It is lazy
+(Bohlin and Kavraki 2000): a way is searched over connections that look clear at a few samples,
+then those on it are checked at every sample, and the search is repeated without the bad ones.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+
+import numpy as np
+
+from hil.errors import PlanError
+from hil.excite.motion import STANDSTILL_RAD, Line
+from hil.excite.workspace import Workspace
+from hil.typing import BoolArray, FloatArray, IntArray
+
+STOP_COST_RAD = 0.5
+"""What one more stop on the way counts for, as distance of the joint that has furthest to go."""
+
+NEAREST = 4
+"""Poses of the roadmap a pose is tried to be connected with."""
+
+
+class Roadmap:
+    """Ways through a workspace.
+
+    Args:
+        workspace: Where the ways must be clear.
+        poses: (M, n) clear poses to travel over, well spread.
+
+    Attributes:
+        poses: (m, n) those of the largest connected region.
+        home: (n,) the roomiest of them.
+
+    Raises:
+        PlanError: No two of the poses are connected.
+    """
+
+    def __init__(self, workspace: Workspace, poses: FloatArray) -> None:
+        self.workspace = workspace
+        look_clear = _symmetric(self._looks_clear(poses, poses))
+        region = self._largest_region(poses, look_clear)
+        if len(region) < 2:
+            raise PlanError(
+                "no clear motion leads from one pose to another",
+                hint="see whether the station's surroundings are as described",
+            )
+        self.poses = poses[region]
+        self._open = look_clear[np.ix_(region, region)]
+        self.home: FloatArray = self.poses[int(workspace.clearance(self.poses).argmax())]
+
+    def seem_connected(self, q: FloatArray) -> BoolArray:
+        """(N,) whether straight lines to near poses of the roadmap look clear for `q` (N, n)."""
+        distance = np.abs(q[:, None] - self.poses[None]).max(axis=2)
+        near = np.argsort(distance, axis=1, kind="stable")[:, :NEAREST]
+        starts = np.repeat(q, near.shape[1], axis=0)
+        looks = self.workspace.look_clear(starts, self.poses[near.ravel()])
+        return np.asarray(looks.reshape(near.shape).any(axis=1))
+
+    def way(self, start: FloatArray, goal: FloatArray) -> list[Line] | None:
+        """Clear lines from `start` to `goal`: none needed is [], no way at all is None."""
+        if np.max(np.abs(goal - start)) < STANDSTILL_RAD:
+            return []
+        straight = self.workspace.line(start, goal)
+        if self.workspace.first_clear([straight]) == 0:
+            return [straight]
+        nodes = np.vstack([self.poses, start, goal])
+        n = len(self.poses)
+        open_ = np.zeros((n + 2, n + 2), dtype=bool)
+        open_[:n, :n] = self._open
+        open_[:n, n:] = self._looks_clear(nodes[n:], self.poses).T
+        open_ = _symmetric(open_)
+        found = self._search(nodes, open_)
+        self._open &= open_[:n, :n]
+        return found
+
+    def _search(self, nodes: FloatArray, open_: BoolArray) -> list[Line] | None:
+        """A way from the last but one of `nodes` to the last; closes connections in `open_`."""
+        last = len(nodes) - 1
+        cost = np.abs(nodes[:, None] - nodes[None]).max(axis=2) + STOP_COST_RAD
+        while path := _shortest(np.where(open_, cost, np.inf), last - 1, last):
+            lines = [self.workspace.line(nodes[a], nodes[b]) for a, b in path]
+            bad = [edge for edge, line in zip(path, lines, strict=True) if not self._is_clear(line)]
+            if not bad:
+                return lines
+            for a, b in bad:
+                open_[a, b] = open_[b, a] = False
+        return None
+
+    def _is_clear(self, line: Line) -> bool:
+        return self.workspace.are_clear([line])
+
+    def _looks_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
+        """(S, G) whether the lines between all `starts` (S, n) and `goals` (G, n) look clear."""
+        s, g = np.indices((len(starts), len(goals))).reshape(2, -1)
+        return self.workspace.look_clear(starts[s], goals[g]).reshape(len(starts), len(goals))
+
+    def _largest_region(self, poses: FloatArray, open_: BoolArray) -> IntArray:
+        """Indices of the poses in the largest connected region, each connection checked.
+
+        Kruskal's algorithm: the shortest connections first, only those that join two regions.
+        """
+        region = np.arange(len(poses))
+        for a, b in _by_length(poses, open_):
+            if region[a] != region[b]:
+                if self._is_clear(self.workspace.line(poses[a], poses[b])):
+                    region[region == region[b]] = region[a]
+                else:
+                    open_[a, b] = open_[b, a] = False
+        names, sizes = np.unique(region, return_counts=True)
+        return np.flatnonzero(region == names[sizes.argmax()])
+
+
+def _by_length(poses: FloatArray, open_: BoolArray) -> Iterator[tuple[int, int]]:
+    distance = np.abs(poses[:, None] - poses[None]).max(axis=2)
+    pairs = np.argwhere(np.triu(open_, 1))
+    order = np.argsort(distance[pairs[:, 0], pairs[:, 1]], kind="stable")
+    return ((int(a), int(b)) for a, b in pairs[order])
+
+
+def _symmetric(upper: BoolArray) -> BoolArray:
+    """A matrix of connections from its upper triangle, which works both ways."""
+    strict = np.triu(upper, 1)
+    return np.asarray(strict | strict.T)
+
+
+def _shortest(cost: FloatArray, start: int, goal: int) -> list[tuple[int, int]]:
+    """Edges of the cheapest path (Dijkstra), empty when there is none."""
+    best = np.full(len(cost), np.inf)
+    best[start] = 0.0
+    before = np.full(len(cost), -1)
+    queue = [(0.0, start)]
+    while queue:
+        so_far, node = heapq.heappop(queue)
+        if node == goal:
+            return _backtrack(before, goal)
+        total = so_far + cost[node]
+        for other in np.flatnonzero(total < best):
+            best[other], before[other] = total[other], node
+            heapq.heappush(queue, (float(total[other]), int(other)))
+    return []
+
+
+def _backtrack(before: IntArray, node: int) -> list[tuple[int, int]]:
+    edges: list[tuple[int, int]] = []
+    while before[node] >= 0:
+        edges.insert(0, (int(before[node]), node))
+        node = int(before[node])
+    return edges

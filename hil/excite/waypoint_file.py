@@ -1,0 +1,125 @@
+"""A lab's own poses from a CSV file, every mistake reported at once with its line."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hil.errors import SpecError
+from hil.typing import FloatArray
+
+MOST_PROBLEMS = 20
+"""A file with more mistakes than this has one mistake, made often."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WaypointFile:
+    """Poses as read.
+
+    Attributes:
+        path: The file.
+        q: (N, n) poses [rad], joints in the robot's order.
+        lines: Line number of each pose.
+        problems: What cannot be read, one message per mistake, each beginning `file:line:`.
+    """
+
+    path: Path
+    q: FloatArray
+    lines: tuple[int, ...]
+    problems: tuple[str, ...]
+
+    def place(self, row: int) -> str:
+        """`file:line` of pose `row`."""
+        return f"{self.path}:{self.lines[row]}"
+
+
+def read_waypoints(
+    path: Path, joint_names: Sequence[str], unit: Literal["deg", "rad"]
+) -> WaypointFile:
+    """Read poses: one per line, one column per joint, separated by commas.
+
+    Blank lines and lines that begin with `#` are skipped. A first line of joint names may put the
+    columns in any order (elbow-first orders are common).
+
+    Raises:
+        SpecError: The file cannot be opened or read as text, or names joints nobody has.
+    """
+    rows = _rows(path)
+    order = list(range(len(joint_names)))
+    if rows and not any(_number(cell) is not None for cell in rows[0][1]):
+        order = _columns(path, rows.pop(0), joint_names)
+    problems: list[str] = []
+    q, lines = [], []
+    for line, cells in rows:
+        if complaint := _complaint(cells, joint_names):
+            problems.append(f"{path}:{line}: {complaint}")
+        else:
+            q.append([float(cells[column]) for column in order])
+            lines.append(line)
+    if not rows:
+        problems.append(f"{path}: there is no pose in this file")
+    poses = np.array(q, dtype=np.float64).reshape(len(q), len(joint_names))
+    return WaypointFile(
+        path, np.radians(poses) if unit == "deg" else poses, tuple(lines), tuple(problems)
+    )
+
+
+def shortened(problems: Sequence[str]) -> str:
+    """The problems, one per line, the end of a very long list left out."""
+    more = len(problems) - MOST_PROBLEMS
+    shown = list(problems[:MOST_PROBLEMS]) + ([f"… and {more} more"] if more > 0 else [])
+    return "\n".join(shown)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Line number and stripped cells of every line that says something."""
+    try:
+        text = path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise SpecError(
+            f"excitation.file: {path} cannot be read: {reason}",
+            hint="the path is relative to the folder of the experiment's YAML",
+        ) from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            rows.append((number, [cell.strip() for cell in next(csv.reader([line]))]))
+    return rows
+
+
+def _columns(path: Path, header: tuple[int, list[str]], joint_names: Sequence[str]) -> list[int]:
+    """Column of each joint, by the names in the first line."""
+    line, cells = header
+    if sorted(cells) != sorted(joint_names):
+        raise SpecError(
+            f"{path}:{line}: the first line is neither a pose nor the joints' names: "
+            f"{', '.join(cells)}",
+            hint=f"the joints are {', '.join(joint_names)}",
+        )
+    return [cells.index(name) for name in joint_names]
+
+
+def _complaint(cells: Sequence[str], joint_names: Sequence[str]) -> str:
+    if len(cells) != len(joint_names):
+        return f"{len(cells)} columns, but the robot has {len(joint_names)} joints"
+    for column, cell in enumerate(cells, start=1):
+        value = _number(cell)
+        if value is None:
+            return f"column {column} is {cell!r}, not a number"
+        if not math.isfinite(value):
+            return f"column {column} is {cell}, not a finite number"
+    return ""
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None

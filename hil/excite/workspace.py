@@ -1,0 +1,163 @@
+"""Where the arm may be and how fast it may go there; every collision question is asked here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from hil.excite.motion import Line, Motion
+from hil.typing import BoolArray, FloatArray
+
+ROWS_AT_ONCE = 16_384
+"""Joint positions per call of the collision model: enough to amortise it, few enough to stay in
+the cache."""
+
+COARSE = 24
+"""Points of a line looked at before all its samples, to drop hopeless lines early."""
+
+LIMIT_TOLERANCE_RAD = 1e-9
+
+
+class Clearance(Protocol):
+    """What is needed of a collision model (`hil.dynamics.collision.CollisionModel`)."""
+
+    def clearance(self, q: FloatArray) -> FloatArray:
+        """(N,) smallest distance [m] at each of `q` (N, n); negative where bodies overlap."""
+
+    def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
+        """The smallest distance [m] at `q` (n,) and between which two bodies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """A robot in its surroundings, as excitation and plan see it.
+
+    Attributes:
+        joint_names: Length n.
+        q_min, q_max: The robot's position limits [rad], (n,).
+        low, high: Range that excitation draws from [rad], (n,), inside the limits.
+        collision: Distances of the arm with the largest payload of the experiment.
+        clearance_m: Distance that is kept to everything.
+        velocity, acceleration, jerk: Limits for every joint [rad/s, rad/s², rad/s³].
+        rate_hz: Command rate; motions are checked at each of its samples.
+        condition: Condition number of the base regressor at q, qd, qdd, each (N, n); lets an
+            excitation choose between draws. None when nobody can say.
+    """
+
+    joint_names: tuple[str, ...]
+    q_min: FloatArray
+    q_max: FloatArray
+    low: FloatArray
+    high: FloatArray
+    collision: Clearance
+    clearance_m: float
+    velocity: float
+    acceleration: float
+    jerk: float
+    rate_hz: float
+    condition: Callable[[FloatArray, FloatArray, FloatArray], float] | None = None
+    _known: dict[Motion, float] = field(default_factory=dict, repr=False)
+
+    def line(self, start: FloatArray, goal: FloatArray) -> Line:
+        """The straight way from `start` to `goal`, each (n,)."""
+        ends = (tuple(map(float, start)), tuple(map(float, goal)))
+        return Line(*ends, self.velocity, self.acceleration, self.jerk, self.rate_hz)
+
+    def within_limits(self, q: FloatArray) -> BoolArray:
+        """(N,) whether each of `q` (N, n) respects the robot's position limits."""
+        inside = (q >= self.q_min - LIMIT_TOLERANCE_RAD) & (q <= self.q_max + LIMIT_TOLERANCE_RAD)
+        return np.asarray(inside.all(axis=1))
+
+    def is_clear(self, q: FloatArray) -> BoolArray:
+        """(N,) whether each of `q` (N, n) is within limits and keeps its distance."""
+        clear = self.within_limits(q)
+        clear[clear] = self.clearance(q[clear]) >= self.clearance_m
+        return clear
+
+    def clearance(self, q: FloatArray) -> FloatArray:
+        """(N,) smallest distance [m] at each of `q` (N, n), computed in blocks."""
+        blocks = [
+            self.collision.clearance(q[i : i + ROWS_AT_ONCE])
+            for i in range(0, len(q), ROWS_AT_ONCE)
+        ]
+        return np.concatenate(blocks) if blocks else np.empty(0)
+
+    def clearances(self, motions: Sequence[Motion]) -> FloatArray:
+        """(len(motions),) smallest distance [m] over every sample of each motion.
+
+        Every motion is computed once; asking again costs nothing.
+        """
+        new = list(dict.fromkeys(motion for motion in motions if motion not in self._known))
+        for some in _in_blocks(new, self.rate_hz):
+            samples = [motion.sample(self.rate_hz).q for motion in some]
+            begins = np.cumsum([0, *map(len, samples[:-1])])
+            least = np.minimum.reduceat(self.clearance(np.concatenate(samples)), begins)
+            self._known.update(zip(some, map(float, least), strict=True))
+        return np.array([self._known[motion] for motion in motions])
+
+    def are_clear(self, motions: Sequence[Motion]) -> bool:
+        """Whether motions keep their distance at every sample and have their ends within limits."""
+        ends = np.array([end for motion in motions for end in (motion.q_start, motion.q_end)])
+        return bool(
+            self.within_limits(ends).all() and np.all(self.clearances(motions) >= self.clearance_m)
+        )
+
+    def look_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
+        """(N,) whether the straight lines from `starts` to `goals`, each (N, n), may be clear.
+
+        Only `COARSE` points of each are looked at: a no is final, a yes is not.
+        """
+        share = np.linspace(0.0, 1.0, COARSE)[:, None]
+        points = starts[:, None] + share * (goals - starts)[:, None]
+        clear = self.is_clear(points.reshape(-1, points.shape[2]))
+        return np.asarray(clear.reshape(-1, COARSE).all(axis=1))
+
+    def first_clear(self, lines: Sequence[Line]) -> int | None:
+        """Index of the first line that is clear at every sample, or None."""
+        if not lines:
+            return None
+        starts = np.array([motion.start for motion in lines])
+        goals = np.array([motion.goal for motion in lines])
+        for i in np.flatnonzero(self.look_clear(starts, goals)):
+            if self.are_clear([lines[int(i)]]):
+                return int(i)
+        return None
+
+    def complaint(self, q: FloatArray) -> str:
+        """What is wrong with the position `q` (n,), or an empty string."""
+        beyond = [
+            f"{name} at {np.degrees(angle):.1f}° is beyond its range of "
+            f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
+            for name, angle, low, high in zip(
+                self.joint_names, q, self.q_min, self.q_max, strict=True
+            )
+            if not low - LIMIT_TOLERANCE_RAD <= angle <= high + LIMIT_TOLERANCE_RAD
+        ]
+        if beyond:
+            return "; ".join(beyond)
+        distance, bodies = self.collision.closest(q)
+        if distance >= self.clearance_m:
+            return ""
+        state = (
+            f"only {1e3 * distance:.1f} mm apart, {1e3 * self.clearance_m:.1f} mm are required"
+            if distance > 0
+            else f"in collision ({-1e3 * distance:.1f} mm deep)"
+        )
+        return f"{' and '.join(bodies)} are {state}"
+
+
+def _in_blocks(motions: Sequence[Motion], rate_hz: float) -> Iterator[list[Motion]]:
+    """Lists of motions with about `ROWS_AT_ONCE` samples together."""
+    block: list[Motion] = []
+    rows = 0.0
+    for motion in motions:
+        block.append(motion)
+        rows += motion.duration_s * rate_hz + 1
+        if rows >= ROWS_AT_ONCE:
+            yield block
+            block, rows = [], 0.0
+    if block:
+        yield block

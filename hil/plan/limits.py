@@ -1,0 +1,81 @@
+"""What a spec asks of the arm against what the arm can do; every excess at once, with figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hil.arms import ArmDescription
+from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
+from hil.typing import FloatArray
+
+TOLERANCE = 1e-9
+
+
+def excesses(spec: ExperimentSpec, arm: ArmDescription) -> list[str]:
+    """One line per value of `spec` beyond the limits of `arm`, beginning with its key."""
+    return [
+        *_too_fast(spec.excitation, arm),
+        *_beyond_range(spec.excitation, arm),
+        *_reference(spec, arm),
+        *(
+            f"loads[{i}].mass_kg: {load.mass_kg:g} kg is beyond the {arm.payload_max_kg:g} kg "
+            f"the {arm.name} is rated for"
+            for i, load in enumerate(spec.loads)
+            if load.mass_kg > arm.payload_max_kg
+        ),
+    ]
+
+
+def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
+    """(n,) least and (n,) most joint position that excitation draws [rad]."""
+    if excitation.range_deg is None:
+        return arm.excite_min, arm.excite_max
+    low, high = np.radians(np.array(excitation.range_deg)).T
+    return low, high
+
+
+def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]:
+    for key, asked, unit, limits in (
+        ("max_velocity_deg_s", excitation.max_velocity_deg_s, "°/s", arm.qd_max),
+        ("max_acceleration_deg_s2", excitation.max_acceleration_deg_s2, "°/s²", arm.qdd_max),
+    ):
+        weakest = int(np.argmin(limits))
+        most = float(np.degrees(limits[weakest]))
+        if asked > most * (1 + TOLERANCE):
+            yield (
+                f"excitation.{key}: {asked:g} {unit} is beyond the {most:g} {unit} "
+                f"of {arm.joint_names[weakest]}"
+            )
+
+
+def _beyond_range(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]:
+    if excitation.range_deg is None:
+        return
+    if len(excitation.range_deg) != arm.n_joints:
+        yield (
+            f"excitation.range_deg: {len(excitation.range_deg)} ranges, "
+            f"but the {arm.name} has {arm.n_joints} joints"
+        )
+        return
+    for i, (low, high) in enumerate(excitation.range_deg):
+        yield from _outside(f"excitation.range_deg[{i}]", (low, high), i, arm)
+
+
+def _reference(spec: ExperimentSpec, arm: ArmDescription) -> Iterator[str]:
+    q_deg = spec.reference.q_deg
+    if q_deg is None:
+        return
+    if len(q_deg) != arm.n_joints:
+        yield f"reference.q_deg: {len(q_deg)} angles, but the {arm.name} has {arm.n_joints} joints"
+        return
+    for i, angle in enumerate(q_deg):
+        yield from _outside(f"reference.q_deg[{i}]", (angle,), i, arm)
+
+
+def _outside(key: str, angles: Sequence[float], i: int, arm: ArmDescription) -> Iterator[str]:
+    low, high = float(np.degrees(arm.q_min[i])), float(np.degrees(arm.q_max[i]))
+    for angle in angles:
+        if not low - TOLERANCE <= angle <= high + TOLERANCE:
+            yield (f"{key}: {angle:g}° is beyond the {low:g}° to {high:g}° of {arm.joint_names[i]}")

@@ -1,0 +1,79 @@
+"""What a plan amounts to, before anything moves: `hil plan SPEC --json`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+from hil.plan.plan import Plan, number_or_none
+from hil.robot import state_dtype
+
+COMPRESSION = 0.71
+"""Bytes in the finished file per byte of state row, message headers, index and JointStates
+included: measured on 47,000 rows of a dwell program with sensor noise (zstd chunks of 1 MiB)."""
+
+BYTES_PER_STEP = 500
+"""What a step takes in the recording's attached copy of the plan."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanPreview:
+    """The contract of `hil plan --json`.
+
+    Attributes:
+        waypoints: Distinct poses that are dwelt at.
+        duration_s: Estimate; dwells take as long as settling takes.
+        recording_bytes: Estimated size of the recording.
+        margins: Smallest distance to every limit (see `hil.plan.margins`).
+        condition_number: Of the column-scaled base regressor on the measuring samples.
+        hash: The plan's identity.
+        steps: Number of steps of each kind, in the order in which they first occur.
+        samples: State rows to be recorded.
+    """
+
+    waypoints: int
+    duration_s: float
+    recording_bytes: int
+    margins: dict[str, float]
+    condition_number: float
+    hash: str
+    steps: dict[str, int]
+    samples: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "waypoints": self.waypoints,
+            "duration_s": self.duration_s,
+            "recording_bytes": self.recording_bytes,
+            "margins": dict(self.margins),
+            "condition_number": number_or_none(self.condition_number),
+            "hash": self.hash,
+            "steps": dict(self.steps),
+            "samples": self.samples,
+        }
+
+
+def preview(plan: Plan) -> PlanPreview:
+    """What `plan` amounts to."""
+    return PlanPreview(
+        waypoints=plan.waypoints,
+        duration_s=plan.duration_s,
+        recording_bytes=recording_bytes(plan),
+        margins=dict(plan.margins),
+        condition_number=plan.condition_number,
+        hash=plan.hash,
+        steps=dict(Counter(step.kind for step in plan)),
+        samples=_samples(plan),
+    )
+
+
+def recording_bytes(plan: Plan) -> int:
+    """Estimated size of the recording: state rows as compressed, and the attached plan."""
+    row = state_dtype(len(plan.joint_names)).itemsize
+    return round(_samples(plan) * row * COMPRESSION) + BYTES_PER_STEP * len(plan)
+
+
+def _samples(plan: Plan) -> int:
+    return round(plan.duration_s * plan.rate_hz)

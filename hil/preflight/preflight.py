@@ -1,0 +1,140 @@
+"""All checks before motion, every result at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hil import plugins
+from hil.arms import arm_names, load_arm
+from hil.errors import HilError, PreflightFailed
+from hil.excite.workspace import Clearance
+from hil.plan.plan import Plan
+from hil.plan.surroundings import collision_model
+from hil.preflight import plan_checks, robot_checks
+from hil.preflight.check import Check, CheckResult, Context, Situation
+from hil.robot import Robot
+from hil.spec.station import StationRobot
+from hil.suggest import did_you_mean
+
+BUILT_IN: dict[str, Check] = {
+    "identity": robot_checks.identity,
+    "fault": robot_checks.fault,
+    "rest": robot_checks.rest,
+    "pose": robot_checks.pose,
+    "first-move": plan_checks.first_move,
+    "limits": plan_checks.limits,
+    "load": plan_checks.load,
+    "payload": robot_checks.payload,
+    "rate": plan_checks.rate,
+    "temperature": robot_checks.temperature,
+    "clock": plan_checks.clock,
+    "disk": plan_checks.disk,
+    "folder": plan_checks.folder,
+}
+"""In the order in which they are reported."""
+
+
+def preflight_context(
+    station_robot: StationRobot, folder: Path, *, waivers: Sequence[str] = ()
+) -> Context:
+    """The context of a run of `station_robot` whose recording goes to `folder`."""
+    surroundings = station_robot.surroundings
+
+    def collision(plan: Plan) -> Clearance:
+        loads = [(load.payload, load.size_m) for load in plan.loads]
+        return collision_model(load_arm(station_robot.model), surroundings, loads)
+
+    known = station_robot.model in arm_names()
+    return Context(
+        folder=folder,
+        collision=collision if known else None,
+        clearance_m=surroundings.clearance_m,
+        waivers=tuple(waivers),
+    )
+
+
+def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
+    """Run every check, built in and plugged in; the robot does not move.
+
+    Args:
+        plan: What is about to be executed.
+        robot: Connected; one block of its state is read, and the first load is declared to it.
+        context: Folder, collision model and waivers.
+
+    Returns:
+        One result per check, failed ones that `context.waivers` names marked as waived.
+
+    Raises:
+        PreflightFailed: A waiver names a check that does not exist.
+        RobotError: The robot's state cannot be read.
+    """
+    names = [*BUILT_IN, *(name for name in plugins.names("hil.checks") if name not in BUILT_IN)]
+    _require_known(context.waivers, names)
+    situation = Situation(plan, robot, robot.read()[-1], context)
+    results = [_run(name, situation) for name in names]
+    return [
+        replace(result, waived=not result.passed and result.name in context.waivers)
+        for result in results
+    ]
+
+
+def require_preflight(
+    plan: Plan,
+    robot: Robot,
+    context: Context,
+    keep: Callable[[str, dict[str, Any]], object] | None = None,
+) -> list[CheckResult]:
+    """`preflight`, and an error when something blocks.
+
+    Args:
+        plan: What is about to be executed.
+        robot: Connected.
+        context: Folder, collision model and waivers.
+        keep: Called as `keep("preflight.json", document)` with all results before any error.
+
+    Raises:
+        PreflightFailed: At least one check failed and was not waived; all are in the message.
+    """
+    results = preflight(plan, robot, context)
+    if keep is not None:
+        keep("preflight.json", document_of(results, context))
+    blocking = [result for result in results if result.blocks]
+    if blocking:
+        lines = [f"{result.name}: {result.message}" for result in blocking]
+        hints = [f"{result.name}: {result.hint}" for result in blocking if result.hint]
+        raise PreflightFailed("\n".join(lines), hint="\n    ".join(hints))
+    return results
+
+
+def document_of(results: Sequence[CheckResult], context: Context) -> dict[str, Any]:
+    """What the run directory keeps as `preflight.json`."""
+    return {
+        "passed": not any(result.blocks for result in results),
+        "waivers": list(context.waivers),
+        "checks": [result.to_dict() for result in results],
+    }
+
+
+def _run(name: str, situation: Situation) -> CheckResult:
+    """One check's result under its registered name; a check that breaks has failed."""
+    try:
+        check: Check = BUILT_IN.get(name) or plugins.load("hil.checks", name)
+        return replace(check(situation), name=name)
+    except HilError as error:
+        return CheckResult(name, False, error.message, hint=error.hint)
+    except Exception as error:  # a plug-in may raise anything, and none of it means "go"
+        told = f"{type(error).__name__}: {error}"
+        hint = "mend or uninstall the check, or waive it by name"
+        return CheckResult(name, False, f"the check itself broke: {told}", hint=hint)
+
+
+def _require_known(waivers: Sequence[str], names: Sequence[str]) -> None:
+    unknown = [waiver for waiver in waivers if waiver not in names]
+    if unknown:
+        raise PreflightFailed(
+            "\n".join(f"the waiver {waiver!r} names no check" for waiver in unknown),
+            hint=did_you_mean(unknown[0], names),
+        )

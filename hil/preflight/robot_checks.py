@@ -1,0 +1,105 @@
+"""Checks of the robot: does it stand, feel and think what the plan assumes?"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.arms import arm_names
+from hil.preflight.check import CheckResult, Situation
+from hil.robot import Status
+
+POSE_TOLERANCE_RAD = 0.01
+REST_RAD_S = 0.02
+PAYLOAD_TOLERANCE_KG = 0.005
+COM_TOLERANCE_M = 0.001
+TEMPERATURE_RANGE_C = (-10.0, 80.0)
+
+
+def identity(situation: Situation) -> CheckResult:
+    """The robot is the arm the plan was made for, joints in the same order."""
+    plan, robot = situation.plan, situation.robot
+    model, joints = robot.identity.model, robot.capabilities.joint_names
+    differs = {model, plan.robot_model} <= set(arm_names()) and model != plan.robot_model
+    return CheckResult(
+        "identity",
+        not differs and joints == plan.joint_names,
+        f"the robot is a {model} with the joints {', '.join(joints)}",
+        measured=model,
+        limit=plan.robot_model,
+        hint=f"the plan is for a {plan.robot_model} with {', '.join(plan.joint_names)}",
+    )
+
+
+def pose(situation: Situation) -> CheckResult:
+    """The arm stands where the plan starts, else its first motion would jump."""
+    off = np.abs(situation.state["q"] - situation.plan.q_start)
+    joint = situation.plan.joint_names[int(off.argmax())]
+    return CheckResult(
+        "pose",
+        bool(off.max() <= POSE_TOLERANCE_RAD),
+        f"{joint} is {off.max():.4f} rad from where the plan starts",
+        measured=float(off.max()),
+        limit=POSE_TOLERANCE_RAD,
+        hint="the robot was moved since the plan was made: plan again from here",
+    )
+
+
+def rest(situation: Situation) -> CheckResult:
+    """The arm does not move."""
+    speed = float(np.abs(situation.state["qd"]).max())
+    return CheckResult(
+        "rest",
+        speed <= REST_RAD_S,
+        f"the fastest joint moves at {speed:.4f} rad/s",
+        measured=speed,
+        limit=REST_RAD_S,
+        hint="wait until the arm has come to rest; nothing else may command it",
+    )
+
+
+def fault(situation: Situation) -> CheckResult:
+    """The controller reports no fault."""
+    state = situation.state
+    code, faulty = int(state["fault_code"]), bool(int(state["status"]) & Status.FAULT)
+    return CheckResult(
+        "fault",
+        not faulty and code == 0,
+        f"the controller reports fault code {code}, fault bit {'set' if faulty else 'clear'}",
+        measured=float(code),
+        limit=0.0,
+        hint="see the fault at the controller, remove its cause and acknowledge it there",
+    )
+
+
+def payload(situation: Situation) -> CheckResult:
+    """The controller takes the first load and reads the same back."""
+    declared = situation.plan.loads[0].payload
+    back = situation.robot.set_payload(declared)
+    off_kg = abs(back.mass - declared.mass)
+    off_m = float(np.abs(np.subtract(back.com, declared.com)).max()) if declared.mass else 0.0
+    return CheckResult(
+        "payload",
+        off_kg <= PAYLOAD_TOLERANCE_KG and off_m <= COM_TOLERANCE_M,
+        f"declared {declared.mass:.3f} kg at {declared.com} m, "
+        f"the robot reads back {back.mass:.3f} kg at {back.com} m",
+        measured=back.mass,
+        limit=declared.mass,
+        hint="check the payload settings of the controller",
+    )
+
+
+def temperature(situation: Situation) -> CheckResult:
+    """Joint temperatures are believable; a robot that reports none passes."""
+    known = situation.state["temperature"][np.isfinite(situation.state["temperature"])]
+    if not len(known):
+        return CheckResult("temperature", True, "the robot reports no joint temperatures")
+    low, high = TEMPERATURE_RANGE_C
+    worst = float(known[np.abs(known - (low + high) / 2).argmax()])
+    return CheckResult(
+        "temperature",
+        low <= worst <= high,
+        f"joint temperatures are {known.min():.1f} to {known.max():.1f} °C",
+        measured=worst,
+        limit=high if worst > low else low,
+        hint="let the arm cool down or warm up, or see whether a sensor is broken",
+    )
