@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from synthetic_motion import dataset, dwelling
 
-from hil.data import Conditions
+from hil.data import Conditions, rows_of
 from hil.data.dwells import DwellRule, dwells_of, find_dwells, series_means
 
 RATE = 125.0
@@ -75,6 +75,13 @@ def test_planned_dwells_that_did_not_settle_are_left_out() -> None:
 
     found = dwells_of(replace(data, conditions=unsettled), DwellRule())
     assert [c.pose for c in found.conditions] == [0, 1, 2, 4]
+
+
+def test_series_without_rows_is_no_dwell_and_has_no_mean() -> None:
+    data = dwelling(3)
+    emptied = rows_of(data, np.repeat([True, False, True], 10))
+    assert np.isnan(series_means(emptied, emptied["q"])[1]).all()
+    assert [c.pose for c in dwells_of(emptied).conditions] == [0, 2]
 
 
 def test_series_means_are_means_of_each_series() -> None:

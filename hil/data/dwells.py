@@ -75,7 +75,8 @@ def dwells_of(dataset: Dataset, rule: DwellRule | None = None) -> Dataset:
     """
     planned = dataset.of_kind("dwell")
     if len(planned.conditions):
-        return planned.select(lambda condition: condition.settled)
+        filled = {condition.id for condition, rows in planned.slices() if rows.stop > rows.start}
+        return planned.select(lambda condition: condition.settled and condition.id in filled)
     spans: list[tuple[Conditions, slice]] = []
     chosen = rule or DwellRule()
     qd = dataset.columns.get("qd")
@@ -106,10 +107,14 @@ def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Datas
 
 
 def series_means(dataset: Dataset, values: FloatArray) -> FloatArray:
-    """(S, n) mean of `values` (N, n) over each series; every series has at least one row."""
+    """(S, n) mean of `values` (N, n) over each series; NaN for a series without rows."""
     counts: IntArray = np.diff(dataset.offsets)
-    sums: FloatArray = np.add.reduceat(values, dataset.offsets[:-1], axis=0)
-    return sums / counts[:, None]
+    means = np.full((len(counts), values.shape[1]), np.nan)
+    filled = counts > 0
+    if filled.any():
+        sums = np.add.reduceat(values, dataset.offsets[:-1][filled], axis=0)
+        means[filled] = sums / counts[filled, None]
+    return means
 
 
 def _settled_from(q: FloatArray, drift: float) -> int:

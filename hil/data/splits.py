@@ -90,7 +90,8 @@ def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[
     everything = groups(dataset, by)
     if not 2 <= folds <= len(everything):
         raise DataError(
-            f"{folds} folds need at least two and at most {len(everything)} folds ({by} groups)"
+            f"{folds} folds are not possible with {len(everything)} {by} group(s)",
+            hint="choose at least 2 folds and at most one per group",
         )
     order = np.random.default_rng(seed).permutation(len(everything))
     for part in np.array_split(order, folds):

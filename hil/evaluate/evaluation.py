@@ -137,14 +137,14 @@ def evaluate(model: Model, dataset: Dataset, train_std: FloatArray | None = None
 def filtered_effort(dataset: Dataset) -> FloatArray:
     """(N, n) the measured effort, filtered per series; dwells are averaged instead.
 
-    Motions too short for the filter's edges are averaged as well.
+    Motions too short for the filter's edges stay as they are.
     """
     out = np.array(dataset["effort"])
     for condition, rows in dataset.slices():
         length = rows.stop - rows.start
-        if length and (condition.kind in AT_REST or length < shortest_series(MEASURED_ORDER)):
+        if length and condition.kind in AT_REST:
             out[rows] = np.mean(out[rows], axis=0)
-        elif length:
+        elif length >= shortest_series(MEASURED_ORDER):
             out[rows] = zero_phase(out[rows], MEASURED_CUTOFF, MEASURED_ORDER)
     return out
 
