@@ -42,6 +42,15 @@ def decimated(x: FloatArray, y: FloatArray, points: int = POINTS) -> tuple[Float
     return x[rows], y[rows]
 
 
+def averaged(x: FloatArray, y: FloatArray, points: int = 300) -> tuple[FloatArray, FloatArray]:
+    """A slow, noisy line (N,), (N,) as means over equally many samples; for trends only."""
+    if len(x) <= 2 * points:
+        return x, y
+    edges = np.linspace(0, len(x), points + 1).astype(np.int64)
+    width = np.diff(edges)
+    return np.add.reduceat(x, edges[:-1]) / width, np.add.reduceat(y, edges[:-1]) / width
+
+
 def thinned(n: int, points: int) -> IntArray:
     """At most `points` of `n` row numbers, evenly spread; for clouds, where density matters."""
     if n <= points:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hil.report import colours
-from hil.report.decimate import binned, decimated, thinned
+from hil.report.decimate import averaged, binned, decimated, thinned
 from hil.report.traces import Trace, axes, corner, line, markers, noise_band, span
 from hil.typing import FloatArray, IntArray
 
@@ -186,6 +186,7 @@ def joints_over_time(
     *,
     limit: float = float("nan"),
     marked: bool = False,
+    trend: bool = False,
 ) -> Figure:
     """All joints (N, n) over time (N,) in one plot, lines differing in colour and dash.
 
@@ -196,12 +197,13 @@ def joints_over_time(
         y_title: Axis title with unit.
         limit: Drawn as a horizontal line; NaN for none.
         marked: Also draw the points (for few of them).
+        trend: Show means over time instead of every extreme; for slow, noisy quantities.
     """
     traces = []
     for j, name in enumerate(names):
         if np.isnan(values[:, j]).all():
             continue
-        x, y = decimated(t, values[:, j])
+        x, y = (averaged if trend else decimated)(t, values[:, j])
         trace = line(x, y, name, colours.of_joint(j), dash=colours.dash_of_joint(j))
         if marked:
             trace["mode"] = "lines+markers"

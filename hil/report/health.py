@@ -96,7 +96,7 @@ def _panels(
     heat = recording.rows["temperature"]
     if np.isfinite(heat).any():
         limit = facts.interlock_limit("temperature", "limit_c")
-        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit))
+        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit, trend=True))
     if drift is not None:
         panels.append(_drift(drift, names, facts.effort_unit))
     panels.append(_interval(recording))
@@ -104,12 +104,19 @@ def _panels(
 
 
 def _wide(
-    title: str, t: FloatArray, values: FloatArray, names: Sequence[str], unit: str, limit: float
+    title: str,
+    t: FloatArray,
+    values: FloatArray,
+    names: Sequence[str],
+    unit: str,
+    limit: float,
+    trend: bool = False,
 ) -> Panel:
     peak = _peak(values)
     # A limit far above the data would press them flat; then it is only said.
     drawn = limit if peak > NEAR_LIMIT * limit else float("nan")
-    figure = figures.joints_over_time(t, values, names, f"{title.lower()} [{unit}]", limit=drawn)
+    axis = f"{title.lower()} [{unit}]"
+    figure = figures.joints_over_time(t, values, names, axis, limit=drawn, trend=trend)
     alt = f"{title} of all joints over time; the largest value is {number(peak)} {unit}."
     said = f"{title}, limit {limit:g} {unit}" if np.isfinite(limit) else title
     return Panel(said, figure, alt, wide=True)

@@ -64,7 +64,10 @@ def criteria_sentence(rows: Sequence[Document]) -> str:
     if not rows:
         return ""
     if not missed:
-        return "The criterion is met." if len(rows) == 1 else f"All {len(rows)} criteria are met."
+        texts = list(dict.fromkeys(criterion_text(row) for row in rows))
+        return (
+            f"{'The criterion is' if len(rows) == 1 else 'All criteria are'} met: {listed(texts)}."
+        )
     groups = dict.fromkeys(_group(row) for row in missed)
     words = [_missed([row for row in rows if _group(row) == group]) for group in groups]
     return f"Criteria are missed: {'; '.join(words)}."
