@@ -13,6 +13,7 @@ from hil.data.splits import assert_disjoint, group_of, groups, split
 from hil.dynamics import load_model
 from hil.errors import DataError
 from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
+from hil.evaluate.verdict import Metric
 from hil.fitting import fit_dataset
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import Accept, ExperimentSpec, Fit, HoldOut
@@ -107,9 +108,7 @@ def _checked(train: Dataset, test: Dataset, held_out: str) -> Parts:
     return Parts(train, test, held_out)
 
 
-def _judge_one(
-    directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec
-) -> Judged:
+def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
     parts = hold_out(data, spec.validation.hold_out)
     robot = load_model(data.robot)
     fitted = fit_dataset(
@@ -133,7 +132,7 @@ def criteria_of(accept: Accept) -> list[Criterion]:
     """The model criteria of a spec; `gaps_percent` is judged on the recording."""
     out: list[Criterion] = []
     if (rmse := accept.rmse) is not None:
-        metric = "rmse_raw" if rmse.signal == "raw" else "rmse_filtered"
+        metric: Metric = "rmse_raw" if rmse.signal == "raw" else "rmse_filtered"
         out.append(Criterion(metric, rmse.max, rmse.unit, rmse.per))
     if (nrmse := accept.nrmse) is not None:
         out.append(Criterion("nrmse", nrmse.max, "", nrmse.per))

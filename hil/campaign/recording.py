@@ -19,7 +19,7 @@ from hil.engine.signals import stop_on_signals
 from hil.errors import HilError
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
-from hil.preflight import context_for, require_preflight
+from hil.preflight import preflight_context, require_preflight
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
@@ -146,7 +146,7 @@ def _preflight(
     directory: RunDirectory, plan: Plan, robot: Robot, experiment: Experiment
 ) -> Callable[[], None]:
     def check() -> None:
-        context = context_for(plan, experiment.robot, directory.path)
+        context = preflight_context(experiment.robot, directory.path)
         require_preflight(plan, robot, context, keep=directory.write_json)
 
     return check

@@ -41,7 +41,8 @@ def describe_run(run: str | Path) -> dict[str, Any]:
 def verdict_word(run: Path) -> str:
     """`passed`, `rejected` or `not judged`."""
     document = _optional(run / "verdict.json") or {}
-    return {True: "passed", False: "rejected"}.get(document.get("passed"), "not judged")
+    passed = document.get("passed")
+    return "not judged" if passed is None else "passed" if passed else "rejected"
 
 
 def _entry(listing: RunListing) -> dict[str, Any]:

@@ -58,27 +58,29 @@ def plan(
 ) -> None:
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
     from hil import api
+    from hil.plan.picture import plan_picture
+    from hil.plan.preview import preview
+    from hil.record.files import json_document, write_replacing
 
     experiment = api.load(spec, station)
     made = api.plan(experiment)
-    preview = api.preview(made)
-    drawn = picture or Path(f"{experiment.spec.name}.plan.svg")
-    api.draw_plan(made, drawn)
+    shown = preview(made).to_dict()
+    drawn = plan_picture(made, picture or Path(f"{experiment.spec.name}.plan.svg"))
     if out:
-        api.write_plan(made, out)
+        write_replacing(out, json_document(made.to_dict()))
     if json:
-        print_json({**preview, "picture": str(drawn)})
+        print_json({**shown, "picture": str(drawn)})
         return
     typer.echo(experiment.title)
     rows = [
-        ("waypoints", str(preview["waypoints"])),
+        ("waypoints", str(shown["waypoints"])),
         ("steps", str(len(made))),
-        ("duration", duration(preview["duration_s"])),
-        ("recording", size(preview["recording_bytes"])),
-        ("condition number", f"{preview['condition_number']:.1f}"),
-        *((f"margin: {key}", f"{value:.4g}") for key, value in preview["margins"].items()),
+        ("duration", duration(shown["duration_s"])),
+        ("recording", size(shown["recording_bytes"])),
+        ("condition number", f"{shown['condition_number']:.1f}"),
+        *((f"margin: {key}", f"{value:.4g}") for key, value in shown["margins"].items()),
         ("picture", str(drawn)),
-        ("plan hash", preview["hash"][:12]),
+        ("plan hash", shown["hash"][:12]),
     ]
     print_table(("", ""), rows)
 

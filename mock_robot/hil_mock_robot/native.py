@@ -31,7 +31,7 @@ def require_libraries() -> None:
 require_libraries()
 
 import mujoco  # noqa: E402
-from llvmlite import ir  # type: ignore[import-untyped]  # noqa: E402
+from llvmlite import ir  # noqa: E402
 from numba import types  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 
