@@ -49,7 +49,6 @@ class ArmDescription:
         rate_hz: State and command rate of the controller [Hz].
         payload_max_kg: Rated payload [kg].
         capsules: Collision bodies, base and links.
-        never_touch: Pairs of links that no joint position brings into contact, lower number first.
         sources: Where each number comes from, by topic.
         link_names: (n + 1,) what people call the base and the links, for messages.
     """
@@ -72,7 +71,6 @@ class ArmDescription:
     rate_hz: float
     payload_max_kg: float
     capsules: tuple[Capsule, ...]
-    never_touch: tuple[tuple[int, int], ...]
     sources: dict[str, str]
     link_names: tuple[str, ...]
 
@@ -134,7 +132,6 @@ def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
             Capsule(c["link"], tuple(c["a_m"]), tuple(c["b_m"]), c["radius_m"])
             for c in raw["capsules"]
         ),
-        never_touch=tuple((low, high) for low, high in raw.get("never_touch", ())),
         sources=raw["sources"],
         link_names=("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1))),
     )

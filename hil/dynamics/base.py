@@ -24,8 +24,8 @@ TOLERANCE = 1e-9
 1e-3 for sampled arms."""
 
 SAMPLES = 150
-COEFFICIENT_DECIMALS = 9
-"""Coefficients are products of lengths in m: the rest is the noise of the samples."""
+COEFFICIENT_DECIMALS = 12
+"""Coefficients are products of two lengths in m: what is beyond is the noise of the samples."""
 
 
 class Conditioning(NamedTuple):
@@ -90,7 +90,7 @@ class BaseParameters:
         dependent = np.setdiff1d(np.arange(W.shape[1]), independent)
         K = np.linalg.lstsq(R[:, independent], R[:, dependent], rcond=None)[0]
         K *= np.where(np.isinf(scale), 0.0, scale)[dependent] / scale[independent][:, None]
-        K = np.round(K, COEFFICIENT_DECIMALS)
+        K = np.asarray(np.round(K, COEFFICIENT_DECIMALS) + 0.0)
         return cls(independent, dependent, K, _readable(names, independent, dependent, K))
 
     def reduce(self, W: FloatArray) -> FloatArray:

@@ -26,8 +26,8 @@ class CapsuleChain:
             for link in range(arm.n_joints + 1)
         ]
         self._local = [
-            np.array([_homogeneous(capsules[i]) for i in of_link]).reshape(-1, 4)
-            for of_link in self._of_link
+            np.array([_ends(c) for c in capsules if c.link == link]).reshape(-1, 4)
+            for link in range(arm.n_joints + 1)
         ]
 
     def axes(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -42,11 +42,12 @@ class CapsuleChain:
             self._place(out, link, frame)
         return out[0], out[1]
 
-    def reach(self, fixed: int, capsule: Capsule) -> FloatArray:
-        """(n,) how far [m] a capsule's axis can be from each joint axis.
+    def reach(self, fixed: int, body: int) -> FloatArray:
+        """(n,) how far [m] the axis of the capsule number `body` can be from each joint axis.
 
         Seen from link `fixed`: joints that do not move the capsule against that link have 0.
         """
+        capsule = self._capsules[body]
         tip = max(float(np.linalg.norm(end)) for end in (capsule.a, capsule.b))
         out = np.zeros(len(self._dh))
         for joint in range(capsule.link - 1, fixed - 1, -1):
@@ -63,7 +64,7 @@ class CapsuleChain:
             out[:, :, of_link] = ends.reshape(3, -1, 2, ends.shape[-1]).transpose(2, 0, 1, 3)
 
 
-def _homogeneous(capsule: Capsule) -> FloatArray:
+def _ends(capsule: Capsule) -> FloatArray:
     """(2, 4) start as a point and direction as a vector."""
     a, b = np.array(capsule.a, dtype=np.float64), np.array(capsule.b, dtype=np.float64)
     return np.array([[*a, 1.0], [*(b - a), 0.0]])

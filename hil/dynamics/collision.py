@@ -7,7 +7,7 @@ samples, which is faster than Pinocchio's `computeDistances` sample by sample (m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,9 +15,10 @@ import numpy as np
 from hil.arms import ArmDescription, Capsule
 from hil.dynamics.capsules import CapsuleChain
 from hil.dynamics.distances import box_distance, plane_distance, segment_distance
-from hil.dynamics.environment import TABLE, Box, Environment, Plane
+from hil.dynamics.environment import Box, Environment, Plane
+from hil.dynamics.path_search import least_along
 from hil.errors import DataError, SpecError
-from hil.typing import FloatArray, IntArray
+from hil.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel
@@ -28,18 +29,18 @@ PAIR_BLOCK = 64
 FRAME_BLOCK = 1024
 """Samples per forward kinematics."""
 
-STRIDE = 16
-"""Samples between those that a path search looks at first."""
+NEIGHBOURS = 1
+"""Links so many joints apart are built into each other and never checked."""
 
-NEIGHBOURS = 2
-"""Links fewer than this many joints apart are built into each other and never checked."""
+NEXT_BUT_ONE = 2
+"""Between links so many joints apart, distances depend on two joints: all positions are tried."""
 
 BUILT_TOGETHER_M = 0.03
-"""Bodies that no position of the joints brings further apart than this are not checked either:
-a wrist beside the next but one, the shoulder above the table that the base stands on."""
+"""Bodies that no position brings further apart than this are not checked: the foot of the upper
+arm beside the base, the shoulder above the table that the base stands on."""
 
-PROBES = 300
-"""Random positions that tell which bodies are built together."""
+GRID = 96
+"""Positions per joint that are tried to find such bodies."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +55,8 @@ class CollisionModel:
     """Distances of an arm to itself and to its environment.
 
     Checked are the bodies of links that are not neighbours, and those of moving links against
-    table, walls and boxes; not those that are built together (`BUILT_TOGETHER_M`).
+    table, walls and boxes. Left out are bodies next but one to each other that cannot touch in any
+    position or are always close together: no margin between them could be asked for.
 
     Args:
         arm: The arm with its capsules.
@@ -80,17 +82,16 @@ class CollisionModel:
         links = np.array([capsule.link for capsule in capsules])
         self._chain = CapsuleChain(arm, capsules)
         self._radii = np.array([capsule.radius for capsule in capsules])[:, None]
-        self._first, self._second = _checked_pairs(links, arm.never_touch)
-        self._obstacles = _obstacles(environment or Environment(), links)
-        self._drop_built_together(arm)
+        self._pairs = np.argwhere(links[None, :] - links[:, None] > NEIGHBOURS)
+        self._pairs = self._pairs[self._can_touch(arm, links)]
+        self._obstacles = self._around(environment or Environment(), arm, links)
         # One row per pair of capsules, then one per capsule and obstacle.
-        pairs = list(zip(self._first, self._second, strict=True))
-        near = [(o.name, body) for o in self._obstacles for body in o.bodies]
-        self._names = [(names[i], names[j]) for i, j in pairs]
+        near = [(obstacle.name, body) for obstacle in self._obstacles for body in obstacle.bodies]
+        self._names = [(names[i], names[j]) for i, j in self._pairs]
         self._names += [(names[body], name) for name, body in near]
-        reach = [self._chain.reach(int(links[i]), capsules[j]) for i, j in pairs]
-        reach += [self._chain.reach(0, capsules[body]) for _, body in near]
-        self._reach = np.array(reach)
+        reach = [self._chain.reach(links[i], j) for i, j in self._pairs]
+        reach += [self._chain.reach(0, body) for _, body in near]
+        self._reach = np.array(reach).reshape(-1, arm.n_joints)
 
     @classmethod
     def for_model(
@@ -113,7 +114,7 @@ class CollisionModel:
 
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] over everything checked, for `q` (N, n); negative inside."""
-        return np.asarray(self._distances(q).min(axis=0))
+        return np.asarray(self._distances(q).min(axis=0, initial=np.inf))
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         """The smallest distance [m] at `q` (n,) and between which two bodies."""
@@ -124,46 +125,15 @@ class CollisionModel:
     def path_clearance(self, q: FloatArray) -> tuple[float, int]:
         """The smallest distance [m] over all samples of a path `q` (N, n), and that sample's index.
 
-        The same as the least of `clearance(q)`. Between samples a and b that were computed, a
-        distance cannot fall below (d_a + d_b − s) / 2, where s is how far the two bodies can have
-        moved against each other: Σ |Δq| times the reach beyond each joint. Where that is not below
-        the smallest distance found so far, the samples between are skipped.
+        The same as the least of `clearance(q)`, to a nanometre; samples that are proven to be
+        clear by more than it are not computed (`hil.dynamics.path_search`).
 
         Raises:
             DataError: The path has no samples.
         """
         if len(q) == 0:
             raise DataError("a path without samples has no clearance")
-        turned = np.vstack([np.zeros(q.shape[1]), np.abs(np.diff(q, axis=0)).cumsum(axis=0)])
-        at = np.unique(np.append(np.arange(0, len(q), STRIDE), len(q) - 1))
-        rows = self._distances(q[at])
-        best, where = _least(rows, at)
-        left, right = at[:-1], at[1:]
-        d_left, d_right = rows[:, :-1], rows[:, 1:]
-        while True:
-            moved = self._reach @ (turned[right] - turned[left]).T
-            bound = 0.5 * (d_left + d_right - moved).min(axis=0)
-            doubtful = np.flatnonzero((right - left > 1) & (bound < best))
-            if len(doubtful) == 0:
-                return best, where
-            left, right = left[doubtful], right[doubtful]
-            middle = (left + right) // 2
-            rows = self._distances(q[middle])
-            best, where = min((best, where), _least(rows, middle))
-            d_left = np.hstack([d_left[:, doubtful], rows])
-            d_right = np.hstack([rows, d_right[:, doubtful]])
-            left, right = np.append(left, middle), np.append(middle, right)
-
-    def _drop_built_together(self, arm: ArmDescription) -> None:
-        low, high = np.maximum(arm.q_min, -np.pi), np.minimum(arm.q_max, np.pi)
-        q = np.random.default_rng(0).uniform(low, high, (PROBES, arm.n_joints))
-        p, u = self._chain.axes(q)
-        apart = self._pair_distances(p, u).max(axis=1) > BUILT_TOGETHER_M
-        self._first, self._second = self._first[apart], self._second[apart]
-        for i, obstacle in enumerate(self._obstacles):
-            if obstacle.name == TABLE:
-                apart = self._gaps(obstacle, p, u).max(axis=1) > BUILT_TOGETHER_M
-                self._obstacles[i] = replace(obstacle, bodies=obstacle.bodies[apart])
+        return least_along(q, self._distances, self._reach)
 
     def _distances(self, q: FloatArray) -> FloatArray:
         """(rows, N) distance of every pair and obstacle at every sample [m]."""
@@ -176,7 +146,7 @@ class CollisionModel:
         return out
 
     def _pair_distances(self, p: FloatArray, u: FloatArray) -> FloatArray:
-        i, j = self._first, self._second
+        i, j = self._pairs.T
         out = np.empty((len(i), p.shape[2]))
         for start in range(0, p.shape[2], PAIR_BLOCK):
             some = slice(start, start + PAIR_BLOCK)
@@ -192,26 +162,42 @@ class CollisionModel:
             gap = plane_distance(*axes, np.array(shape.point), shape.unit_normal)
         else:
             gap = box_distance(*axes, *shape.corners)
-        return gap - self._radii[bodies]
+        return np.asarray(gap - self._radii[bodies])
+
+    def _can_touch(self, arm: ArmDescription, links: IntArray) -> BoolArray:
+        """(P,) whether a pair needs checking: all but those next but one that are built together.
+
+        A pair that is apart at every position tried is apart everywhere, if it is so by more than
+        it can move in half a step.
+        """
+        q, half_step = _every_two_joints(arm)
+        distances = self._pair_distances(*self._chain.axes(q))
+        reach = [self._chain.reach(links[i], j) @ half_step for i, j in self._pairs]
+        never = distances.min(axis=1) > np.array(reach)
+        always = distances.max(axis=1) <= BUILT_TOGETHER_M
+        first, second = links[self._pairs.T]
+        return np.asarray((second - first > NEXT_BUT_ONE) | ~(never | always))
+
+    def _around(
+        self, environment: Environment, arm: ArmDescription, links: IntArray
+    ) -> list[_Obstacle]:
+        moving = np.flatnonzero(links > 0)
+        shapes: list[Plane | Box] = [*environment.walls, *environment.boxes]
+        obstacles = [_Obstacle(shape.name, shape, moving) for shape in shapes]
+        if environment.table is not None:
+            table = _Obstacle("table", environment.table, moving)
+            highest = self._gaps(table, *self._chain.axes(_every_two_joints(arm)[0])).max(axis=1)
+            off_it = moving[highest > BUILT_TOGETHER_M]
+            obstacles.append(_Obstacle("table", environment.table, off_it))
+        return obstacles
 
 
-def _checked_pairs(
-    links: IntArray, never_touch: tuple[tuple[int, int], ...]
-) -> tuple[IntArray, IntArray]:
-    checked = links[None, :] - links[:, None] >= NEIGHBOURS
-    for low, high in never_touch:
-        checked &= ~np.outer(links == low, links == high)
-    first, second = np.nonzero(checked)
-    return first, second
+def _every_two_joints(arm: ArmDescription) -> tuple[FloatArray, FloatArray]:
+    """Positions (GRID², n) that try all combinations of any two joints in a row.
 
-
-def _obstacles(environment: Environment, links: IntArray) -> list[_Obstacle]:
-    moving = np.flatnonzero(links > 0)
-    table = () if environment.table is None else (environment.table,)
-    shapes = (*table, *environment.walls, *environment.boxes)
-    return [_Obstacle(shape.name, shape, moving) for shape in shapes]
-
-
-def _least(rows: FloatArray, at: IntArray) -> tuple[float, int]:
-    least = rows.min(axis=0)
-    return float(least.min()), int(at[least.argmin()])
+    Also returned is half the step between them, (n,).
+    """
+    low, high = np.maximum(arm.q_min, -np.pi), np.minimum(arm.q_max, np.pi)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0, GRID)]), axis=-1).reshape(-1, 2)
+    turns = np.tile(grid, (1, arm.n_joints // 2 + 1))[:, : arm.n_joints]
+    return low + turns * (high - low), 0.5 * (high - low) / (GRID - 1)

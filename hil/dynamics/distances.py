@@ -14,7 +14,7 @@ TINY = 1e-18
 """Stands for a squared length of zero, so that a sphere is a segment whose ends coincide."""
 
 BISECTIONS = 20
-"""The distance is flat at its minimum: what is left is far below a micrometre."""
+"""What is left of a segment 1 m long is a micrometre."""
 
 
 def segment_distance(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:

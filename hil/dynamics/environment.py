@@ -12,8 +12,6 @@ from hil.typing import FloatArray
 
 Vector = tuple[float, float, float]
 
-TABLE = "table"
-
 PAYLOAD_DENSITY = 2700.0
 """kg/m³, aluminium: real loads are mostly denser, so a body sized with it is rather too large."""
 
@@ -82,7 +80,7 @@ class Environment:
         """The table as a plane."""
         if self.table_z is None:
             return None
-        return Plane((0.0, 0.0, self.table_z), (0.0, 0.0, 1.0), TABLE)
+        return Plane((0.0, 0.0, self.table_z), (0.0, 0.0, 1.0), "table")
 
 
 def payload_capsule(payload: Payload, link: int, radius: float | None = None) -> Capsule | None:
