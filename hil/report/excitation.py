@@ -108,7 +108,7 @@ def _pose_map(
 
 def _coverage(facts: RunFacts, recording: Recording, names: Sequence[str]) -> Plots:
     trajectories = facts.indices("trajectory")
-    chosen = rows_of_steps(recording, trajectories)
+    chosen = rows_of_steps(recording.rows, trajectories)
     rows = chosen if len(chosen) else recording.rows
     rows = rows[:: max(1, len(rows) // COVERAGE_ROWS)]
     q, qd = rows["q"] * DEGREES, rows["qd"] * DEGREES

@@ -32,6 +32,7 @@ class RunFacts:
         status: `completed`, `stopped`, `tripped`, `failed`, `interrupted` or `damaged`.
         start, stop, plan, preflight, verdict: The documents; empty where absent or damaged.
         spec: The spec as plain YAML; empty where absent or damaged.
+        steps: The plan's steps in JSON form.
         events: As logged.
         fits: In order of folder name.
         problems: Files that are there but cannot be used.
@@ -45,6 +46,7 @@ class RunFacts:
     preflight: Document
     verdict: Document
     spec: Document
+    steps: Sequence[Document]
     events: Sequence[Document]
     fits: tuple[FitFacts, ...]
     problems: tuple[str, ...]
@@ -81,11 +83,6 @@ class RunFacts:
         return as_float(self.robot.get("rate_hz") or self.plan.get("rate_hz"))
 
     @property
-    def steps(self) -> Sequence[Document]:
-        """The plan's steps in JSON form."""
-        return as_objects(self.plan.get("steps"))
-
-    @property
     def steps_done(self) -> int:
         """How far the program came: the stop document's count, or the last step logged."""
         if isinstance(self.stop.get("steps_done"), int):
@@ -94,13 +91,18 @@ class RunFacts:
         return max(logged, default=0)
 
     @property
-    def unsettled(self) -> tuple[int, ...]:
-        """Poses whose dwell ran into its time-out, as often as it happened."""
+    def unsettled_steps(self) -> frozenset[int]:
+        """Steps whose dwell ran into its time-out."""
         logged = [e.get("step") for e in self.events_of("dwell") if e.get("settled") is False]
-        missed, steps = self.stop.get("unsettled", logged), self.steps
-        return tuple(
-            int(steps[i].get("pose", -1)) for i in missed if isinstance(i, int) and i < len(steps)
-        )
+        missed = self.stop.get("unsettled", logged)
+        return frozenset(step for step in missed if isinstance(step, int))
+
+    @property
+    def unsettled(self) -> tuple[int, ...]:
+        """Poses at which that happened, as often as it happened."""
+        steps = self.steps
+        known = sorted(i for i in self.unsettled_steps if 0 <= i < len(steps))
+        return tuple(int(steps[i].get("pose", -1)) for i in known)
 
     @property
     def judged_fits(self) -> tuple[FitFacts, ...]:
@@ -140,15 +142,17 @@ def read_facts(path: Path) -> RunFacts:
     problems: list[str] = []
     start = document(path / "start.json", problems)
     run = RunDirectory.open(path) if start else RunDirectory(path)
+    plan = document(path / "plan.json", problems)
     return RunFacts(
         path=path,
         status=_status(run, problems),
         start=start,
         stop=document(path / "stop.json", problems),
-        plan=document(path / "plan.json", problems),
+        plan=plan,
         preflight=document(path / "preflight.json", problems),
         verdict=document(path / "verdict.json", problems),
         spec=yaml_document(path / "spec.yaml", problems),
+        steps=as_objects(plan.get("steps")),
         events=_events(run, problems),
         fits=read_fits(_folders(path / "fit"), problems),
         problems=tuple(problems),

@@ -14,6 +14,8 @@ from hil.data.prediction import Model
 from hil.errors import DataError
 from hil.report.documents import as_object
 from hil.report.facts import RunFacts
+from hil.report.measured import measured
+from hil.report.recording import Recording
 from hil.typing import FloatArray, IntArray
 
 MOST_ROWS = 60_000
@@ -69,14 +71,13 @@ class Shown:
     motions: Motions | None
 
 
-def held_out_of_run(facts: RunFacts) -> Dataset:
+def held_out_of_run(facts: RunFacts, recording: Recording) -> Dataset:
     """The series of a run that its models were not fitted on.
 
     Raises:
         DataError: The recording or the spec cannot be used, or nothing was held out.
     """
     from hil.campaign.judging import hold_out
-    from hil.data.load import load_source
     from hil.spec.experiment import HoldOut
 
     # Only this part of the spec: the rest may name files that are not in the run directory.
@@ -85,7 +86,7 @@ def held_out_of_run(facts: RunFacts) -> Dataset:
         how = HoldOut.model_validate(asked)
     except ValueError as error:
         raise DataError(f"validate.hold_out of {facts.path / 'spec.yaml'}: {error}") from error
-    return hold_out(load_source(facts.path), how).test
+    return hold_out(measured(facts, recording), how).test
 
 
 def show(folder: Path, data: Dataset) -> Shown:

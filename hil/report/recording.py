@@ -25,13 +25,15 @@ class Recording:
     """All samples of a run, attempts behind each other.
 
     Attributes:
-        rows: Records of `state_dtype(n)`.
+        attempts: Records of `state_dtype(n)`, one array per file.
+        rows: All of them in one array.
         t: (N,) seconds since the first sample of the run.
         counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
         rate_hz: Nominal rate; NaN when the run does not say.
         problems: What could not be read, and torn files that were read as far as they go.
     """
 
+    attempts: tuple[StructArray, ...]
     rows: StructArray
     t: FloatArray
     counts: Counts
@@ -81,7 +83,9 @@ def read_recording(facts: RunFacts) -> Recording | None:
         return None
     rate_hz = facts.rate_hz
     rows = kept[0] if len(kept) == 1 else np.concatenate(kept)
-    return Recording(rows, _times(kept), _count(kept, rate_hz), rate_hz, tuple(problems))
+    return Recording(
+        tuple(kept), rows, _times(kept), _count(kept, rate_hz), rate_hz, tuple(problems)
+    )
 
 
 def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
@@ -117,12 +121,12 @@ def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatA
     return number, np.array(where)[first]
 
 
-def rows_of_steps(recording: Recording, steps: Sequence[int]) -> StructArray:
+def rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
     """The rows recorded while one of these plan steps was executing."""
     wanted = np.zeros(max(steps, default=-1) + 2, np.bool_)
     wanted[list(steps)] = True
-    segment = np.clip(recording.rows["segment"], -1, len(wanted) - 1)
-    chosen: StructArray = recording.rows[wanted[segment]]
+    segment = np.clip(rows["segment"], -1, len(wanted) - 1)
+    chosen: StructArray = rows[wanted[segment]]
     return chosen
 
 

@@ -75,10 +75,9 @@ def run_page(path: Path) -> Page:
     """The page of a run, as blocks."""
     facts = read_facts(path)
     problems: list[str] = []
-    # Before the recording is read: a dataset of a long run and its rows need not be held at once.
-    held_out = _held_out(facts, problems)
-    shown = _shown(facts.judged_fits, {} if held_out is None else {"": held_out}, problems)
     recording = read_recording(facts)
+    held_out = _held_out(facts, recording, problems)
+    shown = _shown(facts.judged_fits, {} if held_out is None else {"": held_out}, problems)
     drift = drift_of(facts, recording) if recording else None
     about = (path.resolve().name, facts.robot_title, when(facts.start.get("started")))
     return Page(
@@ -142,11 +141,11 @@ def _joint_names(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
     return names if len(names) == n else tuple(f"joint {j + 1}" for j in range(n))
 
 
-def _held_out(facts: RunFacts, problems: list[str]) -> Dataset | None:
-    if not facts.judged_fits:
+def _held_out(facts: RunFacts, recording: Recording | None, problems: list[str]) -> Dataset | None:
+    if recording is None or not facts.judged_fits:
         return None
     try:
-        return held_out_of_run(facts)
+        return held_out_of_run(facts, recording)
     except HilError as error:
         problems.append(f"The plots of the models are left out: {error.message}")
         return None
