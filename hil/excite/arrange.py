@@ -14,7 +14,7 @@ from hil.excite.visit import Action, Program, Visit
 from hil.excite.workspace import Workspace
 from hil.typing import FloatArray
 
-LOOK_AHEAD = 6
+LOOK_AHEAD = 3
 """How many of the remaining visits are tried in a straight line at once."""
 
 PATIENCE = 60

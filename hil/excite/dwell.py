@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from hil.errors import SpecError
+from hil.errors import PlanError, SpecError
 from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Program, Visit, pose_visit
@@ -17,6 +18,8 @@ from hil.typing import FloatArray
 
 SPARE_SHARE = 0.05
 """Poses drawn beyond those asked for, to stand in for unreachable ones."""
+
+MOST_TRIES, MOST_TRIES_PER_POSE = 10_000, 50
 
 RADIAN_SUSPICION = 0.5
 """Share of poses beyond the limits from which degrees read as radians are suspected."""
@@ -50,14 +53,25 @@ class DwellProgram:
         return Program(visits[:wanted], visits[wanted:], shuffle_seed=self.spec.seed)
 
     def _drawn(self, roadmap: Roadmap, count: int) -> list[Visit]:
-        """`count` visits to drawn poses, the stretches to and from each pose clear as well."""
+        """`count` visits to drawn poses, the stretches to and from each pose clear as well.
+
+        Raises:
+            PlanError: Hardly any pose can be approached and reached.
+        """
         workspace = roadmap.workspace
         kept: list[FloatArray] = []
-        for block in draw_poses(workspace, self.spec.seed):
-            visits = self._visits(workspace, block[roadmap.seem_connected(block)])
-            kept += [q for q, visit in visits if workspace.are_clear(visit.motions)]
+        seen = 0
+        for q in _in_pieces(draw_poses(workspace, self.spec.seed), max(32, count // 2)):
+            visits = self._visits(workspace, q[roadmap.seem_connected(q)])
+            kept += [pose for pose, visit in visits if workspace.are_clear(visit.motions)]
+            seen += len(q)
             if len(kept) >= count:
                 break
+            if seen > MOST_TRIES_PER_POSE * count + MOST_TRIES:
+                raise PlanError(
+                    f"only {len(kept)} of {seen} clear poses can be reached and approached",
+                    hint="ask for fewer waypoints, a smaller approach_deg or a wider range_deg",
+                )
         return [self._visit(workspace, q, f"pose {i}", i) for i, q in enumerate(kept[:count])]
 
     def _visits(self, workspace: Workspace, poses: FloatArray) -> list[tuple[FloatArray, Visit]]:
@@ -89,6 +103,13 @@ class DwellProgram:
         if self.spec.file_unit == "rad" and beyond >= RADIAN_SUSPICION:
             return "if these numbers are degrees, say excitation.file_unit: deg"
         return "mend or drop these poses; nothing was planned"
+
+
+def _in_pieces(blocks: Iterable[FloatArray], rows: int) -> Iterator[FloatArray]:
+    """The rows of `blocks` in order, at most `rows` at a time: a short program needs few."""
+    for block in blocks:
+        for begin in range(0, len(block), rows):
+            yield block[begin : begin + rows]
 
 
 def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,7 +12,9 @@ from hil.excite.workspace import Workspace
 from hil.typing import FloatArray
 
 BLOCK = 1024
-MOST_DRAWS = 64 * BLOCK
+
+HARDLY_ANY = 0.002
+"""Share of clear poses below which there is no use in drawing on."""
 
 
 def draw_poses(workspace: Workspace, seed: int) -> Iterator[FloatArray]:
@@ -27,19 +30,18 @@ def draw_poses(workspace: Workspace, seed: int) -> Iterator[FloatArray]:
 
     points = qmc.Sobol(len(workspace.low), scramble=True, rng=np.random.default_rng(seed))
     found = 0
-    for drawn in range(BLOCK, MOST_DRAWS + 1, BLOCK):
+    for drawn in itertools.count(BLOCK, BLOCK):
         q = workspace.low + points.random(BLOCK) * (workspace.high - workspace.low)
         clear = q[workspace.is_clear(q)]
         found += len(clear)
-        if found < 0.002 * drawn and drawn >= 4 * BLOCK:
-            break
+        if found < HARDLY_ANY * drawn and drawn >= 4 * BLOCK:
+            raise PlanError(
+                f"only {found} of {drawn} well-spread poses keep "
+                f"{1e3 * workspace.clearance_m:.0f} mm from everything around and the arm itself",
+                hint="widen excitation.range_deg, or see whether the station's surroundings are "
+                "as described",
+            )
         yield clear
-    raise PlanError(
-        f"only {found} of {drawn} well-spread poses keep {1e3 * workspace.clearance_m:.0f} mm "
-        "from the table, the walls and the arm itself",
-        hint="widen excitation.range_deg, ask for fewer waypoints, or see whether the station's "
-        "surroundings are as described",
-    )
 
 
 def roomy_poses(workspace: Workspace, count: int, seed: int) -> FloatArray:

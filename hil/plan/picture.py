@@ -18,9 +18,11 @@ from hil.plan.preview import preview
 from hil.plan.timeline import Span, Timeline, timeline_of
 from hil.typing import FloatArray
 
-WIDTH, LEFT, RIGHT = 1200.0, 150.0, 1170.0
+WIDTH, LEFT, RIGHT = 1200.0, 170.0, 1170.0
 STRIP = 62.0
 CLOSE_UP_S = 40.0
+CLOSE_UP_POINTS = 1500
+TRAJECTORY_POINTS = 120
 VIEW = 300.0
 UNIT = {"deg": "°", "speed": "°/s", "acceleration": "°/s²"}
 
@@ -92,17 +94,22 @@ def _strip(
     timeline: Timeline, joint: int, name: str, top: float, x: svg.Scale, unit_s: float
 ) -> str:
     angles = np.degrees(timeline.q[:, joint])
-    low, high = 30 * np.floor(angles.min() / 30), 30 * np.ceil(angles.max() / 30)
-    y = svg.Scale(float(low), float(high), top + STRIP - 8, top + 4)
+    low, high = _round_range(angles)
+    y = svg.Scale(low, high, top + STRIP - 8, top + 4)
     t, shown = svg.thinned(timeline.t / unit_s, angles, int(RIGHT - LEFT))
     marks_t, marks = timeline.marks(joint)
+    measured = [
+        svg.line(x(piece_t / unit_s), y(np.degrees(piece)))
+        for piece_t, piece in timeline.trajectories(joint, TRAJECTORY_POINTS)
+    ]
     return svg.group(
         [
             svg.tag("path", class_="base", d=f"M{LEFT} {top + STRIP - 8}H{RIGHT}"),
             svg.text(30, top + 28, _short(joint, name), class_="label"),
-            svg.text(LEFT - 8, top + 14, f"{high:.0f}°", class_="axis end"),
-            svg.text(LEFT - 8, top + STRIP - 8, f"{low:.0f}°", class_="axis end"),
+            svg.text(LEFT - 8, top + 14, f"{high:g}°", class_="axis end"),
+            svg.text(LEFT - 8, top + STRIP - 8, f"{low:g}°", class_="axis end"),
             svg.tag("path", class_="motion", d=svg.line(x(t), y(shown))),
+            svg.tag("path", class_="measured", d="".join(measured)),
             svg.tag("path", class_="mark", d=svg.dots(x(marks_t / unit_s), y(np.degrees(marks)))),
         ]
     )
@@ -114,24 +121,30 @@ def _close_up(plan: Plan, timeline: Timeline, top: float) -> str:
     inside = (timeline.t >= begin) & (timeline.t <= end)
     x = svg.Scale(begin, end, LEFT, RIGHT)
     angles = np.degrees(timeline.q[inside])
-    y = svg.Scale(
-        float(30 * np.floor(angles.min() / 30)),
-        float(30 * np.ceil(angles.max() / 30)),
-        top + 240.0,
-        top + 20.0,
-    )
-    parts = [svg.text(30, top - 14, "A closer look: the first measurements", class_="head")]
+    y = svg.Scale(*_round_range(angles), top + 240.0, top + 20.0)
+    parts = [
+        svg.text(30, top - 14, "A closer look: the first measurements", class_="head"),
+        svg.text(RIGHT, top - 14, _key_to_bands(timeline), class_="axis end"),
+    ]
     parts += [_band(span, x, top) for span in timeline.spans if begin <= span.begin < end]
     for at in y.ticks(5):
         parts.append(svg.tag("path", class_="grid", d=f"M{LEFT} {float(y(at)):.1f}H{RIGHT}"))
         parts.append(svg.text(LEFT - 8, float(y(at)) + 4, f"{at:g}°", class_="axis end"))
     parts += [_tick_x(float(x(at)), top + 240.0, f"{at:g}") for at in x.ticks(10)]
     for joint, name in enumerate(plan.joint_names):
-        t, shown = svg.thinned(timeline.t[inside], angles[:, joint], 600)
-        parts.append(svg.tag("path", class_=f"joint j{joint % 7}", d=svg.line(x(t), y(shown))))
-        parts.append(_key(joint, name, LEFT + 170.0 * joint, top + 282.0))
+        every = max(1, int(inside.sum()) // CLOSE_UP_POINTS)
+        d = svg.line(x(timeline.t[inside][::every]), y(angles[::every, joint]))
+        parts.append(svg.tag("path", class_=f"joint j{joint % 7}", d=d))
+        parts.append(_key(joint, name, LEFT + 155.0 * joint, top + 282.0))
     parts.append(svg.text(RIGHT, top + 276, "time [s]", class_="axis end"))
     return svg.group(parts)
+
+
+def _key_to_bands(timeline: Timeline) -> str:
+    kinds = {span.step.kind for span in timeline.spans}
+    if "trajectory" in kinds:
+        return "shaded: a trajectory is measured"
+    return "shaded: measured at rest, ▲ arrived from below, ▼ from above"
 
 
 def _band(span: Span, x: svg.Scale, top: float) -> str:
@@ -223,6 +236,11 @@ def _view(
     ]
     parts += [_tick_x(float(x(at)), top + VIEW, f"{at:g}") for at in x.ticks(4)]
     return svg.group(parts)
+
+
+def _round_range(degrees: FloatArray) -> tuple[float, float]:
+    low, high = np.floor(degrees.min() / 30), np.ceil(degrees.max() / 30)
+    return 30 * float(low) + 0.0, 30 * float(max(high, low + 1)) + 0.0
 
 
 def _tick_x(x: float, y: float, words: str) -> str:

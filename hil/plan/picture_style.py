@@ -22,6 +22,7 @@ svg { --page: #ffffff; --ink: #1c1c1c; --soft: #595959; --grid: #e4e4e4; --motio
 path { fill: none } .grid, .base { stroke: var(--grid); stroke-width: 1 }
 .frame { fill: none; stroke: var(--grid) }
 .motion { stroke: var(--motion); stroke-width: .8 }
+.measured { stroke: var(--mark); stroke-width: 1.5 }
 .mark { stroke: var(--mark); stroke-width: 2.6; stroke-linecap: round }
 .place { stroke: var(--mark); stroke-width: 4; stroke-linecap: round; opacity: .65 }
 .foot { fill: var(--page); stroke: var(--ink); stroke-width: 2 }

@@ -32,7 +32,7 @@ class Scale:
         step = next(power * factor for factor in (1, 2, 3, 5, 10) if power * factor >= raw * 0.999)
         first = np.ceil(self.low / step - 1e-9)
         last = np.floor(self.high / step + 1e-9)
-        return [float(step * i) for i in np.arange(first, last + 1)]
+        return [float(step * i) + 0.0 for i in np.arange(first, last + 1)]  # + 0.0: no "-0"
 
 
 def tag(name: str, content: str = "", **attributes: object) -> str:

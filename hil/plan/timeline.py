@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -47,6 +48,13 @@ class Timeline:
         times = np.array([(span.begin + span.end) / 2 for span in held])
         angles = [span.step.motion.q_end[joint] for span in held if span.step.motion]
         return times, np.array(angles)
+
+    def trajectories(self, joint: int, points: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Time [s] and angle [rad] of one joint along each trajectory, about `points` of them."""
+        for span in self.spans:
+            if span.step.kind == "trajectory" and span.step.motion is not None:
+                samples = span.step.motion.sample(points / (span.end - span.begin))
+                yield span.begin + samples.t, samples.q[:, joint]
 
     def close_up(self, length_s: float) -> tuple[float, float]:
         """Begin and end [s] of the first trajectory, or of `length_s` from the first dwell on."""
