@@ -1,13 +1,14 @@
 """Collision distances: known poses, an independent optimiser, exactness of the path search."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from dynamics_arms import UR_ARMS, dh_chain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
 from hil.arms import Capsule, load_arm
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, payload_capsule
@@ -89,24 +90,35 @@ def ends_of(capsule: Capsule, q: np.ndarray) -> np.ndarray:
     return np.array([(frame @ [*end, 1.0])[:3] for end in (capsule.a, capsule.b)])
 
 
-def test_distance_equals_a_general_optimiser():
-    arm = with_bodies(UPPER_ARM_TUBE, FOREARM_TUBE)
-    # Two bodies of neighbours would not be checked, so the second is made a wrist's.
-    arm = replace(arm, capsules=(arm.capsules[0], replace(arm.capsules[1], link=5)))
-    radii = sum(capsule.radius for capsule in arm.capsules)
-    for q in np.random.default_rng(3).uniform(-np.pi, np.pi, (10, 6)):
-        segments = [ends_of(capsule, q) for capsule in arm.capsules]
-
-        def squared(x, segments=segments):
-            first, second = (a + t * (b - a) for t, (a, b) in zip(x, segments, strict=True))
-            return float(np.sum((first - second) ** 2))
-
-        best = min(
-            minimize(squared, start, bounds=[(0, 1), (0, 1)], tol=1e-14).fun
-            for start in ([0.5, 0.5], [0, 1], [1, 0])
+@pytest.mark.parametrize("name", ["ur5", "ur10e", "lab6"])
+def test_distances_equal_those_of_coal(name):
+    coal = pytest.importorskip("coal")
+    arm = load_arm(name)
+    model = CollisionModel(arm)
+    shapes = [_coal_capsule(coal, capsule) for capsule in arm.capsules]
+    for q in np.random.default_rng(3).uniform(-np.pi, np.pi, (25, 6)):
+        frames = dh_chain(name, q)
+        poses = [frames[c.link] @ at for c, (_, at) in zip(arm.capsules, shapes, strict=True)]
+        least = min(
+            coal.distance(
+                *(shapes[i][0], coal.Transform3s(poses[i][:3, :3], poses[i][:3, 3])),
+                *(shapes[j][0], coal.Transform3s(poses[j][:3, :3], poses[j][:3, 3])),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            )
+            for i, j in model.pairs
         )
-        found = CollisionModel(arm).clearance(q[None])[0]
-        assert found == pytest.approx(np.sqrt(best) - radii, abs=1e-5)
+        assert model.clearance(q[None])[0] == pytest.approx(least, abs=1e-9)
+
+
+def _coal_capsule(coal, capsule: Capsule):
+    """The shape, which lies along its own z, and its pose in the link's frame."""
+    a, b = np.array(capsule.a, dtype=float), np.array(capsule.b, dtype=float)
+    pose, length = np.eye(4), float(np.linalg.norm(b - a))
+    if length:
+        pose[:3, :3] = Rotation.align_vectors([b - a], [[0, 0, 1]])[0].as_matrix()
+    pose[:3, 3] = 0.5 * (a + b)
+    return coal.Capsule(capsule.radius, length), pose
 
 
 def test_table_is_as_far_as_the_lowest_point_of_the_arm():
@@ -229,19 +241,20 @@ def test_clearance_changes_no_faster_than_the_arm_can_move(q, step):
 @settings(max_examples=60, deadline=None)
 @given(q=angles, turn=st.floats(-np.pi, np.pi))
 def test_self_clearance_does_not_care_where_the_arm_faces(q, turn):
-    model = CollisionModel(load_arm("ur5"))
+    model = _ur5_alone()
     turned = q.copy()
     turned[0] = turn
     first, second = model.clearance(np.array([q, turned]))
     assert first == pytest.approx(second, abs=1e-9)
 
 
-_CELL = []
+@cache
+def _ur5_alone() -> CollisionModel:
+    return CollisionModel(load_arm("ur5"))
 
 
+@cache
 def _ur5_in_a_cell() -> CollisionModel:
-    if not _CELL:
-        wall = Plane((0.0, 0.7, 0.0), (0.0, -1.0, 0.0))
-        box = Box((0.5, -0.3, 0.2), (0.2, 0.3, 0.4))
-        _CELL.append(CollisionModel(load_arm("ur5"), Environment(-0.1, (wall,), (box,))))
-    return _CELL[0]
+    wall = Plane((0.0, 0.7, 0.0), (0.0, -1.0, 0.0))
+    box = Box((0.5, -0.3, 0.2), (0.2, 0.3, 0.4))
+    return CollisionModel(load_arm("ur5"), Environment(-0.1, (wall,), (box,)))

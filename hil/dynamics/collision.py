@@ -1,8 +1,9 @@
 """How far an arm is from itself, its payload from it, and both from what stands around.
 
 Bodies are capsules that move with the links. Distances are computed with numpy for blocks of
-samples, which is faster than Pinocchio's `computeDistances` sample by sample (measured in
-`benchmarks/collision.py`).
+samples, which is as fast as Pinocchio's `computeDistances` sample by sample (3 µs for the UR5's
+39 pairs, `benchmarks/collision.py`), and yields all distances at no extra cost: that is what lets
+the search along a path skip most samples.
 """
 
 from __future__ import annotations
@@ -63,6 +64,9 @@ class CollisionModel:
         environment: What stands around it, in the base frame; nothing by default.
         payload: Body of the load, in the flange frame: its `link` is the last one.
 
+    Attributes:
+        pairs: (P, 2) indices of the capsules that are checked against each other.
+
     Raises:
         SpecError: The arm has no capsules.
     """
@@ -82,14 +86,14 @@ class CollisionModel:
         links = np.array([capsule.link for capsule in capsules])
         self._chain = CapsuleChain(arm, capsules)
         self._radii = np.array([capsule.radius for capsule in capsules])[:, None]
-        self._pairs = np.argwhere(links[None, :] - links[:, None] > NEIGHBOURS)
-        self._pairs = self._pairs[self._can_touch(arm, links)]
+        self.pairs = np.argwhere(links[None, :] - links[:, None] > NEIGHBOURS)
+        self.pairs = self.pairs[self._can_touch(arm, links)]
         self._obstacles = self._around(environment or Environment(), arm, links)
         # One row per pair of capsules, then one per capsule and obstacle.
         near = [(obstacle.name, body) for obstacle in self._obstacles for body in obstacle.bodies]
-        self._names = [(names[i], names[j]) for i, j in self._pairs]
+        self._names = [(names[i], names[j]) for i, j in self.pairs]
         self._names += [(names[body], name) for name, body in near]
-        reach = [self._chain.reach(links[i], j) for i, j in self._pairs]
+        reach = [self._chain.reach(links[i], j) for i, j in self.pairs]
         reach += [self._chain.reach(0, body) for _, body in near]
         self._reach = np.array(reach).reshape(-1, arm.n_joints)
 
@@ -146,7 +150,7 @@ class CollisionModel:
         return out
 
     def _pair_distances(self, p: FloatArray, u: FloatArray) -> FloatArray:
-        i, j = self._pairs.T
+        i, j = self.pairs.T
         out = np.empty((len(i), p.shape[2]))
         for start in range(0, p.shape[2], PAIR_BLOCK):
             some = slice(start, start + PAIR_BLOCK)
@@ -172,10 +176,10 @@ class CollisionModel:
         """
         q, half_step = _every_two_joints(arm)
         distances = self._pair_distances(*self._chain.axes(q))
-        reach = [self._chain.reach(links[i], j) @ half_step for i, j in self._pairs]
+        reach = [self._chain.reach(links[i], j) @ half_step for i, j in self.pairs]
         never = distances.min(axis=1) > np.array(reach)
         always = distances.max(axis=1) <= BUILT_TOGETHER_M
-        first, second = links[self._pairs.T]
+        first, second = links[self.pairs.T]
         return np.asarray((second - first > NEXT_BUT_ONE) | ~(never | always))
 
     def _around(
