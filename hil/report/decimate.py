@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 import numpy as np
 
 from hil.typing import FloatArray, IntArray
+
+Shown: TypeAlias = Literal["extremes", "mean", "upper"]
 
 POINTS = 1200
 """Points of a line after decimation: more than a plot of this page has pixels."""
@@ -42,13 +46,26 @@ def decimated(x: FloatArray, y: FloatArray, points: int = POINTS) -> tuple[Float
     return x[rows], y[rows]
 
 
-def averaged(x: FloatArray, y: FloatArray, points: int = 300) -> tuple[FloatArray, FloatArray]:
-    """A slow, noisy line (N,), (N,) as means over equally many samples; for trends only."""
-    if len(x) <= 2 * points:
-        return x, y
+def summarised(
+    x: FloatArray, y: FloatArray, shown: Shown = "extremes", points: int = 300
+) -> tuple[FloatArray, FloatArray]:
+    """A line (N,), (N,) for a plot that holds several.
+
+    Args:
+        x: In order.
+        y: What is drawn over it.
+        shown: `extremes` keeps every one; `mean` is for slow, noisy quantities whose trend
+            matters, `upper` for magnitudes, of which the largest matter.
+        points: Length of the result for `mean` and `upper`.
+    """
+    if shown == "extremes" or len(x) <= 2 * points:
+        return decimated(x, y)
     edges = np.linspace(0, len(x), points + 1).astype(np.int64)
-    width = np.diff(edges)
-    return np.add.reduceat(x, edges[:-1]) / width, np.add.reduceat(y, edges[:-1]) / width
+    start, width = edges[:-1], np.diff(edges)
+    middle = np.add.reduceat(x, start) / width
+    if shown == "mean":
+        return middle, np.add.reduceat(y, start) / width
+    return middle, np.maximum.reduceat(y, start)
 
 
 def thinned(n: int, points: int) -> IntArray:

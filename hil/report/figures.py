@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hil.report import colours
-from hil.report.decimate import averaged, binned, decimated, thinned
+from hil.report.decimate import Shown, binned, decimated, summarised, thinned
 from hil.report.traces import Trace, axes, corner, line, markers, noise_band, span
 from hil.typing import FloatArray, IntArray
 
@@ -186,7 +186,7 @@ def joints_over_time(
     *,
     limit: float = float("nan"),
     marked: bool = False,
-    trend: bool = False,
+    shown: Shown = "extremes",
 ) -> Figure:
     """All joints (N, n) over time (N,) in one plot, lines differing in colour and dash.
 
@@ -197,13 +197,13 @@ def joints_over_time(
         y_title: Axis title with unit.
         limit: Drawn as a horizontal line; NaN for none.
         marked: Also draw the points (for few of them).
-        trend: Show means over time instead of every extreme; for slow, noisy quantities.
+        shown: What is kept of many samples, see `decimate.summarised`.
     """
     traces = []
     for j, name in enumerate(names):
         if np.isnan(values[:, j]).all():
             continue
-        x, y = (averaged if trend else decimated)(t, values[:, j])
+        x, y = summarised(t, values[:, j], shown)
         trace = line(x, y, name, colours.of_joint(j), dash=colours.dash_of_joint(j))
         if marked:
             trace["mode"] = "lines+markers"
@@ -219,7 +219,7 @@ def joints_over_time(
 
 def over_time(t: FloatArray, value: FloatArray, y_title: str, j: int = 0) -> Figure:
     """One signal (N,) over time in the colour of joint `j`."""
-    trace = line(*decimated(t, value), y_title, colours.of_joint(j))
+    trace = line(*decimated(t, value), y_title, colours.of_joint(j), width=1.0)
     return {"data": [trace], "layout": axes("time [s]", y_title)}
 
 

@@ -48,6 +48,7 @@ def per_joint(fit: FitFacts) -> Table:
         *(Column(title, "criteria, held out") for title in limits),
     )
     names = ("rmse_raw", "rmse_filtered", "noise_floor", "nrmse", "r", "mep")
+    shown = [*names, *names[:2]]
     values = [fit.values(metric) for metric in names]
     values += [fit.values(metric, "trained") for metric in names[:2]]
     means = [fit.mean(metric) for metric in names]
@@ -55,13 +56,18 @@ def per_joint(fit: FitFacts) -> Table:
     rows = [
         (
             Cell(joint_title(j, name)),
-            *(Cell(number(of_joint[j])) for of_joint in values),
+            *(
+                Cell(_said(metric, of_joint[j]))
+                for metric, of_joint in zip(shown, values, strict=True)
+            ),
             *(_limit_cell(limit.get(name)) for limit in limits.values()),
         )
         for j, name in enumerate(fit.joint_names)
     ]
     last = (_limit_cell(limit.get("mean")) for limit in limits.values())
-    rows.append((Cell("mean"), *(Cell(number(mean)) for mean in means), *last))
+    rows.append(
+        (Cell("mean"), *(Cell(_said(*pair)) for pair in zip(shown, means, strict=True)), *last)
+    )
     return Table(f"{fit.label}: errors per joint", columns, tuple(rows))
 
 
@@ -82,6 +88,13 @@ def per_group(fit: FitFacts) -> Table | None:
     return Table(f"{fit.label}: held-out errors by group, means over the joints", columns, rows)
 
 
+def _said(metric: str, value: float) -> str:
+    """Correlations with fixed decimals: 0.99 and 0.999 are far apart, 1e-18 is nothing."""
+    if metric == "r" and np.isfinite(value):
+        return f"{value + 0.0:.4f}"
+    return number(value)
+
+
 def _comparison_row(fit: FitFacts) -> tuple[Cell, ...]:
     means = (
         fit.mean("rmse_raw"),
@@ -100,8 +113,8 @@ def _verdict_cell(fit: FitFacts) -> Cell:
         return Cell("not judged", "quiet")
     missed = sum(not row.get("passed") for row in fit.criteria)
     if missed:
-        return Cell(f"rejected: {missed} of {len(fit.criteria)} missed", "fail")
-    return Cell(f"passed: all {len(fit.criteria)} met", "pass")
+        return Cell(f"rejected, {missed} of {len(fit.criteria)} criteria missed", "fail")
+    return Cell(f"passed, {len(fit.criteria)} of {len(fit.criteria)} criteria met", "pass")
 
 
 def _limits(criteria: Sequence[Document]) -> dict[str, dict[str, Document]]:

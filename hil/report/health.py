@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.report import figures
 from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
+from hil.report.decimate import Shown
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts
 from hil.report.recording import Drift, Recording
@@ -92,13 +93,13 @@ def _panels(
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
         limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")
-        panels.append(_wide("Tracking error", t, error, names, "mrad", limit))
+        panels.append(_wide("Tracking error", t, error, names, "mrad", limit, "upper"))
     heat = recording.rows["temperature"]
     if np.isfinite(heat).any():
         limit = facts.interlock_limit("temperature", "limit_c")
-        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit, trend=True))
+        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit, "mean"))
     if drift is not None:
-        panels.append(_drift(drift, names, facts.effort_unit))
+        panels += _drift(drift, names, facts.effort_unit)
     panels.append(_interval(recording))
     return panels
 
@@ -110,26 +111,32 @@ def _wide(
     names: Sequence[str],
     unit: str,
     limit: float,
-    trend: bool = False,
+    shown: Shown,
 ) -> Panel:
     peak = _peak(values)
     # A limit far above the data would press them flat; then it is only said.
     drawn = limit if peak > NEAR_LIMIT * limit else float("nan")
     axis = f"{title.lower()} [{unit}]"
-    figure = figures.joints_over_time(t, values, names, axis, limit=drawn, trend=trend)
+    figure = figures.joints_over_time(t, values, names, axis, limit=drawn, shown=shown)
     alt = f"{title} of all joints over time; the largest value is {number(peak)} {unit}."
     said = f"{title}, limit {limit:g} {unit}" if np.isfinite(limit) else title
     return Panel(said, figure, alt, wide=True)
 
 
-def _drift(drift: Drift, names: Sequence[str], unit: str) -> Panel:
-    figure = figures.joints_over_time(drift.t, drift.change, names, f"change [{unit}]", marked=True)
-    alt = (
-        f"Change of the effort at the reference pose over {len(drift.t)} visits, "
-        f"at most {number(_peak(np.abs(drift.change)))} {unit}."
-    )
-    title = "Drift: effort at the reference pose since the first visit"
-    return Panel(title, figure, alt, wide=True)
+def _drift(drift: Drift, names: Sequence[str], unit: str) -> list[Panel]:
+    """One panel for each side the reference pose was approached from."""
+    words = {1: ", approached from below", -1: ", approached from above", 0: ""}
+    panels = []
+    for side, said in words.items():
+        rows = drift.approach == side
+        if rows.sum() < 2:
+            continue
+        t, change = drift.t[rows], drift.change[rows]
+        figure = figures.joints_over_time(t, change, names, f"change [{unit}]", marked=True)
+        alt = f"{len(t)} visits, largest change {number(_peak(np.abs(change)))} {unit}."
+        title = f"Drift at the reference pose{said}: effort since the first visit"
+        panels.append(Panel(title, figure, f"{title}. {alt}", wide=True))
+    return panels
 
 
 def _interval(recording: Recording) -> Panel:

@@ -65,13 +65,14 @@ class Drift:
 
     Attributes:
         t: (V,) time of each visit [s].
-        change: (V, n) mean effort minus that of the first visit under the same load.
-        load: (V,) load of each visit.
+        change: (V, n) mean effort minus that of the first visit under the same load and from
+            the same side: friction at standstill has the sign of the approach.
+        approach: (V,) +1 from below, −1 from above, 0 otherwise.
     """
 
     t: FloatArray
     change: FloatArray
-    load: IntArray
+    approach: IntArray
 
 
 def read_recording(facts: RunFacts) -> Recording | None:
@@ -89,23 +90,21 @@ def read_recording(facts: RunFacts) -> Recording | None:
 
 
 def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
-    """How the effort at the reference pose changed; None with fewer than two visits."""
+    """How the effort at the reference pose changed; None unless a visit was repeated."""
     visits = np.array(facts.indices("reference"), dtype=np.int64)
     segment = recording.rows["segment"].astype(np.int64)
-    means, times, loads = [], [], []
-    for first, last in _stays(segment, visits):
-        rows = slice(max(first, last - REFERENCE_SAMPLES), last)
-        means.append(recording.rows["effort"][rows].mean(axis=0))
-        times.append(recording.t[last - 1])
-        loads.append(int(facts.steps[int(segment[first])].get("load", 0)))
-    if len(means) < 2:
+    stays = _stays(segment, visits)
+    steps = [facts.steps[int(segment[first])] for first, _ in stays]
+    kinds = [(int(step.get("load", 0)), int(step.get("approach", 0))) for step in steps]
+    if len(set(kinds)) == len(kinds):
         return None
-    effort, load = np.array(means), np.array(loads)
-    change = np.empty_like(effort)
-    for one in np.unique(load):
-        same = load == one
-        change[same] = effort[same] - effort[same][0]
-    return Drift(np.array(times), change, load)
+    effort = np.array([_last_mean(recording.rows["effort"], *stay) for stay in stays])
+    first = np.array([kinds.index(kind) for kind in kinds])
+    return Drift(
+        t=np.array([recording.t[last - 1] for _, last in stays]),
+        change=effort - effort[first],
+        approach=np.array([approach for _, approach in kinds]),
+    )
 
 
 def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatArray]:
@@ -128,6 +127,11 @@ def rows_of_steps(rows: StructArray, steps: Sequence[int]) -> StructArray:
     segment = np.clip(rows["segment"], -1, len(wanted) - 1)
     chosen: StructArray = rows[wanted[segment]]
     return chosen
+
+
+def _last_mean(effort: FloatArray, first: int, last: int) -> FloatArray:
+    mean: FloatArray = effort[max(first, last - REFERENCE_SAMPLES) : last].mean(axis=0)
+    return mean
 
 
 def _stays(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
