@@ -10,6 +10,8 @@ from hil.engine.observers import Event
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.2
+SPEED_KNOWN_AFTER_S = 0.5
+FASTER_THAN_REAL = 1.5
 
 
 class ProgressLines:
@@ -49,11 +51,13 @@ class ProgressLines:
 
     @staticmethod
     def _text(event: Event) -> str:
-        share = min(1.0, event["device_s"] / max(event["duration_s"], 1e-9))
-        speed = event["device_s"] / max(event["wall_s"], 1e-9)
-        left = event["wall_s"] / max(share, 1e-6) * (1.0 - share)
+        done, total, wall = event["device_s"], event["duration_s"], event["wall_s"]
+        share = min(1.0, done / max(total, 1e-9))
+        # A virtual clock needs a moment to show its speed; before that the plan's own time stands.
+        speed = done / wall if wall > SPEED_KNOWN_AFTER_S else 1.0
+        fast = f" ({speed:.0f}× real time)" if speed > FASTER_THAN_REAL else ""
+        left = max(0.0, total - done) / max(speed, 1e-9)
         return (
             f"{100 * share:3.0f} %  step {event['step'] + 1}/{event['steps']} {event['doing']:<10} "
-            f"{duration(event['device_s'])} of motion ({speed:.0f}× real time), "
-            f"{duration(left)} left"
+            f"{duration(done)} of motion{fast}, {duration(left)} left"
         )

@@ -1,6 +1,6 @@
 """The event log of a run: state changes, checkpoints, prompts, trips; one JSON object a line.
 
-Each line is written and fsynced by a thread of the log's own, so `append` costs the control
+Lines are written and fsynced as they come by a thread of the log's own, so `append` costs the control
 thread no file work, and the death of the recorder can still be logged.
 """
 
@@ -43,7 +43,7 @@ class EventLog:
             raise RecordingError(f"cannot open {path}: {error.strerror or error}") from error
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._error: OSError | None = None
-        self._closed = False
+        self._closed = self._ended = False
         self._thread = threading.Thread(target=self._run, name="hil-events", daemon=True)
         self._thread.start()
 
@@ -97,10 +97,21 @@ class EventLog:
             )
         return RecordingError(f"the event log {self.path} is closed")
 
+    def _waiting(self) -> list[bytes]:
+        """Every line there is, at least one; none at the end. They share one fsync."""
+        lines = []
+        while not self._ended and (not lines or not self._lines.empty()):
+            line = self._lines.get()
+            if line is _CLOSE:
+                self._ended = True
+            else:
+                lines.append(line.encode("utf-8", "backslashreplace") + b"\n")
+        return lines
+
     def _run(self) -> None:
         try:
-            while (line := self._lines.get()) is not _CLOSE:
-                _write_all(self._descriptor, line.encode("utf-8", "backslashreplace") + b"\n")
+            while lines := self._waiting():
+                _write_all(self._descriptor, b"".join(lines))
                 os.fsync(self._descriptor)
         except OSError as error:
             self._error = error

@@ -1,0 +1,43 @@
+"""The core stays light: what `import hil` and `hil --help` may not load."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = (
+    "torch", "mujoco", "numba", "sklearn", "scipy", "plotly", "pinocchio", "rtde_control",
+    "rtde_receive", "can", "canopen", "distributed", "mcap", "hil_mock_robot", "hil_drivers",
+)  # fmt: skip
+
+
+def loaded_after(code: str) -> set[str]:
+    script = f"import sys\n{code}\nprint(*sys.modules, sep='\\n', file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return {name.split(".")[0] for name in done.stderr.split()}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import hil",
+        "import hil.cli",
+        "from typer.testing import CliRunner\nfrom hil.cli.app import app\n"
+        "assert CliRunner().invoke(app, ['--help']).exit_code == 0",
+    ],
+    ids=["import hil", "import hil.cli", "hil --help"],
+)
+def test_nothing_heavy_is_loaded(code: str) -> None:
+    assert loaded_after(code).isdisjoint(HEAVY)
+
+
+def test_the_api_appears_when_it_is_used() -> None:
+    import hil
+
+    assert callable(hil.load)
+    assert "load" in dir(hil)
+    with pytest.raises(AttributeError, match="frobnicate"):
+        hil.frobnicate  # noqa: B018
