@@ -44,6 +44,7 @@ def test_an_endless_joint_counts_one_coordinate_and_has_no_limit(tmp_path):
     assert model.n == 6
     assert model.q_min[5] == -np.inf
     assert model.q_max[5] == np.inf
+    assert model.effort_max[5] == 12.0
     samples = motion(5)
     np.testing.assert_allclose(
         model.inverse_dynamics(*samples),
@@ -108,10 +109,45 @@ def test_a_robot_without_joints_is_refused(tmp_path):
         load_model(written(tmp_path, '<robot name="r"><link name="a"/></robot>'))
 
 
-def test_a_urdf_pinocchio_cannot_build_is_refused(tmp_path):
-    text = urdf("ur5").replace('child link="link_4"', 'child link="nothing"')
-    with pytest.raises(SpecError, match="not a usable URDF"):
+RING = (
+    '<robot name="r"><link name="a"/><link name="b"/><link name="c"/>'
+    '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+    '<joint name="k" type="revolute"><parent link="b"/><child link="a"/>'
+    '<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>'
+)
+
+
+def changed(old: str, new: str) -> str:
+    text = urdf("ur5")
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (changed('child link="link_4"', 'child link="nothing"'), "not there: 'nothing'"),
+        (changed('mass value="3.7', 'mass value="x3.7'), "link 'link_1': <mass value='x3.7"),
+        (changed('mass value="3.7', 'mass value="-3.7'), "link 'link_1': its mass is negative"),
+        (changed('xyz="0 0 1"', 'xyz="0 0 0"'), "axis of length 0"),
+        (changed('lower="-6.2"', 'lower="7"'), "lower limit above its upper one"),
+        (changed('"elbow_joint"', '"wrist_1_joint"'), "two joints are called 'wrist_1_joint'"),
+        (changed('parent link="base_link"', 'parent link="link_6"'), "hang apart"),
+        (changed("<axis", '<mimic joint="elbow_joint"/><axis'), "mimics another"),
+        (RING, "not one tree"),
+    ],
+)
+def test_what_is_wrong_in_a_urdf_is_said_before_pinocchio_sees_it(tmp_path, text, problem):
+    with pytest.raises(SpecError) as caught:
         load_model(written(tmp_path, text))
+    assert problem in caught.value.message
+
+
+def test_all_problems_of_a_urdf_are_reported_at_once(tmp_path):
+    text = changed('mass value="3.7', 'mass value="-3.7').replace("8.393", "heavy")
+    with pytest.raises(SpecError) as caught:
+        load_model(written(tmp_path, text))
+    assert len(caught.value.message.splitlines()) == 2
 
 
 def test_collision_checks_need_capsules(tmp_path):

@@ -9,11 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription
+from hil.dynamics.urdf import read_serial_arm
 from hil.errors import SpecError
 from hil.typing import FloatArray
 
-MOVING = ("revolute", "continuous", "prismatic")
-UNLIMITED_RAD = 1e6
+UNLIMITED = 1e9
+"""Stands for infinity in a URDF, which has no word for it."""
+
 FLANGE_NAMES = ("tool0", "flange")
 
 
@@ -54,8 +56,7 @@ def model_from_urdf(path: Path, flange: str | None = None) -> tuple[pin.Model, i
     Raises:
         SpecError: The file is missing, no XML, no URDF, or not of a fixed-base serial arm.
     """
-    root = _parsed(path)
-    _require_serial_arm(root, path)
+    root = read_serial_arm(path)
     endless = [joint for joint in root.findall("joint") if joint.get("type") == "continuous"]
     for joint in endless:
         _limit(joint)
@@ -69,81 +70,24 @@ def model_from_urdf(path: Path, flange: str | None = None) -> tuple[pin.Model, i
     return model, _flange_frame(model, path, flange)
 
 
-def _parsed(path: Path) -> ET.Element:
-    try:
-        root = ET.parse(path).getroot()  # noqa: S314  a file of the user's own bench
-    except OSError as error:
-        raise SpecError(
-            f"{path}: cannot be read ({error.strerror})",
-            hint="give the path of a URDF file or the name of a built-in arm",
-        ) from None
-    except ET.ParseError as error:
-        raise SpecError(f"{path}: not well-formed XML: {error}", hint="is it a xacro?") from None
-    if root.tag != "robot":
-        raise SpecError(
-            f"{path}: the outermost element is <{root.tag}>, a URDF has <robot>",
-            hint="turn a xacro into a URDF with `xacro file.xacro > file.urdf`",
-        )
-    return root
-
-
-def _require_serial_arm(root: ET.Element, path: Path) -> None:
-    kinds = {str(j.get("name")): str(j.get("type")) for j in root.findall("joint")}
-    free = [name for name, kind in kinds.items() if kind not in (*MOVING, "fixed")]
-    if free:
-        raise SpecError(
-            f"{path}: joint {free[0]!r} is of type {kinds[free[0]]!r}",
-            hint="only fixed-base arms of revolute and prismatic joints can be identified",
-        )
-    if not set(kinds.values()) & set(MOVING):
-        raise SpecError(f"{path}: no joint moves", hint="at least one joint must not be fixed")
-    forks = _forks(root)
-    if forks:
-        raise SpecError(
-            f"{path}: not a serial arm: {forks[0]}",
-            hint="make the joints of grippers and other branches fixed",
-        )
-
-
-def _forks(root: ET.Element) -> list[str]:
-    """Where more than one moving joint hangs on a link, possibly over fixed joints."""
-    joints = root.findall("joint")
-    up = {_end(j, "child"): _end(j, "parent") for j in joints if j.get("type") == "fixed"}
-    carried: dict[str, list[str]] = {}
-    for joint in joints:
-        if joint.get("type") in MOVING:
-            link = _end(joint, "parent")
-            while link in up:
-                link = up[link]
-            carried.setdefault(link, []).append(str(joint.get("name")))
-    return [
-        f"link {link!r} carries the joints {', '.join(names)}"
-        for link, names in carried.items()
-        if len(names) > 1
-    ]
-
-
-def _end(joint: ET.Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else str(element.get("link"))
-
-
 def _limit(joint: ET.Element) -> None:
     """Make an endless joint an ordinary one: Pinocchio would give it two coordinates."""
     joint.set("type", "revolute")
     limit = joint.find("limit")
     if limit is None:
-        limit = ET.SubElement(joint, "limit", effort="inf", velocity="inf")
-    limit.set("lower", str(-UNLIMITED_RAD))
-    limit.set("upper", str(UNLIMITED_RAD))
+        limit = ET.SubElement(joint, "limit", effort=str(UNLIMITED), velocity=str(UNLIMITED))
+    limit.set("lower", str(-UNLIMITED))
+    limit.set("upper", str(UNLIMITED))
 
 
 def _unlimit(model: pin.Model, endless: list[str]) -> None:
-    low, high = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
-    for name in endless:
-        index = model.joints[model.getJointId(name)].idx_q
-        low[index], high[index] = -np.inf, np.inf
-    model.lowerPositionLimit, model.upperPositionLimit = low, high
+    """Say infinite where `_limit` had to say a number."""
+    for name in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
+        values = getattr(model, name).copy()
+        for index in (model.joints[model.getJointId(joint)].idx_q for joint in endless):
+            if abs(values[index]) == UNLIMITED:
+                values[index] *= np.inf
+        setattr(model, name, values)
 
 
 def _flange_frame(model: pin.Model, path: Path, flange: str | None) -> int:
