@@ -49,7 +49,8 @@ def dwell_plan(name: str = "dwells", poses: int = 24) -> Plan:
 
     for pose, q in enumerate(where):
         if pose % 5 == 0:
-            stay("reference", where[0], 0, -1)
+            stay("reference", where[0], 1, -1)
+            stay("reference", where[0], -1, -1)
         for approach in (1, -1):
             stay("dwell", q, approach, pose)
     return Plan(

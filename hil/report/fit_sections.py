@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hil.report import fit_plots, fit_tables
 from hil.report.blocks import Block, Facts, Section, items
@@ -56,6 +57,12 @@ def _about(fit: FitFacts) -> Facts:
         "samples or dwells fitted": fitted.get("samples"),
         "condition number": number(condition) if condition == condition else None,
         "drive gains from": fitted.get("gains_source"),
-        **{f"setting {name}": value for name, value in settings.items()},
+        **{f"setting {name}": _setting(value) for name, value in settings.items()},
     }
     return Facts("About this model", items(said))
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {inner}" for name, inner in value.items())
+    return str(value)

@@ -63,7 +63,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     if recording is None:
         out.append("No sample was recorded, or none can be read.")
     else:
-        out += recording.problems + _continuity(facts, recording) + _status(recording)
+        out += _continuity(facts, recording) + _status(recording)
     if poses := facts.unsettled:
         which = listed([str(pose) for pose in poses], 12)
         out.append(f"{len(poses)} dwell(s) did not settle before the time-out: poses {which}.")

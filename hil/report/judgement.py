@@ -44,6 +44,14 @@ def sentence_of(facts: RunFacts) -> str:
     return _models(facts) or _without_model(facts)
 
 
+def next_command(facts: RunFacts, run: str) -> str:
+    """What to type next about the run at `run`; empty when nothing is left to do."""
+    wanted = facts.estimators_wanted
+    if facts.status == "completed" and wanted and not facts.fits:
+        return f"hil fit {run} --estimator {wanted[0]}"
+    return ""
+
+
 def fit_sentence(fit: FitFacts) -> str:
     """How good one model is on what it has not seen."""
     what = fit.held_out.get("what")
@@ -104,8 +112,7 @@ def _without_model(facts: RunFacts) -> str:
     if wanted:
         return (
             f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
-            "fitting failed or has not been done. "
-            f"Try: hil fit {facts.path.name} --estimator {wanted[0]}"
+            "fitting failed or has not been done."
         )
     return f"{done} The spec asks for no model, so nothing was fitted."
 

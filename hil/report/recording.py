@@ -30,7 +30,6 @@ class Recording:
         t: (N,) seconds since the first sample of the run.
         counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
         rate_hz: Nominal rate; NaN when the run does not say.
-        problems: What could not be read, and torn files that were read as far as they go.
     """
 
     attempts: tuple[StructArray, ...]
@@ -38,7 +37,6 @@ class Recording:
     t: FloatArray
     counts: Counts
     rate_hz: float
-    problems: tuple[str, ...]
 
     @property
     def measured_rate_hz(self) -> float:
@@ -75,18 +73,18 @@ class Drift:
     approach: IntArray
 
 
-def read_recording(facts: RunFacts) -> Recording | None:
-    """The samples of a run; torn files are read as far as they go, None when nothing is left."""
-    problems: list[str] = []
+def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
+    """The samples of a run; None when nothing is left.
+
+    Torn files are read as far as they go; they and unreadable ones are added to `problems`.
+    """
     blocks = [_read(path, problems) for path in RunDirectory(facts.path).recordings]
     kept = [block for block in blocks if block is not None and len(block)]
     if not kept:
         return None
     rate_hz = facts.rate_hz
     rows = kept[0] if len(kept) == 1 else np.concatenate(kept)
-    return Recording(
-        tuple(kept), rows, _times(kept), _count(kept, rate_hz), rate_hz, tuple(problems)
-    )
+    return Recording(tuple(kept), rows, _times(kept), _count(kept, rate_hz), rate_hz)
 
 
 def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:

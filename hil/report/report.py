@@ -25,6 +25,7 @@ from hil.report.judgement import (
     badge_of,
     criteria_sentence,
     fit_sentence,
+    next_command,
     sentence_of,
     verdict_badge,
 )
@@ -75,7 +76,7 @@ def run_page(path: Path) -> Page:
     """The page of a run, as blocks."""
     facts = read_facts(path)
     problems: list[str] = []
-    recording = read_recording(facts)
+    recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)
     shown = _shown(facts.judged_fits, {} if held_out is None else {"": held_out}, problems)
     drift = drift_of(facts, recording) if recording else None
@@ -84,7 +85,7 @@ def run_page(path: Path) -> Page:
         title=facts.name,
         subtitle=" · ".join(filter(None, about)),
         badge=badge_of(facts),
-        summary=sentence_of(facts),
+        summary=" Next: ".join(filter(None, (sentence_of(facts), next_command(facts, "RUN")))),
         key_figures=tuple(run_highlights(facts, recording, drift)),
         warnings=(*run_warnings(facts, recording), *problems),
         sections=(

@@ -8,7 +8,7 @@ from textwrap import wrap
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
-from hil.report.judgement import badge_of, sentence_of
+from hil.report.judgement import badge_of, next_command, sentence_of
 from hil.report.words import criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
@@ -30,11 +30,17 @@ def summary_lines(run: Path) -> list[str]:
         lines += ["", *_fit_lines(fit)]
     for problem in facts.problems:
         lines += ["", *wrap(f"Warning: {problem}", WIDTH)]
-    return lines
+    commands = [next_command(facts, str(run)), "" if _report(facts) else f"hil report {run}"]
+    return lines + [f"next: {command}" for command in commands if command]
+
+
+def _report(facts: RunFacts) -> str:
+    page = facts.path / "report.html"
+    return str(page) if page.is_file() else ""
 
 
 def _details(facts: RunFacts) -> list[tuple[str, str]]:
-    start, stop, page = facts.start, facts.stop, facts.path / "report.html"
+    start, stop = facts.start, facts.stop
     out = [
         ("run", str(facts.path)),
         ("started", when(start.get("started"))),
@@ -42,7 +48,7 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("operator", str(start.get("operator") or "")),
         ("program", f"{facts.steps_done} of {len(facts.steps)} steps" if facts.steps else ""),
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
-        ("report", str(page) if page.is_file() else f"none yet; make it: hil report {facts.path}"),
+        ("report", _report(facts)),
     ]
     if "samples" in stop:
         took = duration(as_float(stop.get("device_s")))

@@ -1,0 +1,88 @@
+"""The summary for a terminal."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from report_runs import JOINTS, fourier_plan, rows_of_plan, write_run
+
+from hil.errors import DataError
+from hil.report import summary_lines
+
+
+def judged(tmp_path, **more):
+    """A run whose evaluation is written by hand, with numbers that are easy to find."""
+    run = write_run(tmp_path, fourier_plan(), **more)
+    folder = run.path / "fit" / "rigid-wls-0123456789ab"
+    folder.mkdir(parents=True)
+    total = {
+        "rmse_raw": [0.111, 0.222, 0.333, 0.444, 0.555, 0.666],
+        "rmse_filtered": [0.011, 0.022, 0.033, 0.044, 0.055, None],
+        "noise_floor": [0.001] * 6,
+        "mean_raw": 0.3885,
+        "mean_filtered": 0.033,
+    }
+    row = {"metric": "rmse_raw", "per": "joint", "max": 0.5, "unit": "A"}
+    rows = [
+        {**row, "what": name, "value": value, "passed": value <= 0.5}
+        for name, value in zip(JOINTS, total["rmse_raw"], strict=True)
+    ]
+    held_out = {"what": "trajectory 2", "unit": "A", "joint_names": list(JOINTS), "total": total}
+    document = {"estimator": "rigid-wls", "held_out": held_out, "verdict": {"rows": rows}}
+    (folder / "evaluation.json").write_text(json.dumps(document))
+    named = [{"estimator": "rigid-wls", **row} for row in rows]
+    (run.path / "verdict.json").write_text(json.dumps({"passed": False, "rows": named}))
+    return run
+
+
+def test_no_line_is_wider_than_a_terminal_except_paths(tmp_path):
+    run = judged(tmp_path, name="a-" + "long-" * 11 + "name")
+    for line in summary_lines(run.path):
+        assert len(line) <= 80 or str(tmp_path) in line, line
+
+
+def test_the_verdict_comes_first_and_says_which_criterion_was_missed_by_whom(tmp_path):
+    lines = summary_lines(judged(tmp_path).path)
+    text = " ".join(" ".join(lines).split())
+    assert lines[0].startswith("REJECTED")
+    assert "RMSE raw ≤ 0.5 A by 2 of 6 joints, worst wrist_3_joint with 0.666 A" in text
+
+
+def test_the_table_holds_the_numbers_of_the_evaluation(tmp_path):
+    lines = summary_lines(judged(tmp_path).path)
+    assert "J3 elbow_joint                    0.333     0.0330    0.00100          –" in lines
+    assert next(line for line in lines if line.startswith("mean")).split()[1] == "0.389"
+
+
+def test_an_interrupted_run_is_called_interrupted(tmp_path):
+    run = write_run(tmp_path, fourier_plan(), outcome=None)
+    lines = summary_lines(run.path)
+    assert lines[0].startswith("INTERRUPTED")
+    assert "2 of 6 steps were done" in " ".join(lines)
+
+
+def test_a_tripped_run_gives_its_reason(tmp_path):
+    plan = fourier_plan()
+    rows = rows_of_plan(plan)[:500]
+    run = write_run(tmp_path, plan, rows=rows, outcome="tripped", reason="interlock speed: J2 fast")
+    assert "interlock speed: J2 fast" in " ".join(summary_lines(run.path))
+
+
+def test_without_a_report_the_command_for_one_is_shown(tmp_path):
+    run = write_run(tmp_path, fourier_plan())
+    assert f"hil report {run.path}" in " ".join(summary_lines(run.path))
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    with pytest.raises(DataError, match="is not a run directory"):
+        summary_lines(tmp_path)
+
+
+def test_importing_the_report_loads_neither_plotly_nor_jinja():
+    code = (
+        "import sys, hil.report; print([m for m in ('plotly', 'jinja2', 'mujoco', 'pinocchio', "
+        "'sklearn', 'torch') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
