@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast wire lint types walls proof bench schema docs clean
+.PHONY: help demo test test-fast wire lint types walls proof proof-if-changed bench clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -55,7 +55,11 @@ walls: $(VENV)/.dev ## import-linter contracts of ARCHITECTURE.md §5
 	$(BIN)/lint-imports
 
 proof: $(VENV)/.dev ## the long must-show runs
-	$(BIN)/python -m pytest -m proof --timeout 1800
+	$(BIN)/python -m pytest -m proof --timeout 1800 -s
+	$(BIN)/python tests/proof_inputs.py --keep
+
+proof-if-changed: $(VENV)/.dev ## the same, unless they passed with just these inputs
+	$(BIN)/python tests/proof_inputs.py --check || $(MAKE) proof
 
 bench: $(VENV)/.dev ## every benchmark, each against a peer in the same run
 	$(BIN)/hil bench all

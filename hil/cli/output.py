@@ -39,13 +39,13 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """`75.0 s`, `12 min 5 s` or `1 h 19 min`."""
+    """`75.0 s`, `12 min 5 s` or `1 h 09 min`."""
     if seconds < 100:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
-    if minutes < 100:
+    if minutes < 60:
         return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def size(n_bytes: float) -> str:
