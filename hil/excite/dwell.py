@@ -19,7 +19,8 @@ from hil.typing import FloatArray
 SPARE_SHARE = 0.05
 """Poses drawn beyond those asked for, to stand in for unreachable ones."""
 
-MOST_TRIES, MOST_TRIES_PER_POSE = 10_000, 50
+MOST_TRIES, MOST_TRIES_PER_POSE = 4000, 20
+"""Clear poses that are looked at before a program is given up."""
 
 RADIAN_SUSPICION = 0.5
 """Share of poses beyond the limits from which degrees read as radians are suspected."""

@@ -15,6 +15,9 @@ import numpy as np
 from hil.errors import PlanError
 from hil.typing import FloatArray
 
+LONGEST_S = 7600.0
+"""Ruckig warrants its precision up to here."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
@@ -60,14 +63,19 @@ def rest_to_rest(distance: float, velocity: float, acceleration: float, jerk: fl
     wanted.duration_discretization = ruckig.DurationDiscretization.Continuous
     found = ruckig.Trajectory(1)
     try:
-        result = ruckig.Ruckig(1).calculate(wanted, found)
-    except (RuntimeError, ValueError) as error:
-        result = error
-    if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+        result = str(ruckig.Ruckig(1).calculate(wanted, found))
+    except ruckig.RuckigError as error:
+        result = str(error).strip().partition(",")[0]
+    if result not in (str(ruckig.Result.Working), str(ruckig.Result.Finished)):
         raise PlanError(
             f"no motion over {distance:.3g} rad within {velocity:.3g} rad/s, "
-            f"{acceleration:.3g} rad/s², {jerk:.3g} rad/s³: ruckig says {result}",
+            f"{acceleration:.3g} rad/s², {jerk:.3g} rad/s³: {result}",
             hint="use limits within a few orders of magnitude of each other",
+        )
+    if found.duration > LONGEST_S:
+        raise PlanError(
+            f"a motion over {distance:.3g} rad would take {found.duration:.0f} s",
+            hint="raise excitation.max_velocity_deg_s or excitation.max_acceleration_deg_s2",
         )
     return _from_ruckig(found)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable
@@ -51,10 +52,15 @@ class CheckResult:
             "passed": self.passed,
             "waived": self.waived,
             "message": self.message,
-            "measured": self.measured,
-            "limit": self.limit,
+            "measured": _writable(self.measured),
+            "limit": _writable(self.limit),
             "hint": self.hint,
         }
+
+
+def _writable(figure: Figure) -> Figure:
+    """The figure, or its name where JSON has no number for it."""
+    return str(figure) if isinstance(figure, float) and not math.isfinite(figure) else figure
 
 
 def _free_bytes(folder: Path) -> int:
