@@ -6,10 +6,11 @@ A new kind of result adds a function that returns a `Section`; template and styl
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeAlias
 
 from hil.report.figures import Figure
+from hil.report.words import UNKNOWN
 
 Mark = Literal["", "pass", "fail", "warn", "quiet"]
 
@@ -60,6 +61,17 @@ class Table:
             else:
                 out.append((column.group, 1))
         return out
+
+    def without_empty_columns(self) -> Table:
+        """The same table without the number columns in which nothing is known."""
+        kept = [
+            i
+            for i, column in enumerate(self.columns)
+            if not column.number or any(row[i].text != UNKNOWN for row in self.rows)
+        ]
+        columns = tuple(self.columns[i] for i in kept)
+        rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
+        return replace(self, columns=columns, rows=rows)
 
 
 @dataclass(frozen=True, slots=True)

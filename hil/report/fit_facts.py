@@ -23,13 +23,14 @@ class FitFacts:
 
     Attributes:
         folder: `fit/<estimator>-<digest>`.
-        label: The estimator's name, with the digest where two folders have the same estimator,
-            and with the source where a model was judged on several.
+        name: The estimator's name, with the digest where two folders have the same estimator.
+        label: The name, with the source where the model was judged on several.
         evaluation: Content of `evaluation.json`, empty when it was not evaluated.
         model: Content of `model.json`.
     """
 
     folder: Path
+    name: str
     label: str
     evaluation: Document
     model: Document
@@ -112,16 +113,17 @@ def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
     return tuple(sorted((fit for fit in fits if fit.held_out), key=rank))
 
 
-def _read(folder: Path, label: str, problems: list[str]) -> list[FitFacts]:
+def _read(folder: Path, name: str, problems: list[str]) -> list[FitFacts]:
     evaluation = document(folder / "evaluation.json", problems)
     model = document(folder / "model.json", problems)
     sources = as_objects(evaluation.get("validation"))
     if not sources:
-        return [FitFacts(folder, label, evaluation, model)]
+        return [FitFacts(folder, name, name, evaluation, model)]
     return [
         FitFacts(
             folder,
-            f"{label} on {short_source(str(one.get('source')))}" if len(sources) > 1 else label,
+            name,
+            f"{name} on {short_source(str(one.get('source')))}" if len(sources) > 1 else name,
             {"held_out": {"what": short_source(str(one.get("source"))), **one}},
             model,
         )

@@ -9,7 +9,7 @@ import numpy as np
 from hil.report.blocks import Cell, Column, Table, cells
 from hil.report.documents import Document, as_float, as_objects
 from hil.report.fit_facts import FitFacts
-from hil.report.words import criterion_text, joint_title, number, short_source
+from hil.report.words import UNKNOWN, criterion_text, joint_title, number, short_source
 
 HELD_OUT, TRAINED = "held out", "trained on"
 
@@ -27,13 +27,14 @@ def comparison(fits: Sequence[FitFacts]) -> Table:
         Column("fit time [s]"),
         Column("verdict", number=False),
     )
-    return Table(
+    table = Table(
         f"Models, means over the joints [{fits[0].unit}], best on held-out data first",
         columns,
         tuple(_comparison_row(fit) for fit in fits),
-        "Only the held-out columns say how good a model is. The others show how closely it could "
-        "follow the data it was fitted to; a large difference means it has learnt them by heart.",
+        "Only held-out errors say how good a model is. Errors on the data it was fitted to show "
+        "how closely it can follow them; a large difference means it has learnt them by heart.",
     )
+    return table.without_empty_columns()
 
 
 def per_joint(fit: FitFacts) -> Table:
@@ -68,7 +69,8 @@ def per_joint(fit: FitFacts) -> Table:
     rows.append(
         (Cell("mean"), *(Cell(_said(*pair)) for pair in zip(shown, means, strict=True)), *last)
     )
-    return Table(f"{fit.label}: errors per joint", columns, tuple(rows))
+    table = Table(f"{fit.label}: errors per joint", columns, tuple(rows))
+    return table.without_empty_columns()
 
 
 def per_group(fit: FitFacts) -> Table | None:
@@ -134,5 +136,5 @@ def _limit_cell(row: Document | None) -> Cell:
 def _group_row(group: Document) -> tuple[Cell, ...]:
     name, samples = short_source(str(group.get("name"))), as_float(group.get("samples"))
     means = (as_float(group.get(key)) for key in ("mean_raw", "mean_filtered"))
-    shown = str(int(samples)) if np.isfinite(samples) else "–"
+    shown = str(int(samples)) if np.isfinite(samples) else UNKNOWN
     return cells(str(group.get("by")), name, shown, *(number(mean) for mean in means))

@@ -76,7 +76,8 @@ def _ranges(recording: Recording, drift: Drift | None, names: Sequence[str], uni
         for j, name in enumerate(names)
     )
     columns = (Column("joint", number=False), *(column for column, _ in table))
-    return Table("Ranges per joint over the whole recording", columns, rows)
+    caption = "Ranges per joint over the whole recording"
+    return Table(caption, columns, rows).without_empty_columns()
 
 
 def _over_rows(what: np.ufunc | object, values: FloatArray) -> FloatArray:

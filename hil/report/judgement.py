@@ -57,7 +57,7 @@ def fit_sentence(fit: FitFacts) -> str:
     what = fit.held_out.get("what")
     error, noise = fit.mean("rmse_raw"), fit.mean("noise_floor")
     text = (
-        f"On held-out data{f' ({what})' if what else ''} the model {fit.label} predicts the "
+        f"On held-out data{f' ({what})' if what else ''} the model {fit.name} predicts the "
         f"{quantity(fit.unit)} with an error of {number(error)} {fit.unit} "
         f"(RMSE, mean of {len(fit.joint_names)} joints)"
     )

@@ -109,7 +109,7 @@ def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
     shown = _shown(fits, held_out, problems)
     rows = [row for fit in fits for row in fit.criteria]
     return Page(
-        title=listed([fit.label for fit in fits]),
+        title=listed(list(dict.fromkeys(fit.name for fit in fits))),
         subtitle="Models judged on recordings",
         badge=verdict_badge(all(row.get("passed") for row in rows) if rows else None),
         summary=f"{fit_sentence(fits[0])} {criteria_sentence(rows)}".strip(),

@@ -8,6 +8,9 @@ from datetime import datetime
 from pathlib import PurePath
 from typing import Any
 
+UNKNOWN = "–"
+"""What is shown in place of a number that is not known."""
+
 METRIC_WORDS = {
     "rmse_raw": "RMSE raw",
     "rmse_filtered": "RMSE filtered",
@@ -21,7 +24,7 @@ METRIC_WORDS = {
 def number(value: float | None, digits: int = 3) -> str:
     """`value` with `digits` significant digits, never in exponents a reader stumbles over."""
     if value is None or not math.isfinite(value):
-        return "–"
+        return UNKNOWN
     if value == 0:
         return "0"
     magnitude = math.floor(math.log10(abs(value)))
@@ -38,7 +41,7 @@ def count(value: int) -> str:
 def duration(seconds: float | None) -> str:
     """`12.3 s`, `4 min 05 s` or `1 h 19 min`."""
     if seconds is None or not math.isfinite(seconds):
-        return "–"
+        return UNKNOWN
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -74,14 +77,14 @@ def joint_title(j: int, name: str) -> str:
 
 def with_unit(value: Any, unit: Any) -> str:
     """A number and its unit; dimensionless ones have the unit `1`, which is not said."""
-    said = number(float(value)) if isinstance(value, int | float) else "–"
+    said = number(float(value)) if isinstance(value, int | float) else UNKNOWN
     return said if unit in (None, "", "1") else f"{said} {unit}"
 
 
 def criterion_text(row: Mapping[str, Any]) -> str:
     """A row of a verdict as its criterion: `RMSE raw ≤ 0.02 A`."""
     metric, limit, unit = str(row.get("metric")), row.get("max"), row.get("unit")
-    said = f"{limit:g}" if isinstance(limit, int | float) else "–"
+    said = f"{limit:g}" if isinstance(limit, int | float) else UNKNOWN
     text = f"{METRIC_WORDS.get(metric, metric)} ≤ {said}"
     return text if unit in (None, "", "1") else f"{text} {unit}"
 
