@@ -254,6 +254,13 @@ def test_a_current_pose_too_close_to_something_is_refused_with_figures() -> None
         build_plan(spec_of(), ur5(), start_q=np.radians([0, 20, 0, 0, 0, 0]))
 
 
+def test_a_current_pose_that_nothing_leads_away_from_is_refused() -> None:
+    # The wrist is folded to the far side of the forearm, a turn away from everything else.
+    start = np.radians([0, -90, 90, 160, -90, 0])
+    with pytest.raises(PlanError, match="no clear way leads away from it"):
+        build_plan(spec_of(), ur5(), start_q=start)
+
+
 @pytest.mark.parametrize("start", [[0.0] * 5, [np.nan] * 6])
 def test_a_current_pose_that_is_none_is_refused(start: list[float]) -> None:
     with pytest.raises(PlanError, match="not 6 joint positions"):

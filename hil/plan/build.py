@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -58,13 +59,13 @@ def build_plan(
     rate = spec.record.rate_hz or rate_hz or arm.rate_hz
     workspace = _workspace(spec, station_robot, arm, rate)
     roadmap = Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
-    start = roadmap.home if start_q is None else _checked_start(np.asarray(start_q), workspace)
+    start = roadmap.home if start_q is None else _checked_start(np.asarray(start_q), roadmap)
     kind = plugins.load("hil.excitations", spec.excitation.kind)
     excitation: Excitation = kind(spec.excitation, folder or Path())
     program = excitation.program(roadmap)
     reference = _reference(spec, roadmap, program)
     arrangement = Arrangement(roadmap, reference, spec.reference.every)
-    steps = _steps(spec, arrangement, program, start)
+    steps = tuple(_steps(spec, arrangement, program, start))
     loads = tuple(LoadStep(load.payload(), load.prompt, load.size_m) for load in spec.loads)
     return _complete(spec, station_robot, arm, workspace, steps, loads)
 
@@ -74,7 +75,7 @@ def _complete(
     station_robot: StationRobot,
     arm: ArmDescription,
     workspace: Workspace,
-    steps: Sequence[Step],
+    steps: tuple[Step, ...],
     loads: tuple[LoadStep, ...],
 ) -> Plan:
     """The plan with its margins; refuses a negative one."""
@@ -85,7 +86,7 @@ def _complete(
         robot_model=station_robot.model,
         joint_names=arm.joint_names,
         rate_hz=workspace.rate_hz,
-        steps=tuple(steps),
+        steps=steps,
         loads=loads,
         dwell=_dwell_rule(spec),
         margins=margins_of(steps, loads, arm, station_robot.gravity_m_s2, workspace),
@@ -127,14 +128,18 @@ def _workspace(
     )
 
 
-def _checked_start(start: FloatArray, workspace: Workspace) -> FloatArray:
+def _checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
+    workspace = roadmap.workspace
     if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
         raise PlanError(
             f"the robot's current pose is {start.tolist()}, "
             f"not {len(workspace.joint_names)} joint positions",
             hint="see whether the robot is powered and its encoders are read",
         )
-    if complaint := workspace.complaint(start):
+    complaint = workspace.complaint(start)
+    if not complaint and roadmap.way(start, roadmap.home) is None:
+        complaint = "no clear way leads away from it"
+    if complaint:
         raise PlanError(
             f"the robot cannot leave its current pose safely: {complaint}",
             hint="jog the robot to a pose with more room around it and plan again, or describe "
@@ -169,29 +174,38 @@ def _reference(spec: ExperimentSpec, roadmap: Roadmap, program: Program) -> Visi
 
 def _steps(
     spec: ExperimentSpec, arrangement: Arrangement, program: Program, start: FloatArray
-) -> list[Step]:
-    """The whole sequence, once per load; loads are changed in the home pose."""
-    here, steps = start, list[Step]()
+) -> Iterator[Step]:
+    """The sequence as numbered steps."""
+    sequence = _sequence(spec, arrangement, program, start)
+    for index, (load, action) in enumerate(sequence):
+        if action is None:
+            yield Step(index, "payload", load=load, checkpoint=True)
+        else:
+            yield Step(
+                index, load=load, **{f.name: getattr(action, f.name) for f in fields(action)}
+            )
 
-    def add(actions: Sequence[Action], load: int) -> FloatArray:
-        for a in actions:
-            steps.append(
-                Step(
-                    len(steps), a.kind, a.motion, a.pose, a.trajectory, a.approach, load,
-                    a.checkpoint,
-                )
-            )  # fmt: skip
-        return actions[-1].motion.q_end if actions else here
 
+def _sequence(
+    spec: ExperimentSpec, arrangement: Arrangement, program: Program, here: FloatArray
+) -> Iterator[tuple[int, Action | None]]:
+    """Load and action, the whole program once per load; None stands for changing the load.
+
+    Loads are changed in the home pose; the arm is warmed up once.
+    """
     for load in range(len(spec.loads)):
         if load > 0:
-            here = add(arrangement.go_home(here), load - 1)
-        steps.append(Step(len(steps), "payload", load=load, checkpoint=True))
+            yield from ((load - 1, action) for action in arrangement.go_home(here))
+            here = arrangement.roadmap.home
+        yield load, None
+        actions: list[Action] = []
         if load == 0 and spec.warm_up.duration_s > 0:
-            here = add(arrangement.go_home(here), load)
-            here = add(arrangement.warm_up(here, spec.warm_up.duration_s), load)
-        here = add(list(arrangement.measure(program, here)), load)
-    return steps
+            actions += arrangement.go_home(here)
+            actions += arrangement.warm_up(arrangement.roadmap.home, spec.warm_up.duration_s)
+            here = actions[-1].motion.q_end
+        actions += arrangement.measure(program, here)
+        yield from ((load, action) for action in actions)
+        here = actions[-1].motion.q_end
 
 
 def _dwell_rule(spec: ExperimentSpec) -> DwellRule:
