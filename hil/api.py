@@ -95,6 +95,7 @@ def fit(
     validate: Iterable[AnyPath] = (),
     parameters: dict[str, Any] | None = None,
     out: AnyPath = "models",
+    page: AnyPath | None = None,
 ) -> FitReport:
     """Fit an estimator to recordings and judge it on others.
 
@@ -106,18 +107,33 @@ def fit(
         validate: Held-out sources.
         parameters: The estimator's own parameters.
         out: Folder in which the model's folder is made.
+        page: Also write an HTML report about the held-out sources here.
     """
     from hil.fitting import fit_sources, parse_payload
 
-    return fit_sources(
+    held_out = [Path(source) for source in validate]
+    result = fit_sources(
         [Path(source) for source in sources],
         estimator=estimator,
         robot=robot,
         payload=parse_payload(payload) if payload else None,
-        validate=[Path(source) for source in validate],
+        validate=held_out,
         out=Path(out),
         **(parameters or {}),
     )
+    if page is not None:
+        _fit_page(result, held_out, Path(page))
+    return result
+
+
+def _fit_page(result: FitReport, held_out: Iterable[Path], page: Path) -> None:
+    from hil.data.load import load_source
+    from hil.fitting import usable_part
+    from hil.report import render_fit_report
+
+    model = result.fitted.model
+    data = {str(source): usable_part(load_source(source), model) for source in held_out}
+    render_fit_report(result.fitted.folder, data, page)
 
 
 def evaluate(model: AnyPath, sources: Iterable[AnyPath]) -> list[dict[str, Any]]:

@@ -45,6 +45,9 @@ def fit(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Where the model folder is made.")
     ] = Path("models"),
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Also write an HTML report here.")
+    ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Fit an estimator to recordings and judge it on others."""
@@ -58,6 +61,7 @@ def fit(
         validate=validate or (),
         parameters=api.parse_parameters(options or ()),
         out=out,
+        page=page,
     )
     document = result.to_dict()
     if json:
