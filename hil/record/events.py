@@ -99,7 +99,7 @@ class EventLog:
 
     def _waiting(self) -> list[bytes]:
         """Every line there is, at least one; none at the end. They share one fsync."""
-        lines = []
+        lines: list[bytes] = []
         while not self._ended and (not lines or not self._lines.empty()):
             line = self._lines.get()
             if line is _CLOSE:
