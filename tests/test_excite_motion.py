@@ -115,15 +115,44 @@ def test_a_line_is_ruckigs_own_straight_line_stretched_by_less_than_a_period(lin
 
 
 @relaxed
-@given(st.one_of(lines().filter(moving), series()))
-def test_velocities_and_accelerations_are_the_derivatives(motion: Motion) -> None:
-    rate = 4000.0 / motion.duration_s
+@given(lines().filter(moving), st.lists(st.floats(0.001, 0.999), min_size=1))
+def test_a_profiles_velocity_and_acceleration_are_the_derivatives(
+    line: Line, shares: list[float]
+) -> None:
+    profile = rest_to_rest(line.distance, line.velocity, line.acceleration, line.jerk)
+    t, h = np.array(shares) * profile.duration_s, 1e-6 * profile.duration_s
+    (x_before, v_before, _), (_, v, a), (x_after, v_after, _) = (
+        profile.at(t + step) for step in (-h, 0.0, h)
+    )
+    # Second differences are bounded by the jerk, first ones by the rounding of the positions.
+    np.testing.assert_allclose((x_after - x_before) / (2 * h), v, atol=line.jerk * h**2 + 1e-14 / h)
+    np.testing.assert_allclose((v_after - v_before) / (2 * h), a, atol=line.jerk * h + 1e-14 / h)
+
+
+@relaxed
+@given(lines().filter(moving))
+def test_a_lines_samples_are_its_stretched_profile(line: Line) -> None:
+    """Velocity shrinks with the stretch, acceleration with its square."""
+    profile = rest_to_rest(line.distance, line.velocity, line.acceleration, line.jerk)
+    stretch = profile.duration_s / line.duration_s
+    samples = line.sample(RATE)
+    _, v, a = profile.at(samples.t * stretch)
+    np.testing.assert_allclose(np.abs(samples.qd).max(axis=1)[:-1], (stretch * v)[:-1], atol=1e-9)
+    hardest = np.abs(samples.qdd).max(axis=1)
+    np.testing.assert_allclose(hardest[:-1], np.abs(stretch**2 * a)[:-1], atol=1e-9)
+
+
+@relaxed
+@given(series())
+def test_a_fourier_series_velocity_and_acceleration_are_the_derivatives(
+    motion: FourierSeries,
+) -> None:
+    rate = 4000.0 * motion.fundamental_hz
     samples = motion.sample(rate)
     for value, slope in ((samples.q, samples.qd), (samples.qd, samples.qdd)):
         central = (value[2:] - value[:-2]) * rate / 2
-        # Acceleration has kinks where the jerk changes, so the mean is what counts.
-        scale = np.abs(slope).max() + np.abs(value).max() / motion.duration_s
-        assert np.abs(central - slope[1:-1]).mean() <= 2e-3 * scale
+        atol = 1e-4 * float(np.abs(slope).max()) + 1e-9
+        np.testing.assert_allclose(central, slope[1:-1], atol=atol)
 
 
 @relaxed
