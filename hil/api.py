@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,8 +67,16 @@ def run(
     runs: AnyPath = "runs",
     operator: str = "",
     observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
 ) -> RunReport:
     """Plan, run, record, fit, judge and report.
+
+    Args:
+        experiment: From `load`.
+        runs: Where run directories are kept.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
 
     Returns:
         The report; a run that ended early says so in `outcome` and `error` and is not raised.
@@ -76,7 +84,9 @@ def run(
     Raises:
         HilError: What went wrong before there was a run directory.
     """
-    return run_experiment(experiment, runs=Path(runs), operator=operator, observers=observers)
+    return run_experiment(
+        experiment, runs=Path(runs), operator=operator, observers=observers, waivers=waivers
+    )
 
 
 def dataset(*sources: AnyPath) -> Dataset:

@@ -190,3 +190,12 @@ def test_doctor_and_plugins_answer() -> None:
 
 def test_help_lists_the_exit_codes() -> None:
     assert "Exit codes" in hil("--help").stdout
+
+
+def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:
+    refused = hil("run", DWELL, "--runs", tmp_path, "--waive", "disk")
+    assert refused.returncode == 3
+    done = hil("run", DWELL, "--runs", tmp_path, "--waive", "disk=a test", "--json")
+    assert done.returncode == 0, done.stderr
+    start = json.loads((Path(json.loads(done.stdout)["run"]) / "start.json").read_text("utf-8"))
+    assert [(w["check"], w["reason"]) for w in start["waivers"]] == [("disk", "a test")]

@@ -27,6 +27,7 @@ from hil.preflight import (
     preflight_context,
     require_preflight,
 )
+from hil.preflight.preflight import NEVER_WAIVED
 from hil.robot import Capabilities, Identity, Limits, Status
 from hil.typing import FloatArray, StructArray
 
@@ -263,3 +264,9 @@ def test_the_context_of_a_station_knows_its_surroundings(tmp_path: Path) -> None
     assert empty.clearance(over_the_table)[0] > 0.03
     assert made.collision(small_plan(loads=(long_body,))).clearance(over_the_table)[0] < 0
     assert preflight_context(ur5("arm.urdf"), tmp_path).collision is None
+
+
+@pytest.mark.parametrize("check", sorted(NEVER_WAIVED))
+def test_what_would_be_dangerous_cannot_be_waived(tmp_path: Path, check: str) -> None:
+    with pytest.raises(PreflightFailed, match="cannot be waived"):
+        preflight(small_plan(), ScriptedRobot(), context(tmp_path, waivers=(check,)))

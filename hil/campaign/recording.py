@@ -31,6 +31,7 @@ from hil.spec.station import StationRobot
 from hil.typing import FloatArray, StructArray
 
 AT_SET_POINT_RAD = 0.01
+NO_WAIVERS: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +110,17 @@ def record(
     operator: str = "",
     observers: Observers,
     prompt: Prompt,
+    waivers: Mapping[str, str] = NO_WAIVERS,
 ) -> Recorded:
     """Plan, check and execute; leaves a complete run directory however it ends.
+
+    Args:
+        experiment: What to do, and where.
+        runs: Where run directories are kept.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress.
+        prompt: Asks the operator; a robot on a virtual clock confirms by itself.
+        waivers: Preflight check → why its failure is accepted.
 
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
@@ -120,7 +130,7 @@ def record(
         observers.publish({"kind": "stage", "stage": "planning"})
         plan = plan_for(experiment, robot)
         directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-        _write_beginning(directory, experiment, robot, plan, operator)
+        _write_beginning(directory, experiment, robot, plan, operator, waivers)
         observers.publish({"kind": "stage", "stage": f"running {plan.name} → {directory.path}"})
         recorder = _recorder(directory, robot, experiment)
         sink = RunSink(directory, recorder)
@@ -133,7 +143,7 @@ def record(
             prompt=_mounts_by_itself if robot.capabilities.clock == "virtual" else prompt,
         )
         with stop_on_signals(engine):
-            result = engine.run(_preflight(directory, plan, robot, experiment))
+            result = engine.run(_preflight(directory, plan, robot, experiment, tuple(waivers)))
         return _finish(directory, result, recorder, sink)
 
 
@@ -143,10 +153,14 @@ def _mounts_by_itself(text: str) -> bool:
 
 
 def _preflight(
-    directory: RunDirectory, plan: Plan, robot: Robot, experiment: Experiment
+    directory: RunDirectory,
+    plan: Plan,
+    robot: Robot,
+    experiment: Experiment,
+    waivers: tuple[str, ...],
 ) -> Callable[[], None]:
     def check() -> None:
-        context = preflight_context(experiment.robot, directory.path)
+        context = preflight_context(experiment.robot, directory.path, waivers=waivers)
         require_preflight(plan, robot, context, keep=directory.write_json)
 
     return check
@@ -185,7 +199,12 @@ def _counts_of(recorder: Recorder) -> dict[str, int]:
 
 
 def _write_beginning(
-    directory: RunDirectory, experiment: Experiment, robot: Robot, plan: Plan, operator: str
+    directory: RunDirectory,
+    experiment: Experiment,
+    robot: Robot,
+    plan: Plan,
+    operator: str,
+    waivers: Mapping[str, str],
 ) -> None:
     directory.write_text("spec.yaml", experiment.spec_text)
     directory.write_text("station.yaml", experiment.station_text)
@@ -203,7 +222,10 @@ def _write_beginning(
             "robot_name": experiment.spec.robot,
             "robot": _describe(robot, experiment.robot.model),
             "seed": experiment.spec.excitation.seed,
-            "waivers": [],
+            "waivers": [
+                {"check": check, "reason": reason, "who": provenance["operator"]}
+                for check, reason in waivers.items()
+            ],
         }
     )
 

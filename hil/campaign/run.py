@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -63,6 +63,7 @@ def run_experiment(
     runs: Path,
     operator: str = "",
     observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
 ) -> RunReport:
     """Run an experiment to the end of what is possible.
 
@@ -74,7 +75,12 @@ def run_experiment(
     watching = Observers(tuple(observers))
     try:
         recorded = record(
-            experiment, runs=runs, operator=operator, observers=watching, prompt=ask_operator
+            experiment,
+            runs=runs,
+            operator=operator,
+            observers=watching,
+            prompt=ask_operator,
+            waivers=waivers or {},
         )
         error, verdict = recorded.result.error, None
         if recorded.result.outcome is Outcome.COMPLETED and experiment.spec.fit:

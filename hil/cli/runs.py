@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,7 @@ from hil.cli.output import (
     print_json,
     print_table,
 )
-from hil.errors import HilError, Rejected, exit_code_of
+from hil.errors import HilError, PreflightFailed, Rejected, exit_code_of
 
 RunArgument = Annotated[Path, typer.Argument(help="Run directory.", show_default=False)]
 
@@ -33,6 +34,10 @@ def run(
     station: StationOption = None,
     runs: RunsOption = Path("runs"),
     operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
+    waive: Annotated[
+        list[str] | None,
+        typer.Option("--waive", help="Accept a failed preflight check, as NAME=REASON; recorded."),
+    ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
@@ -45,7 +50,13 @@ def run(
             experiment.title,
             err=True,
         )
-    report = api.run(experiment, runs=runs, operator=operator, observers=(ProgressLines(),))
+    report = api.run(
+        experiment,
+        runs=runs,
+        operator=operator,
+        observers=(ProgressLines(),),
+        waivers=_waivers(waive or ()),
+    )
     if json:
         print_json(report.to_dict())
     else:
@@ -57,6 +68,18 @@ def run(
             f"the model of {report.run} missed its acceptance criteria",
             hint=f"hil show {report.run}",
         )
+
+
+def _waivers(texts: Iterable[str]) -> dict[str, str]:
+    """`NAME=REASON` texts to a dict; a waiver without a reason is none."""
+    pairs = [text.partition("=") for text in texts]
+    for name, _, reason in pairs:
+        if not (name and reason.strip()):
+            raise PreflightFailed(
+                f"--waive {name!r} gives no reason",
+                hint='for example: --waive "disk=the recording is short"',
+            )
+    return {name: reason.strip() for name, _, reason in pairs}
 
 
 def _fail(error: HilError, json: bool) -> None:

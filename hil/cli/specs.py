@@ -77,12 +77,17 @@ def plan(
         ("steps", str(len(made))),
         ("duration", duration(shown["duration_s"])),
         ("recording", size(shown["recording_bytes"])),
-        ("condition number", f"{shown['condition_number']:.1f}"),
+        ("condition number", _figure(shown["condition_number"])),
         *((f"margin: {key}", f"{value:.4g}") for key, value in shown["margins"].items()),
         ("picture", str(drawn)),
         ("plan hash", shown["hash"][:12]),
     ]
     print_table(("", ""), rows)
+
+
+def _figure(value: float | None) -> str:
+    """A condition number; infinite (None) when the motion cannot tell the parameters apart."""
+    return "infinite" if value is None else f"{value:.1f}"
 
 
 def schema(

@@ -59,7 +59,7 @@ def first_move(situation: Situation) -> CheckResult:
             "first-move",
             False,
             "nobody knows whether the first motion is clear: this robot has no collision model",
-            hint="waive `first-move` only with a hand on the emergency stop",
+            hint="bring the arm to a clear pose by hand (teach pendant) and plan again",
         )
     path = first.sample(situation.plan.rate_hz).q
     everything = np.vstack([situation.state["q"], first.q_start, path])

@@ -36,6 +36,9 @@ BUILT_IN: dict[str, Check] = {
 }
 """In the order in which they are reported."""
 
+NEVER_WAIVED = frozenset({"fault", "rest", "pose", "first-move", "limits"})
+"""Checks whose failure means that motion would be dangerous whoever says otherwise."""
+
 
 def preflight_context(
     station_robot: StationRobot, folder: Path, *, waivers: Sequence[str] = ()
@@ -68,7 +71,7 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
         One result per check, failed ones that `context.waivers` names marked as waived.
 
     Raises:
-        PreflightFailed: A waiver names a check that does not exist.
+        PreflightFailed: A waiver names a check that does not exist or cannot be waived.
         RobotError: The robot's state cannot be read.
     """
     names = [*BUILT_IN, *(name for name in plugins.names("hil.checks") if name not in BUILT_IN)]
@@ -132,6 +135,10 @@ def _run(name: str, situation: Situation) -> CheckResult:
 
 
 def _require_known(waivers: Sequence[str], names: Sequence[str]) -> None:
+    if refused := sorted(NEVER_WAIVED.intersection(waivers)):
+        raise PreflightFailed(
+            f"the check {refused[0]!r} cannot be waived", hint="mend what it complains about"
+        )
     unknown = [waiver for waiver in waivers if waiver not in names]
     if unknown:
         raise PreflightFailed(

@@ -1,7 +1,7 @@
 """The event log of a run: state changes, checkpoints, prompts, trips; one JSON object a line.
 
-Lines are written and fsynced as they come by a thread of the log's own, so `append` costs the control
-thread no file work, and the death of the recorder can still be logged.
+Lines are written and fsynced as they come by a thread of the log's own, so `append` costs the
+control thread no file work, and the death of the recorder can still be logged.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def _run(facts: RunFacts) -> Mapping[str, Any]:
     return {
         **{name: start.get(name) for name in names},
         "stopped": facts.stop.get("stopped"),
-        "waivers": ", ".join(map(str, waivers)) if isinstance(waivers, list) else waivers,
+        "waivers": ", ".join(map(_waiver, waivers)) if isinstance(waivers, list) else waivers,
     }
 
 
@@ -127,3 +127,10 @@ def _loads(loads: Any) -> Table:
         for i, load in enumerate(loads)
     )
     return Table("Declared payloads", columns, rows)
+
+
+def _waiver(waiver: Any) -> str:
+    """What was waived, why and by whom."""
+    if not isinstance(waiver, dict):
+        return str(waiver)
+    return f"{waiver.get('check')} ({waiver.get('reason')}; {waiver.get('who')})"
