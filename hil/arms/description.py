@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -32,6 +34,8 @@ class Capsule:
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmDescription:
     """An arm as its maker publishes it, in SI units and standard (distal) DH convention.
+
+    `load_arm` gives everybody the same one, so its arrays cannot be written.
 
     Attributes:
         name: Key of the arm, e.g. `ur5`.
@@ -71,7 +75,7 @@ class ArmDescription:
     rate_hz: float
     payload_max_kg: float
     capsules: tuple[Capsule, ...]
-    sources: dict[str, str]
+    sources: Mapping[str, str]
     link_names: tuple[str, ...]
 
     @property
@@ -87,18 +91,27 @@ def arm_names() -> tuple[str, ...]:
 
 
 def load_arm(name: str) -> ArmDescription:
-    """The built-in arm called `name`.
+    """The built-in arm called `name`, parsed once per process.
 
     Raises:
         SpecError: There is no such arm.
     """
+    return _parsed(name)
+
+
+@cache
+def _parsed(name: str) -> ArmDescription:
     if name not in arm_names():
         raise SpecError(
             f"there is no built-in arm {name!r}",
             hint=f"built in are {', '.join(arm_names())}; a path to a URDF works too",
         )
     text = files("hil.arms").joinpath(f"{name}.yaml").read_text("utf-8")
-    return _from_dict(name, yaml.safe_load(text))
+    arm = _from_dict(name, yaml.safe_load(text))
+    for value in (getattr(arm, field.name) for field in fields(arm)):
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return arm
 
 
 def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:

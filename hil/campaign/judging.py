@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from hil.data.dataset import Dataset
-from hil.data.load import load_source
+from hil.data.load import gravity_of, load_source
 from hil.data.splits import assert_disjoint, group_of, groups, split
 from hil.dynamics import load_model
 from hil.errors import DataError
 from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
 from hil.evaluate.verdict import Metric
 from hil.fitting import fit_dataset
+from hil.identify.base import HONEST
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import Accept, ExperimentSpec, Fit, HoldOut
 
@@ -25,13 +26,15 @@ class Judged:
 
     Attributes:
         estimator: Its name.
+        protocol: `honest`, or how the model departs from that; see `RobotEstimator.protocol`.
         folder: `fit/<estimator>-<digest>` of the run.
         held_out: Its errors on data it has not seen.
         trained: Its errors on the data it was fitted to, for comparison only.
-        verdict: Whether the held-out errors meet the criteria.
+        verdict: Whether the held-out errors meet the criteria; not judged unless honest.
     """
 
     estimator: str
+    protocol: str
     folder: Path
     held_out: Evaluation
     trained: Evaluation
@@ -52,10 +55,12 @@ def judge_run(
 ) -> bool | None:
     """Fit every estimator of the spec to a completed run and judge it on what was held out.
 
-    Writes `fit/…` and `verdict.json` into the run directory.
+    Writes `fit/…` and `verdict.json` into the run directory. A model that follows a paper's
+    protocol instead of an honest one is reported, but never judged.
 
     Returns:
-        Whether all criteria are met; None when the spec has none.
+        Whether all criteria are met; None when the spec has none, or when no criterion is missed
+        but no model could be judged.
 
     Raises:
         DataError, FitError: The data do not allow it.
@@ -110,22 +115,24 @@ def _checked(train: Dataset, test: Dataset, held_out: str) -> Parts:
 
 def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
     parts = hold_out(data, spec.validation.hold_out)
-    robot = load_model(data.robot)
+    robot = load_model(data.robot, gravity=gravity_of(directory.path))
     fitted = fit_dataset(
         parts.train, fit.estimator, robot, out=directory.path / "fit", **fit.parameters
     )
     held_out = evaluate(fitted.model, parts.test, fitted.train_std)
     trained = evaluate(fitted.model, parts.train, fitted.train_std)
-    verdict = judge(held_out, criteria_of(spec.accept))
+    protocol = fitted.model.protocol
+    verdict = judge(held_out, criteria_of(spec.accept) if protocol == HONEST else [])
     document = {
         "estimator": fit.estimator,
+        "protocol": protocol,
         "seconds": fitted.seconds,
         "held_out": {"what": parts.held_out, **held_out.to_dict()},
         "trained": trained.to_dict(),
-        "verdict": verdict.to_dict(),
+        "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
     }
     directory.write_json(f"fit/{fitted.folder.name}/evaluation.json", document)
-    return Judged(fit.estimator, fitted.folder, held_out, trained, verdict)
+    return Judged(fit.estimator, protocol, fitted.folder, held_out, trained, verdict)
 
 
 def criteria_of(accept: Accept) -> list[Criterion]:
@@ -146,8 +153,15 @@ def _verdict_document(
         {"estimator": one.estimator, **row.to_dict()} for one in judged for row in one.verdict.rows
     ]
     rows += _gap_rows(spec.accept, counts)
+    unjudged = [
+        {"estimator": one.estimator, "protocol": one.protocol}
+        for one in judged
+        if one.protocol != HONEST
+    ]
     passed = all(row["passed"] for row in rows) if rows else None
-    return {"passed": passed, "rows": rows}
+    if passed and unjudged and len(unjudged) == len(judged):
+        passed = None
+    return {"passed": passed, "rows": rows, "not_judged": unjudged}
 
 
 def _gap_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -49,6 +49,14 @@ class Recorded:
     counts: Mapping[str, int]
 
 
+@runtime_checkable
+class Simulated(Protocol):
+    """A robot that must be told how it is mounted: a real one feels it."""
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Gravity in the base frame, before `connect`."""
+
+
 class RunSink:
     """What the engine writes to: samples to the recorder, events to the log and the recorder."""
 
@@ -70,14 +78,16 @@ class RunSink:
 
 
 def open_robot(name: str, station_robot: StationRobot) -> Robot:
-    """The driver's robot, not yet connected.
+    """The driver's robot, not yet connected; a simulated one is mounted as the station says.
 
     Raises:
         PluginError: There is no such driver, or it does not load.
-        SpecError: The driver does not accept the station's options.
+        SpecError: The driver does not accept the station's options, or they contradict its gravity.
     """
     driver = plugins.load("hil.drivers", station_robot.driver)
     robot: Robot = driver(name, station_robot.model, **station_robot.options)
+    if isinstance(robot, Simulated):
+        robot.set_gravity(station_robot.gravity_m_s2)
     return robot
 
 
@@ -220,7 +230,7 @@ def _write_beginning(
             "spec_hash": spec_hash(experiment.spec),
             "station": experiment.station_source,
             "robot_name": experiment.spec.robot,
-            "robot": _describe(robot, experiment.robot.model),
+            "robot": _describe(robot, experiment.robot),
             "seed": experiment.spec.excitation.seed,
             "waivers": [
                 {"check": check, "reason": reason, "who": provenance["operator"]}
@@ -230,10 +240,11 @@ def _write_beginning(
     )
 
 
-def _describe(robot: Robot, model: str) -> dict[str, Any]:
+def _describe(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
     can = robot.capabilities
     return {
-        "model": model,
+        "model": station_robot.model,
+        "gravity_m_s2": list(station_robot.gravity_m_s2),
         "identity": asdict(robot.identity),
         "joint_names": list(can.joint_names),
         "rate_hz": can.rate_hz,

@@ -24,6 +24,9 @@ from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
 
+UPRIGHT = (0.0, 0.0, -9.81)
+"""Gravity in the base frame of an arm that stands on the floor [m/s²]."""
+
 MEASURED_KINDS = ("move", "dwell", "trajectory", "reference", "warmup")
 
 
@@ -47,6 +50,26 @@ def load_source(path: str | Path) -> Dataset:
             f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
         )
     return _from_file(source)
+
+
+def gravity_of(path: str | Path) -> tuple[float, float, float]:
+    """Gravity in the base frame [m/s²] under which a source was recorded; upright unless it says.
+
+    Raises:
+        DataError: The source is missing, damaged or from a newer hil.
+    """
+    source = Path(path)
+    if source.is_dir():
+        start: Mapping[str, Any] = RunDirectory.open(source).start
+    else:
+        info = read_info(source)
+        start = _attached(info, "start.json") if "start.json" in info.attachments else {}
+    given = start.get("robot", {}).get("gravity_m_s2", UPRIGHT)
+    try:
+        x, y, z = (float(value) for value in given)
+    except (TypeError, ValueError):
+        raise DataError(f"{source}: robot.gravity_m_s2 is {given!r}, not a vector") from None
+    return x, y, z
 
 
 def _from_run(path: Path) -> Dataset:

@@ -6,8 +6,9 @@ regressor is joint j at sample k. SI throughout; prismatic joints count in m and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -38,22 +39,34 @@ class RobotModel:
         qd_max: Velocity limits [rad/s], (n,).
         effort_max: Torque limits [N·m], (n,).
         arm: The description the model was built from, None for a URDF.
+        payloads: The loads that `with_payload` mounted.
+        gravity_vector: (3,) in the base frame [m/s²]: says how the arm is mounted.
+        rotor_inertia: (n,) reflected to the joint [kg·m²].
     """
 
     def __init__(
-        self, model: pin.Model, flange: int, *, name: str, arm: ArmDescription | None = None
+        self,
+        model: pin.Model,
+        flange: int,
+        *,
+        name: str,
+        arm: ArmDescription | None = None,
+        payloads: tuple[Payload, ...] = (),
     ) -> None:
         self._model = model
         self._data = model.createData()
         self._flange = flange
         self.name = name
         self.arm = arm
+        self.payloads = payloads
         self.n = int(model.nv)
         self.joint_names = tuple(str(joint) for joint in model.names)[1:]
         self.q_min = np.array(model.lowerPositionLimit)
         self.q_max = np.array(model.upperPositionLimit)
         self.qd_max = np.array(model.velocityLimit)
         self.effort_max = np.array(model.effortLimit)
+        self.gravity_vector = np.array(model.gravity.linear)
+        self.rotor_inertia = np.array(model.armature)
 
     @classmethod
     def from_arm(
@@ -93,6 +106,37 @@ class RobotModel:
         model, frame = model_from_urdf(Path(path), flange)
         _configure(model, rotor_inertia, gravity)
         return cls(model, frame, name=str(path))
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any]) -> RobotModel:
+        """Inverse of `to_dict`; a URDF is read again from its path.
+
+        Raises:
+            SpecError: The arm or the URDF cannot be used here.
+            KeyError, TypeError, ValueError: The document is not what `to_dict` wrote.
+        """
+        given = (document["name"], document["rotor_inertia_kgm2"], document["gravity_m_s2"])
+        is_urdf = document["kind"] == "urdf"
+        robot = cls.from_urdf(*given, document["flange"]) if is_urdf else cls.from_arm(*given)
+        for load in document["payloads"]:
+            robot = robot.with_payload(_payload(load))
+        return robot
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form: what the model was made from, not its inertial parameters.
+
+        Keys: `kind` (`arm` or `urdf`), `name` (of the arm, or the URDF's path), `joint_names`,
+        `flange`, `gravity_m_s2`, `rotor_inertia_kgm2`, `payloads`.
+        """
+        return {
+            "kind": "urdf" if self.arm is None else "arm",
+            "name": self.name,
+            "joint_names": list(self.joint_names),
+            "flange": str(self._model.frames[self._flange].name),
+            "gravity_m_s2": self.gravity_vector.tolist(),
+            "rotor_inertia_kgm2": self.rotor_inertia.tolist(),
+            "payloads": [_payload_document(load) for load in self.payloads],
+        }
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """(N, n) joint torques for the motion, rotor inertias included."""
@@ -161,7 +205,8 @@ class RobotModel:
         body = pin.Inertia(payload.mass, np.array(payload.com), payload_inertia(payload))
         frame = model.frames[self._flange]
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
-        return RobotModel(model, self._flange, name=self.name, arm=self.arm)
+        mounted = (*self.payloads, payload)
+        return RobotModel(model, self._flange, name=self.name, arm=self.arm, payloads=mounted)
 
     def payload_effort(
         self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
@@ -228,3 +273,17 @@ def _configure(
             hint="give one per joint, reflected to the joint, in kg·m²",
         )
     model.armature = armature
+
+
+def _payload_document(load: Payload) -> dict[str, Any]:
+    return {
+        "mass_kg": load.mass,
+        "com_m": list(load.com),
+        "inertia_kgm2": list(load.inertia),
+    }
+
+
+def _payload(document: Mapping[str, Any]) -> Payload:
+    return Payload(
+        float(document["mass_kg"]), tuple(document["com_m"]), tuple(document["inertia_kgm2"])
+    )

@@ -22,6 +22,9 @@ from hil.typing import FloatArray
 
 GROUP = "hil.estimators"
 
+HONEST = "honest"
+"""Protocol of a model that predicts from the motion and the load alone."""
+
 CHUNK = 4096
 """Samples whose regressor is built at once; bounds memory on long recordings."""
 
@@ -52,6 +55,14 @@ class RobotEstimator(Parametrised):
     sigma_: FloatArray
     samples_: int
 
+    @property
+    def protocol(self) -> str:
+        """`honest`, or how the model departs from that to reproduce a publication.
+
+        It is shown beside the model's name, and only honest models are judged against criteria.
+        """
+        return HONEST
+
     @abstractmethod
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to a dataset."""
@@ -79,6 +90,7 @@ class RobotEstimator(Parametrised):
             "effort_kind": self.effort_kind_,
             "gains_source": self.gains_source_,
             "samples": self.samples_,
+            "protocol": self.protocol,
         }
 
     def save(self, folder: Path) -> Path:

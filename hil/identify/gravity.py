@@ -43,7 +43,7 @@ class PaperGravity:
     would do for joint 2: the printed six split two sums whose parts have equal coefficients.
 
     Raises:
-        FitError: The robot does not have six joints.
+        FitError: The robot does not have six joints, or its base is not level.
     """
 
     names = (
@@ -57,6 +57,12 @@ class PaperGravity:
         if robot.n != UR_JOINTS:
             raise FitError(
                 f"the paper's form is for six-joint UR arms, {robot.name} has {robot.n} joints",
+                hint="use form: shared",
+            )
+        if np.any(robot.gravity_vector[:2]):
+            raise FitError(
+                "the paper's form is for arms on a level base, but gravity is "
+                f"{robot.gravity_vector.tolist()} m/s² in the base frame",
                 hint="use form: shared",
             )
 

@@ -1,4 +1,4 @@
-"""The robot model inside a model folder: a built-in arm by name, or a copy of its URDF."""
+"""The robot model inside a model folder: how it was made, and a copy of its URDF if it has one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.dynamics import RobotModel, load_model
+from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError, SpecError
 
 URDF_FILE = "robot.urdf"
@@ -17,40 +17,45 @@ def store_robot(robot: RobotModel) -> tuple[dict[str, Any], bytes | None]:
     """What `model.json` says about the robot, and the URDF to be stored beside it.
 
     Raises:
-        FitError: The URDF is gone, or the robot is not what its name or file leads to (mounted
-            at another angle, say), so the stored model would predict something else.
+        FitError: The URDF is gone, or the robot is not what its description leads to (the file
+            was changed since, say), so the stored model would predict something else.
     """
-    document: dict[str, Any] = {"name": robot.name, "joint_names": list(robot.joint_names)}
+    document = robot.to_dict()
     content = None
-    if robot.arm is None:
+    if document["kind"] == "urdf":
         try:
             content = Path(robot.name).read_bytes()
         except OSError as error:
             raise FitError(f"cannot store the robot's URDF: {error}") from error
-    _require_same(robot)
-    return document | {"kind": "urdf" if content is not None else "arm"}, content
+    _require_same(robot, document)
+    return document, content
 
 
 def restore_robot(document: dict[str, Any], folder: Path) -> RobotModel:
-    """The robot model a folder was stored with.
+    """The robot model a folder was stored with: mounting, rotor inertias and loads included.
 
     Raises:
         DataError: Its built-in arm or URDF cannot be used here.
+        KeyError, TypeError, ValueError: The document is damaged.
     """
-    urdf = document["kind"] == "urdf"
+    if document["kind"] == "urdf":
+        document = document | {"name": str(folder / URDF_FILE)}
     try:
-        return load_model(folder / URDF_FILE if urdf else document["name"])
+        return RobotModel.from_dict(document)
     except SpecError as error:
         raise DataError(f"{folder}: {error.message}", hint=error.hint) from error
 
 
-def _require_same(robot: RobotModel) -> None:
+def _require_same(robot: RobotModel, document: dict[str, Any]) -> None:
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, robot.n))
-    again = load_model(robot.name)
-    W, W_again = robot.gravity_regressor(q), again.gravity_regressor(q)
-    if W.shape != W_again.shape or not np.allclose(W, W_again):
+    again = RobotModel.from_dict(document)
+    pairs = [
+        (robot.gravity_regressor(q), again.gravity_regressor(q)),
+        (robot.parameters(), again.parameters()),
+    ]
+    if any(ours.shape != theirs.shape or not np.allclose(ours, theirs) for ours, theirs in pairs):
         raise FitError(
-            f"the robot model differs from {robot.name} as it is loaded by name, so the fitted "
-            "model cannot be stored",
-            hint="describe the mounting in a URDF and load that",
+            f"the robot model differs from what {robot.name} leads to when it is loaded again, so "
+            "the fitted model cannot be stored",
+            hint="load the robot from its file again and fit again",
         )

@@ -4,11 +4,13 @@ Two forms share one estimator:
 
 - `shared`: the arm's base gravity regressor, one set of parameters for all joints, plus one offset
   per joint, fitted to K·i. Needs the drive gains.
-- `paper`: φ₂…φ₅ of eq. 15, one independent regression per joint plus an offset, directly in the
-  unit of the effort. Only for the six-joint arms of Universal Robots.
+- `paper`: φ₂…φ₅ of eq. 15, one independent regression per joint plus an offset; needs no drive
+  gains while nothing is mounted. Only for the six-joint arms of Universal Robots on a level base.
 
-The column i²·sign(i) of eq. 20 is not used: it puts the target into its own regressor, and a
-model that needs the current to predict the current predicts nothing. Friction at rest depends on
+The column i²·sign(i) of eq. 20 is left out by default: it puts the target into its own regressor,
+and a model that needs the current to predict the current predicts nothing. `current_term` adds it
+to reproduce the paper's numbers, and the model then says so wherever it shows (`protocol`).
+Friction at rest depends on
 how the pose was approached and enters as noise; poses approached from both sides average it out.
 Every dwell counts once: its ten samples are nearly one sample, and standard errors that counted
 all ten would be three times too small.
@@ -22,28 +24,39 @@ import numpy as np
 
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.dwells import DwellRule, dwells_of, series_means
-from hil.data.prediction import Prediction
-from hil.dynamics import RobotModel
-from hil.errors import SpecError
-from hil.identify.base import load_of, payload_torque
+from hil.data.prediction import Prediction, Stream
+from hil.dynamics import RobotModel, joint_columns
+from hil.errors import FitError, SpecError
+from hil.identify.base import HONEST, load_of, payload_torque
 from hil.identify.checks import require_clean, require_robot, require_samples, torque_scale
 from hil.identify.compress import JointwiseQR
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.wls import WlsEstimator
+from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
+
+PAPER_PROTOCOL = "paper: the measured current is among the inputs"
+CURRENT_PART = "measured current² (paper protocol)"
+"""Component of a prediction that is made of what is to be predicted."""
 
 
 class StaticWls(WlsEstimator):
     """Gravity and offset of an arm at rest.
 
+    With `current_term` joint j's regressor is R_j = [φ_j, i²·sign(i), 1] (eq. 20) and by eq. 19 its
+    last two coefficients are −K₂/K₁ and −K₀/K₁ of τ = K₂·i²·sign(i) + K₁·i + K₀ (eq. 16), after
+    division by `torque_scale_[j]`.
+
     Args:
         form: `shared` or `paper`, see the module.
         weighted: Weight the joints by their residual; makes no difference to `paper`, whose
             joints are independent.
+        current_term: Only with `paper`: eq. 20 as printed, measured current included.
         rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
 
     Attributes:
-        parameter_names_: Gravity parameters, then one `offset` per joint.
+        parameter_names_: Gravity parameters, then per joint `offset`, or `current_squared` and
+            `offset`.
         samples_: Number of dwells.
     """
 
@@ -55,24 +68,34 @@ class StaticWls(WlsEstimator):
         *,
         form: Literal["shared", "paper"] = "shared",
         weighted: bool = True,
+        current_term: bool = False,
         rest_speed: float = 0.01,
     ) -> None:
         if form not in ("shared", "paper"):
             raise SpecError(f"form is {form!r}, but must be 'shared' or 'paper'")
+        if current_term and form != "paper":
+            raise SpecError("current_term is eq. 20 of the paper and goes with form: paper only")
         if not rest_speed > 0:
             raise SpecError(f"rest_speed is {rest_speed}, but must be a speed in rad/s")
         self.form = form
         self.weighted = weighted
+        self.current_term = current_term
         self.rest_speed = rest_speed
+
+    @property
+    def protocol(self) -> str:
+        """`honest`, or with `current_term` that the target is among the inputs."""
+        return PAPER_PROTOCOL if self.current_term else HONEST
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the dwells of the data, or to the stays found in motions without a plan.
 
         Raises:
             FitError: The data are too few, not finite, of another robot or unit, or do not
-                excite all parameters.
+                excite all parameters; or `current_term` meets efforts that are no currents.
         """
         require_robot(dataset, robot)
+        self._require_current(dataset)
         self._remember(dataset, robot, self._scale(dataset))
         require_clean(dataset, ("t", "q", "effort"))
         self._open()
@@ -85,45 +108,97 @@ class StaticWls(WlsEstimator):
     def predict(self, dataset: Dataset) -> Prediction:
         """Gravity, offset and payload per row, from the measured positions.
 
-        Rows in motion are predicted too, but marked as not valid.
+        Rows in motion are predicted too, but marked as not valid. With `current_term` the
+        *measured* effort of the dataset is an input as well: such numbers reproduce the paper
+        and say nothing about how well a current can be predicted.
 
         Raises:
             DataError: The data are of another robot or unit.
+            FitError: A load is mounted, and the fit knew no drive gains.
         """
         self._require_match(dataset)
+        self._require_gains(any(not load_of(c).is_empty for c in dataset.conditions))
         still = np.zeros_like(dataset["q"])
         whole = self._predict(dataset, dataset["q"], still, still)
-        valid = whole.valid & self._at_rest(dataset)[:, None]
-        return Prediction(whole.effort, whole.std, valid, whole.components)
+        parts, effort = dict(whole.components), whole.effort
+        if self.current_term:
+            parts[CURRENT_PART] = self._current_part(dataset["effort"])
+            effort = effort + parts[CURRENT_PART]
+        valid = np.isfinite(effort) & self._at_rest(dataset)[:, None]
+        return Prediction(effort, whole.std, valid, parts)
+
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time.
+
+        Raises:
+            FitError: With `current_term`, for want of the current that is to be predicted; or a
+                load is mounted, and the fit knew no drive gains.
+        """
+        if self.current_term:
+            raise FitError(
+                "a model with current_term cannot be streamed: it needs the measured current to "
+                f"predict the current ({self.protocol})",
+                hint="fit without current_term",
+            )
+        self._require_gains(payload is not None and not payload.is_empty)
+        return super().stream(payload)
 
     def _scale(self, dataset: Dataset) -> FloatArray:
         """Currents need no gains when every joint is on its own and nothing is mounted."""
         loaded = any(not load_of(condition).is_empty for condition in dataset.conditions)
-        if self.form == "paper" and not loaded:
+        if self.form == "paper" and dataset.drive_gains is None and not loaded:
             return np.ones(dataset.n_joints)
         return torque_scale(dataset)
+
+    def _require_current(self, dataset: Dataset) -> None:
+        if self.current_term and dataset.effort_kind != "current":
+            raise FitError(
+                f"current_term needs motor currents, the data hold a {dataset.effort_kind}",
+                hint="fit without current_term, or on a recording of currents",
+            )
+
+    def _require_gains(self, loaded: bool) -> None:
+        """A load adds a torque; without gains nobody knows how much current that is."""
+        unknown = self.effort_kind_ == "current" and bool(np.all(self.torque_scale_ == 1.0))
+        if loaded and unknown:
+            raise FitError(
+                "a load is mounted, but the model was fitted to currents without drive gains",
+                hint="fit again on data that say their drive gains",
+            )
 
     def _open(self) -> None:
         robot = self.robot_
         self._form: GravityForm = (
             PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
         )
-        offsets = (f"{joint}.offset" for joint in self.joint_names_)
-        self.parameter_names_ = (*self._form.names, *offsets)
+        terms = ("current_squared", "offset") if self.current_term else ("offset",)
+        own = (f"{joint}.{term}" for joint in self.joint_names_ for term in terms)
+        self.parameter_names_ = (*self._form.names, *own)
 
     def _observe(self, dwells: Dataset) -> JointwiseQR:
         q, still = dwells["q"], np.zeros_like(dwells["q"])
         load = payload_torque(self.robot_, dwells, q, still, still)
         observed = JointwiseQR(dwells.n_joints)
-        observed.add(self._columns(q), dwells["effort"] * self.torque_scale_ - load)
+        own = {"current": signed_square(dwells["effort"])} if self.current_term else {}
+        columns = joint_columns(own | {"offset": np.ones_like(q)})
+        W = np.hstack([self._form.columns(q), columns])
+        observed.add(W, dwells["effort"] * self.torque_scale_ - load)
         return observed
 
-    def _columns(self, q: FloatArray) -> FloatArray:
-        offset = np.tile(np.eye(q.shape[1]), (len(q), 1))
-        return np.hstack([self._form.columns(q), offset])
+    def _own_coefficients(self) -> FloatArray:
+        """(n, k) of the k terms that every joint has for itself, the offset last."""
+        own: FloatArray = self.coefficients_[len(self._form.names) :]
+        return own.reshape(len(self.joint_names_), -1)
+
+    def _current_part(self, current: FloatArray) -> FloatArray:
+        part: FloatArray = signed_square(current) * self._own_coefficients()[:, 0]
+        return part / self.torque_scale_
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-        gravity, offset = np.split(self.coefficients_, [-q.shape[1]])
+        gravity, offset = (
+            self.coefficients_[: len(self._form.names)],
+            self._own_coefficients()[:, -1],
+        )
         torque = (self._form.columns(q) @ gravity).reshape(q.shape)
         return {
             "gravity": torque / self.torque_scale_,
@@ -137,6 +212,12 @@ class StaticWls(WlsEstimator):
         if "qd" in dataset.columns:
             resting = resting | (np.max(np.abs(dataset["qd"]), axis=1) < self.rest_speed)
         return resting
+
+
+def signed_square(current: FloatArray) -> FloatArray:
+    """i²·sign(i) of eq. 16, elementwise."""
+    squared: FloatArray = current * np.abs(current)
+    return squared
 
 
 def _one_row_each(dwells: Dataset) -> Dataset:

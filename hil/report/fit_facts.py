@@ -16,6 +16,9 @@ from hil.typing import FloatArray
 
 Part = Literal["held_out", "trained"]
 
+HONEST = "honest"
+"""As in `hil.identify.base`, which would load Pinocchio to show a few numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class FitFacts:
@@ -23,7 +26,8 @@ class FitFacts:
 
     Attributes:
         folder: `fit/<estimator>-<digest>`.
-        name: The estimator's name, with the digest where two folders have the same estimator.
+        name: The estimator's name, with the digest where two folders have the same estimator, and
+            with a mark where the model follows a paper's protocol.
         label: The name, with the source where the model was judged on several.
         evaluation: Content of `evaluation.json`, empty when it was not evaluated.
         model: Content of `model.json`.
@@ -34,6 +38,16 @@ class FitFacts:
     label: str
     evaluation: Document
     model: Document
+
+    @property
+    def protocol(self) -> str:
+        """`honest`, or how the model departs from that."""
+        return _protocol(self.model, self.evaluation)
+
+    @property
+    def is_honest(self) -> bool:
+        """Whether the model predicts without seeing the target."""
+        return self.protocol == HONEST
 
     @property
     def held_out(self) -> Document:
@@ -104,11 +118,11 @@ def read_fits(folders: Sequence[Path], problems: list[str]) -> tuple[FitFacts, .
 
 
 def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
-    """The fits that have held-out errors, smallest raw RMSE first."""
+    """The fits that have held-out errors, honest ones first, then smallest raw RMSE first."""
 
-    def rank(fit: FitFacts) -> tuple[bool, float]:
+    def rank(fit: FitFacts) -> tuple[bool, bool, float]:
         error = fit.mean("rmse_raw")
-        return not math.isfinite(error), error
+        return not fit.is_honest, not math.isfinite(error), error
 
     return tuple(sorted((fit for fit in fits if fit.held_out), key=rank))
 
@@ -116,6 +130,8 @@ def best_first(fits: Iterable[FitFacts]) -> tuple[FitFacts, ...]:
 def _read(folder: Path, name: str, problems: list[str]) -> list[FitFacts]:
     evaluation = document(folder / "evaluation.json", problems)
     model = document(folder / "model.json", problems)
+    if _protocol(model, evaluation) != HONEST:
+        name = f"{name} (paper protocol)"
     sources = as_objects(evaluation.get("validation"))
     if not sources:
         return [FitFacts(folder, name, name, evaluation, model)]
@@ -129,6 +145,12 @@ def _read(folder: Path, name: str, problems: list[str]) -> list[FitFacts]:
         )
         for one in sources
     ]
+
+
+def _protocol(model: Document, evaluation: Document) -> str:
+    """As the model says, or the evaluation; models of an older hil are honest and say nothing."""
+    told = as_object(model.get("fitted")).get("protocol") or evaluation.get("protocol")
+    return str(told or HONEST)
 
 
 def _estimator_of(folder: Path) -> str:

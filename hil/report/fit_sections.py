@@ -54,6 +54,7 @@ def _about(fit: FitFacts) -> Facts:
     condition = as_float(fitted.get("condition"))
     said = {
         "folder": fit.folder.name,
+        "protocol": fit.protocol,
         "samples or dwells fitted": fitted.get("samples"),
         "condition number": number(condition) if condition == condition else None,
         "drive gains from": fitted.get("gains_source"),

@@ -71,8 +71,10 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
 
 
 def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
-    """Models that were not judged, or not on all rows."""
+    """Models that were not judged, or not on all rows, or that have seen the target."""
     out = [f"{fit.label} has not been judged on held-out data." for fit in fits if not fit.held_out]
+    named = {fit.name: fit.protocol for fit in fits if not fit.is_honest}
+    out += [f"{name} is no prediction and is not judged; {why}." for name, why in named.items()]
     for fit in fits:
         coverage = as_float(fit.held_out.get("coverage"))
         if coverage < WHOLE:

@@ -101,6 +101,8 @@ def _models(facts: RunFacts) -> str:
     if not best:
         return ""
     said = criteria_sentence(as_objects(facts.verdict.get("rows")))
+    if not best[0].is_honest:  # honest ones come first
+        said = f"It is not judged: {best[0].protocol}. {said}".strip()
     return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
 
 

@@ -77,6 +77,8 @@ def _fit_lines(fit: FitFacts) -> list[str]:
     means = [fit.mean(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
     means.append(fit.mean("rmse_raw", "trained"))
     lines = wrap(f"{fit.label}: RMSE [{fit.unit}] on held-out data, raw on trained", WIDTH)
+    if not fit.is_honest:
+        lines += wrap(f"not judged; {fit.protocol}", WIDTH)
     lines.append(_row("joint", ["raw", "filtered", "noise", "trained"]))
     for j, name in enumerate(fit.joint_names):
         lines.append(_row(joint_title(j, name), [number(values[j]) for values in columns]))

@@ -17,7 +17,14 @@ from hil.robot import Capabilities, Identity, Limits, Payload, Segment, Status, 
 from hil.typing import FloatArray, StructArray
 from hil_mock_robot.draw import published
 from hil_mock_robot.motion import Motion
-from hil_mock_robot.options import mounted_of, options_of, start_of, truth_of
+from hil_mock_robot.options import (
+    mount_of,
+    mounted_of,
+    options_of,
+    require_same_mount,
+    start_of,
+    truth_of,
+)
 from hil_mock_robot.records import timing_of
 from hil_mock_robot.sensors import Sensors
 from hil_mock_robot.truth import Truth
@@ -66,6 +73,7 @@ class MockRobot:
         self._sensors = Sensors(self._truth)
         self._declared = Payload()
         self._mounted = mounted_of(self._options)
+        self._gravity = mount_of(self._options)
         self._simulation: Simulation | None = None
         self._connected = False
         self._fault = 0
@@ -90,7 +98,7 @@ class MockRobot:
             details={
                 "profile": truth.profile,
                 "substep_hz": f"{self._options.substep_hz:g}",
-                "mount": str(self._options.mount),
+                "gravity_m_s2": " ".join(f"{g:g}" for g in self._gravity),
             },
         )
 
@@ -126,6 +134,18 @@ class MockRobot:
                 built.engage_brakes()
                 self._motion.coast(built.position, built.speed)
             self._simulation, self._fault, self._connected = built, 0, True
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Be mounted as the station says.
+
+        Raises:
+            SpecError: The option `mount` says otherwise.
+            CommandRefused: The robot is switched on already.
+        """
+        if self._simulation is not None:
+            raise CommandRefused("the mount cannot change once the mock robot is switched on")
+        require_same_mount(self._options, gravity_m_s2)
+        self._gravity = gravity_m_s2
 
     def set_payload(self, payload: Payload) -> Payload:
         """Declare a load and, unless `mounted_payload` says otherwise, mount it.
@@ -234,13 +254,10 @@ class MockRobot:
             self._motion.coast(simulation.position, simulation.speed)
 
     def _switch_on(self) -> Simulation:
-        from hil_mock_robot.plant import gravity_of
         from hil_mock_robot.simulation import Setting, Simulation
 
         options = self._options
-        setting = Setting(
-            self._rate, options.substep_hz, gravity_of(options.mount), options.temperature_c
-        )
+        setting = Setting(self._rate, options.substep_hz, self._gravity, options.temperature_c)
         simulation = Simulation(self._truth, setting, start_of(self._arm, options))
         simulation.set_payloads(self._mounted or self._declared, self._declared)
         simulation.settle(SETTLING_S)

@@ -18,6 +18,14 @@ from hil_mock_robot.truth import Profile, Truth
 UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}
 """Safe starting pose by the first two letters of the arm; all zeros for others."""
 
+GRAVITY = 9.81
+MOUNTS = {
+    "table": (0.0, 0.0, -GRAVITY),
+    "ceiling": (0.0, 0.0, GRAVITY),
+    "wall": (-GRAVITY, 0.0, 0.0),
+}
+"""Gravity in the base frame [m/s²] by the name of the mount."""
+
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -31,7 +39,8 @@ class Options:
         truth_file: A truth written earlier, in place of `seed` and `profile`.
         start_q_deg: Pose in which the robot is switched on.
         temperature_c: Joint temperature at that moment; the room's when None.
-        mount: `table`, `wall`, `ceiling`, or gravity in the base frame [m/s²].
+        mount: `table`, `wall`, `ceiling`, or gravity in the base frame [m/s²]; what the station
+            says (`gravity_m_s2`) when None, and no other than that.
         mounted_payload: What really hangs at the flange (`mass_kg`, `com_m`, `inertia_kgm2`);
             what is declared when None.
     """
@@ -44,7 +53,7 @@ class Options:
     truth_file: str | None = None
     start_q_deg: Sequence[float] | None = None
     temperature_c: float | None = None
-    mount: str | Sequence[float] = "table"
+    mount: str | Sequence[float] | None = None
     mounted_payload: Mapping[str, Any] | Payload | None = None
 
 
@@ -108,6 +117,49 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
             hint=f"give {arm.n_joints} angles inside its limits",
         )
     return q
+
+
+def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
+    """Gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
+
+    Raises:
+        SpecError: There is no such mount.
+    """
+    if isinstance(mount, str) and mount in MOUNTS:
+        return MOUNTS[mount]
+    if isinstance(mount, str) or len(mount) != 3:
+        raise SpecError(
+            f"mount {mount!r} is unknown",
+            hint=f"use one of {', '.join(MOUNTS)}, or gravity in the base frame [m/s²]",
+        )
+    x, y, z = (float(value) for value in mount)
+    return x, y, z
+
+
+def mount_of(options: Options) -> tuple[float, float, float]:
+    """Gravity in the base frame [m/s²] as long as no station says anything.
+
+    Raises:
+        SpecError: There is no such mount.
+    """
+    return MOUNTS["table"] if options.mount is None else gravity_of(options.mount)
+
+
+def require_same_mount(options: Options, station: Sequence[float]) -> None:
+    """Refuse an option `mount` that contradicts the station's gravity (3,) [m/s²].
+
+    Raises:
+        SpecError: They differ: the identification would believe the station, the arm the option.
+    """
+    if options.mount is None:
+        return
+    own = gravity_of(options.mount)
+    if not np.allclose(own, station):
+        raise SpecError(
+            f"the mock robot's option mount: {options.mount} means gravity {list(own)} m/s², but "
+            f"the station's gravity_m_s2 for this robot is {list(station)}",
+            hint=f"leave the option out and set gravity_m_s2: {list(own)} beside driver and model",
+        )
 
 
 def mounted_of(options: Options) -> Payload | None:

@@ -13,37 +13,12 @@ import mujoco
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.errors import SpecError
 from hil.payload import Payload
 from hil.typing import FloatArray
 from hil_mock_robot.truth import LinkTruth
 
-GRAVITY = 9.81
-MOUNTS = {
-    "table": (0.0, 0.0, -GRAVITY),
-    "ceiling": (0.0, 0.0, GRAVITY),
-    "wall": (-GRAVITY, 0.0, 0.0),
-}
-"""Gravity in the base frame [m/s²] by the name of the mount."""
 LEAST_INERTIA = 1e-9
 """Added to every body [kg·m²]: a point mass is a fair payload, but MuJoCo wants some inertia."""
-
-
-def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
-
-    Raises:
-        SpecError: There is no such mount.
-    """
-    if isinstance(mount, str) and mount in MOUNTS:
-        return MOUNTS[mount]
-    if isinstance(mount, str) or len(mount) != 3:
-        raise SpecError(
-            f"mount {mount!r} is unknown",
-            hint=f"use one of {', '.join(MOUNTS)}, or gravity in the base frame [m/s²]",
-        )
-    x, y, z = (float(value) for value in mount)
-    return x, y, z
 
 
 @dataclass(frozen=True, slots=True, eq=False)

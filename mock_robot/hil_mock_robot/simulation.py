@@ -15,7 +15,8 @@ from hil.typing import FloatArray
 from hil_mock_robot.draw import nominal_rotors, published
 from hil_mock_robot.friction import friction_laws, slip_elements
 from hil_mock_robot.native import address_of
-from hil_mock_robot.plant import MOUNTS, Plant, build_plant, nominal_links
+from hil_mock_robot.options import MOUNTS
+from hil_mock_robot.plant import Plant, build_plant, nominal_links
 from hil_mock_robot.records import (
     HEAT,
     STATE,
