@@ -10,6 +10,7 @@ import pytest
 from hil import plugins
 from hil.errors import SpecError
 from hil.spec import spec_from_text
+from hil.spec.judgeable import require_judgeable
 
 GOOD = """\
 hil: 1
@@ -28,6 +29,18 @@ class Network:
             raise ValueError(f"epochs is {epochs}, but must be at least 1")
 
 
+class AtRest:
+    """An estimator for dwells, which can make do with slow stretches of motions."""
+
+    series_kinds = (("dwell",), ("trajectory",))
+
+
+class InMotion:
+    """An estimator for trajectories, which can make do with moves."""
+
+    series_kinds = (("trajectory",), ("move",))
+
+
 def anything(**parameters: object) -> dict[str, object]:
     """An estimator that takes any parameter."""
     return parameters
@@ -37,7 +50,9 @@ def anything(**parameters: object) -> dict[str, object]:
 def _estimators(monkeypatch: pytest.MonkeyPatch) -> None:
     group = "hil.estimators"
     points = [
-        EntryPoint("static-wls", "test_spec_errors:NeverLoaded", group),
+        EntryPoint("static-wls", "test_spec_errors:AtRest", group),
+        EntryPoint("at-rest", "test_spec_errors:AtRest", group),
+        EntryPoint("in-motion", "test_spec_errors:InMotion", group),
         EntryPoint("network", "test_spec_errors:Network", group),
         EntryPoint("anything", "test_spec_errors:anything", group),
         EntryPoint("broken", "no_such_module:Thing", group),
@@ -248,7 +263,7 @@ AT_THE_TOP = [
     (
         "fit: [{estimator: zzz}]",
         "6:19: fit.0.estimator: there is no estimator 'zzz'; "
-        "there is anything, broken, network, static-wls",
+        "there is anything, at-rest, broken, in-motion, network, static-wls",
     ),
     (
         "fit: [{estimator: network, layer: [4, 1]}]",
@@ -393,10 +408,94 @@ def test_trajectories_held_out_must_leave_some_to_fit_on() -> None:
     )
 
 
-def test_an_estimator_without_parameters_is_not_imported() -> None:
-    spec = spec_from_text(GOOD + "fit: [{estimator: static-wls}, {estimator: broken}]")
+def test_a_fit_holds_a_quarter_of_the_trajectories_out_unless_told_otherwise() -> None:
+    def held(trajectories: int, more: str = "") -> int:
+        text = GOOD.replace("dwell", f"fourier\n  trajectories: {trajectories}")
+        how = spec_from_text(f"{text}fit: [{{estimator: network}}]\n{more}").validation.hold_out
+        return how.trajectories_of(trajectories)
 
-    assert [fit.estimator for fit in spec.fit] == ["static-wls", "broken"]
+    assert [held(n) for n in (2, 3, 7, 8, 12)] == [1, 1, 1, 2, 3]
+    loads = "loads: [{mass_kg: 0}, {mass_kg: 1}]\nvalidate: {hold_out: {loads: [1]}}"
+    assert held(12, loads) == 0
+
+
+UNJUDGEABLE = [
+    (
+        "fourier\n  trajectories: 1",
+        "",
+        "validate.hold_out: holds out 1 of 1 trajectories and leaves none to fit on",
+    ),
+    (
+        "fourier",
+        "validate: {hold_out: {trajectories: 0}}",
+        "validate.hold_out.trajectories: holds out nothing, so no model can be judged: "
+        "give trajectories or loads",
+    ),
+    (
+        "dwell\n  waypoints: 1",
+        "",
+        "validate.hold_out: holds out 1 of 1 poses and leaves none to fit on",
+    ),
+    (
+        "dwell",
+        "validate: {hold_out: {poses_percent: 0}}",
+        "validate.hold_out.poses_percent: holds out nothing, so no model can be judged: "
+        "give poses or loads",
+    ),
+    (
+        "fourier",
+        "validate: {hold_out: {poses_percent: 20}}",
+        "validate.hold_out.poses_percent: a Fourier program has no poses: use trajectories",
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "validate", "expected"), UNJUDGEABLE)
+def test_what_can_only_fail_after_the_motion_is_refused_before(
+    kind: str, validate: str, expected: str
+) -> None:
+    text = GOOD.replace("dwell", kind) + "fit: [{estimator: network}]\n"
+    assert line_of(text + validate).endswith(expected)
+
+
+def test_a_recording_that_is_not_fitted_needs_nothing_held_out() -> None:
+    assert spec_from_text(GOOD + "  waypoints: 1").fit == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "estimator", "expected"),
+    [
+        ("fourier", "at-rest", "at-rest does not learn from the trajectories of this excitation"),
+        ("dwell", "in-motion", "in-motion does not learn from the dwells of this excitation"),
+    ],
+)
+def test_an_estimator_for_another_excitation_is_refused(
+    kind: str, estimator: str, expected: str
+) -> None:
+    other = {"fourier": "dwell", "dwell": "fourier"}[kind]
+    line = line_of(GOOD.replace("dwell", kind) + f"fit: [{{estimator: {estimator}}}]")
+    assert line.endswith(f"{expected}; it needs kind: {other}")
+    spec_from_text(GOOD.replace("dwell", other) + f"fit: [{{estimator: {estimator}}}]")
+
+
+def test_an_estimator_that_does_not_load_is_found_before_the_robot_moves() -> None:
+    line = line_of(GOOD + "fit: [{estimator: broken}]")
+    assert "fit.0.estimator: the estimator 'broken' (no_such_module:Thing) does not load" in line
+
+
+@pytest.mark.parametrize(
+    ("unit", "kind", "fine"),
+    [("A", "current", True), ("A", "torque", False), ("Nm", "torque", True)],
+)
+def test_a_limit_in_another_unit_than_the_robots_effort_is_refused(
+    unit: str, kind: str, fine: bool
+) -> None:
+    spec = spec_from_text(f"{GOOD}accept: {{rmse: {{max: 1, unit: {unit}}}}}")
+    if fine:
+        require_judgeable(spec, kind)
+        return
+    with pytest.raises(SpecError, match="unit of demo is A, but ur5 measures a torque in N·m"):
+        require_judgeable(spec, kind)
 
 
 def test_an_estimator_that_takes_anything_is_given_anything() -> None:

@@ -20,11 +20,14 @@ from hil.errors import HilError, PluginError
 from hil.spec.source import Path, Source, shown
 from hil.suggest import closest, did_you_mean
 
+RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
+"""Kind of excitation → the series it is run for, singular as in the data and plural for people."""
+
 
 def check_estimators(source: Source) -> None:
-    """Names under `fit` must be estimators, and the keys beside them their parameters.
+    """Names under `fit` must be estimators for this excitation, keys beside them their parameters.
 
-    An estimator's code is imported only when parameters are given to it.
+    The estimators are imported: one that cannot be is found here, and not after hours of motion.
     """
     for path, entry in _entries(source, "fit"):
         name = entry.get("estimator")
@@ -33,8 +36,8 @@ def check_estimators(source: Source) -> None:
         if name not in (known := plugins.names("hil.estimators")):
             message = f"there is no estimator '{shown(name)}'; {did_you_mean(name, known)}"
             source.add((*path, "estimator"), message)
-        elif len(entry) > 1:
-            _check_parameters(source, path, entry)
+        else:
+            _check_estimator(source, path, entry)
 
 
 def check_robots(source: Source, folder: FilePath) -> None:
@@ -94,13 +97,38 @@ def _fault_of_model(model: str, folder: FilePath) -> str:
     return f"there is no built-in arm '{shown(model)}'; {hint} A URDF is named by its path."
 
 
-def _check_parameters(source: Source, path: Path, entry: dict[str, Any]) -> None:
-    name, given = entry["estimator"], {k: v for k, v in entry.items() if k != "estimator"}
+def _check_estimator(source: Source, path: Path, entry: dict[str, Any]) -> None:
     try:
-        estimator = plugins.load("hil.estimators", name)
+        estimator = plugins.load("hil.estimators", entry["estimator"])
     except PluginError as error:
         source.add((*path, "estimator"), f"{error.message} → {error.hint}")
         return
+    _check_excitation(source, path, entry["estimator"], estimator)
+    if len(entry) > 1:
+        _check_parameters(source, path, entry, estimator)
+
+
+def _check_excitation(source: Source, path: Path, name: str, estimator: Any) -> None:
+    """The program must record what the estimator is made for; the moves in between do not count.
+
+    An estimator that can make do with other series does so on recordings of other origin
+    (`hil fit`), where there is nothing better. In a program of its own it would be starved: a
+    Fourier program stands still at the ends of its trajectories only, and the moves of a dwell
+    program are no trajectories that could be held out.
+    """
+    kind = source.at(("excitation", "kind"))
+    kinds = getattr(estimator, "series_kinds", ())
+    if not (isinstance(kind, str) and kind in RECORDED and kinds):
+        return
+    recorded, plural = RECORDED[kind]
+    if recorded not in kinds[0]:
+        wanted = " or ".join(f"kind: {k}" for k, (r, _) in RECORDED.items() if r in kinds[0])
+        message = f"{name} does not learn from the {plural} of this excitation"
+        source.add((*path, "estimator"), f"{message}; it needs {wanted or ', '.join(kinds[0])}")
+
+
+def _check_parameters(source: Source, path: Path, entry: dict[str, Any], estimator: Any) -> None:
+    name, given = entry["estimator"], {k: v for k, v in entry.items() if k != "estimator"}
     known = _parameters(estimator)
     unknown = [key for key in given if known is not None and key not in known]
     for key in unknown:

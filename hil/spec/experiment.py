@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -114,12 +115,34 @@ class Fit(BaseModel):
 class HoldOut(Strict):
     """What is kept away from the fit and judged on, always whole poses, trajectories or loads."""
 
-    trajectories: Count = Field(0, description="How many of the last trajectories.")
-    poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] = Field(
-        20.0, description="Share of the poses, drawn by seed, both approaches together."
+    trajectories: Count | None = Field(
+        None,
+        description="How many of the last trajectories; by default a quarter of them and at least "
+        "one, or none when `loads` is given.",
     )
-    loads: tuple[Count, ...] = Field((), description="Indices into `loads`, from 0.")
+    poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
+        None,
+        description="Share of the poses, drawn by seed, both approaches together; by default 20, "
+        "or none when `loads` is given.",
+    )
+    loads: tuple[Count, ...] = Field(
+        (),
+        description="Indices into `loads`, from 0. With `trajectories` or `poses_percent` beside "
+        "it, the model is judged on motions *and* loads it has not seen, together.",
+    )
     seed: Seed = Field(7, description="Decides which poses are held out.")
+
+    def trajectories_of(self, total: int) -> int:
+        """How many of `total` different trajectories are held out."""
+        if self.trajectories is not None:
+            return self.trajectories
+        return 0 if self.loads else max(1, total // 4)
+
+    def poses_of(self, total: int) -> int:
+        """How many of `total` different poses are held out."""
+        default = 0.0 if self.loads else 20.0
+        percent = default if self.poses_percent is None else self.poses_percent
+        return max(1, round(percent / 100 * total)) if percent else 0
 
 
 class Validate(Strict):
@@ -204,14 +227,42 @@ class ExperimentSpec(Strict):
         return self
 
     @model_validator(mode="after")
-    def _trajectories_held_out_exist(self) -> ExperimentSpec:
-        held, at = self.validation.hold_out.trajectories, ("validate", "hold_out", "trajectories")
-        if held and isinstance(self.excitation, Dwell):
-            raise mistake("a dwell program has no trajectories: use poses_percent", *at)
-        if isinstance(self.excitation, Fourier) and held >= self.excitation.trajectories:
-            n = self.excitation.trajectories
-            raise mistake(f"holds out {held} of {n} trajectories and leaves none to fit on", *at)
+    def _held_out_motions_are_of_this_program(self) -> ExperimentSpec:
+        held, at = self.validation.hold_out, ("validate", "hold_out")
+        if isinstance(self.excitation, Dwell) and held.trajectories:
+            raise mistake(
+                "a dwell program has no trajectories: use poses_percent", *at, "trajectories"
+            )
+        if isinstance(self.excitation, Fourier) and held.poses_percent:
+            raise mistake("a Fourier program has no poses: use trajectories", *at, "poses_percent")
         return self
+
+    @model_validator(mode="after")
+    def _motions_are_left_to_fit_on(self) -> ExperimentSpec:
+        held, total, what, key = self._motions_held_out()
+        given = getattr(self.validation.hold_out, key) is not None
+        if held and held >= total and (given or self.fit):
+            message = f"holds out {held} of {total} {what} and leaves none to fit on"
+            raise mistake(message, "validate", "hold_out", *([key] if given else []))
+        return self
+
+    @model_validator(mode="after")
+    def _a_fit_has_something_to_be_judged_on(self) -> ExperimentSpec:
+        held, _, what, key = self._motions_held_out()
+        if self.fit and not held and not self.validation.hold_out.loads:
+            message = f"holds out nothing, so no model can be judged: give {what} or loads"
+            raise mistake(message, "validate", "hold_out", key)
+        return self
+
+    def _motions_held_out(self) -> tuple[int, float, str, str]:
+        """How many are held out, of how many, what they are, and the key that says so."""
+        held, program = self.validation.hold_out, self.excitation
+        if isinstance(program, Fourier):
+            total = program.trajectories
+            return held.trajectories_of(total), total, "trajectories", "trajectories"
+        if program.file is not None and "waypoints" not in program.model_fields_set:
+            return held.poses_of(100), math.inf, "poses", "poses_percent"  # the file is not read
+        return held.poses_of(program.waypoints), program.waypoints, "poses", "poses_percent"
 
     @model_validator(mode="after")
     def _speed_interlock_lets_the_program_run(self) -> ExperimentSpec:
