@@ -52,6 +52,26 @@ def test_raw_filtered_and_noise_floor_are_as_defined() -> None:
     assert errors.noise_floor == pytest.approx(rms(data["effort"] - smooth), rel=1e-6)
 
 
+def test_the_cut_off_is_told_in_hz_of_each_sample_rate() -> None:
+    data, clean = noisy(1, 2, noise=0.0)
+    slower = np.where(data.series_index() == 0, data["t"], 2 * data["t"])
+    rate = 1 / np.diff(data["t"][:600]).mean()
+    found = evaluate(Oracle(clean), data.with_columns(t=slower)).to_dict()["cutoff_hz"]
+    assert found == pytest.approx([0.05 * rate, 0.1 * rate])
+
+
+def test_dwells_have_no_cut_off() -> None:
+    data = dwelling(5)
+    assert evaluate(Oracle(data["effort"]), data).to_dict()["cutoff_hz"] is None
+
+
+def test_what_the_filter_takes_away_is_no_bound_for_the_raw_error() -> None:
+    data, clean = noisy(1, noise=0.0)
+    steps = clean + 0.5 * np.sign(data["qd"])
+    errors = evaluate(Oracle(steps, 1e-3), data.with_columns(effort=steps)).total
+    assert np.all(errors.rmse_raw < 0.1 * errors.noise_floor)
+
+
 def test_measured_signal_is_filtered_series_by_series() -> None:
     data, clean = noisy(1, 2)
     apart = [noisy_part(data, clean, rows) for _, rows in data.slices()]

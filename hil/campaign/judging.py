@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.parts import Parts, hold_out
+from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.data.dataset import Dataset
 from hil.data.load import gravity_of, load_source
-from hil.data.splits import assert_disjoint, group_of, groups, split
 from hil.dynamics import load_model
-from hil.errors import DataError
+from hil.errors import DataError, FitError, HilError
 from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
 from hil.evaluate.verdict import Metric
-from hil.fitting import fit_dataset
-from hil.identify.base import HONEST
+from hil.fitting import Fitted, fit_dataset, usable_part
+from hil.identify.base import HONEST, estimator
 from hil.record.rundir import RunDirectory
-from hil.spec.experiment import Accept, ExperimentSpec, Fit, HoldOut
+from hil.spec.experiment import Accept, ExperimentSpec, Fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,98 +42,55 @@ class Judged:
     verdict: Verdict
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Parts:
-    """What is fitted on and what is judged on; whole poses, trajectories and loads."""
-
-    train: Dataset
-    test: Dataset
-    held_out: str
-
-
 def judge_run(
     directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
 ) -> bool | None:
-    """Fit every estimator of the spec to a completed run and judge it on what was held out.
+    """Judge a completed run: its recording, and every estimator of the spec on what was held out.
 
-    Writes `fit/…` and `verdict.json` into the run directory. A model that follows a paper's
-    protocol instead of an honest one is reported, but never judged.
+    Each estimator is fitted by itself, on the series of the kinds it learns from: one that fails
+    leaves the others as they are. Writes `fit/…` and `verdict.json` into the run directory. A
+    model that follows a paper's protocol instead of an honest one is reported, but never judged.
 
     Returns:
-        Whether all criteria are met; None when the spec has none, or when no criterion is missed
-        but no model could be judged.
+        Whether all criteria are met; None when there are none for a model, or when no criterion
+        is missed but no model could be judged.
 
     Raises:
-        DataError, FitError: The data do not allow it.
+        DataError, FitError: At least one model is missing; the message says of each why. The
+            verdict on everything else has been written.
     """
-    data = load_source(directory.path)
-    judged = [_judge_one(directory, data, fit, spec) for fit in spec.fit]
-    document = _verdict_document(judged, spec, counts)
+    judged: list[Judged] = []
+    problems: list[FailedFit] = []
+    data = _loaded(directory, problems) if spec.fit else None
+    for fit in spec.fit if data is not None else ():
+        assert data is not None
+        try:
+            judged.append(_judge_one(directory, data, fit, spec))
+        except HilError as error:
+            problems.append(FailedFit(fit.estimator, error))
+        # Estimators are plug-ins: whatever one of them raises must not cost the others.
+        except Exception as error:
+            problems.append(FailedFit(fit.estimator, _as_fit_error(fit.estimator, error)))
+    document = _verdict_document(judged, problems, spec, counts)
     directory.write_json("verdict.json", document)
+    if problems:
+        raise _all_in_one(problems, directory)
     passed: bool | None = document["passed"]
     return passed
 
 
-def hold_out(data: Dataset, how: HoldOut) -> Parts:
-    """Split measuring series into training and held-out data as a spec says.
+def judge_recording(
+    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
+) -> bool | None:
+    """Judge a run by its recording alone and write `verdict.json`; for specs without `fit`.
 
-    Dwells are held out by pose (both approaches together), trajectories from the end of the
-    program, and whole loads where the spec names any.
-
-    Raises:
-        DataError: Nothing would be left on one side.
+    Returns:
+        False when a criterion is missed; else None: no model was judged.
     """
-    by_load = [c.load in how.loads for c in data.conditions]
-    if any(by_load):
-        held = data.select(lambda c: c.load in how.loads)
-        kept = data.select(lambda c: c.load not in how.loads)
-        return _checked(kept, held, f"loads {', '.join(map(str, how.loads))}")
-    if data.of_kind("dwell").conditions:
-        parts = split(data.of_kind("dwell"), "pose", how.poses_percent / 100, seed=how.seed)
-        return _checked(parts.train, parts.test, f"{len(parts.held_out)} poses")
-    trajectories = groups(data, "trajectory")
-    if how.trajectories >= len(trajectories):
-        raise DataError(
-            f"validate.hold_out.trajectories is {how.trajectories}, "
-            f"the run has {len(trajectories)} trajectories",
-            hint="hold out fewer, or run more trajectories",
-        )
-    last = set(trajectories[len(trajectories) - how.trajectories :])
-    held = data.select(lambda c: group_of(c, "trajectory") in last)
-    kept = data.select(lambda c: group_of(c, "trajectory") not in last | {None})
-    return _checked(kept, held, f"the last {how.trajectories} trajectories")
-
-
-def _checked(train: Dataset, test: Dataset, held_out: str) -> Parts:
-    if not len(test):
-        raise DataError(
-            "nothing is held out, so the model cannot be judged",
-            hint="set validate.hold_out in the spec (trajectories, poses_percent or loads)",
-        )
-    assert_disjoint(train, test)
-    return Parts(train, test, held_out)
-
-
-def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
-    parts = hold_out(data, spec.validation.hold_out)
-    robot = load_model(data.robot, gravity=gravity_of(directory.path))
-    fitted = fit_dataset(
-        parts.train, fit.estimator, robot, out=directory.path / "fit", **fit.parameters
-    )
-    held_out = evaluate(fitted.model, parts.test, fitted.train_std)
-    trained = evaluate(fitted.model, parts.train, fitted.train_std)
-    protocol = fitted.model.protocol
-    verdict = judge(held_out, criteria_of(spec.accept) if protocol == HONEST else [])
-    document = {
-        "estimator": fit.estimator,
-        "protocol": protocol,
-        "seconds": fitted.seconds,
-        "held_out": {"what": parts.held_out, **held_out.to_dict()},
-        "trained": trained.to_dict(),
-        "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
-    }
-    directory.write_json(f"fit/{fitted.folder.name}/evaluation.json", document)
-    return Judged(fit.estimator, protocol, fitted.folder, held_out, trained, verdict)
+    document = verdict_document(recording_rows(spec.accept, counts), ())
+    directory.write_json("verdict.json", document)
+    passed: bool | None = document["passed"]
+    return passed
 
 
 def criteria_of(accept: Accept) -> list[Criterion]:
@@ -146,39 +104,79 @@ def criteria_of(accept: Accept) -> list[Criterion]:
     return out
 
 
+def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | None:
+    try:
+        return load_source(directory.path)
+    except HilError as error:
+        problems.append(FailedFit("", error))
+        return None
+
+
+def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
+    usable = usable_part(data, estimator(fit.estimator, **fit.parameters))
+    parts = hold_out(usable, spec.validation.hold_out)
+    robot = load_model(data.robot, gravity=gravity_of(directory.path))
+    fitted = fit_dataset(
+        parts.train, fit.estimator, robot, out=directory.path / "fit", **fit.parameters
+    )
+    held_out = evaluate(fitted.model, parts.test, fitted.train_std)
+    trained = evaluate(fitted.model, parts.train, fitted.train_std)
+    protocol = fitted.model.protocol
+    verdict = judge(held_out, criteria_of(spec.accept) if protocol == HONEST else [])
+    document = {
+        "estimator": fit.estimator,
+        "protocol": protocol,
+        "seconds": fitted.seconds,
+        "held_out": {"what": parts.held_out, **held_out.to_dict()},
+        "beside": _beside(fitted, parts),
+        "trained": trained.to_dict(),
+        "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
+    }
+    directory.write_json(f"fit/{fitted.folder.name}/evaluation.json", document)
+    return Judged(fit.estimator, protocol, fitted.folder, held_out, trained, verdict)
+
+
+def _beside(fitted: Fitted, parts: Parts) -> list[dict[str, Any]]:
+    """Errors where only the load or only the motion is new."""
+    return [
+        {"what": what, **evaluate(fitted.model, data, fitted.train_std).to_dict()}
+        for what, data in parts.beside
+    ]
+
+
 def _verdict_document(
-    judged: list[Judged], spec: ExperimentSpec, counts: Mapping[str, int]
+    judged: Sequence[Judged],
+    problems: Sequence[FailedFit],
+    spec: ExperimentSpec,
+    counts: Mapping[str, int],
 ) -> dict[str, Any]:
     rows = [
         {"estimator": one.estimator, **row.to_dict()} for one in judged for row in one.verdict.rows
     ]
-    rows += _gap_rows(spec.accept, counts)
     unjudged = [
         {"estimator": one.estimator, "protocol": one.protocol}
         for one in judged
         if one.protocol != HONEST
     ]
-    passed = all(row["passed"] for row in rows) if rows else None
-    if passed and unjudged and len(unjudged) == len(judged):
-        passed = None
-    return {"passed": passed, "rows": rows, "not_judged": unjudged}
+    return verdict_document(
+        recording_rows(spec.accept, counts), rows, not_judged=unjudged, problems=problems
+    )
 
 
-def _gap_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, Any]]:
-    if accept.gaps_percent is None:
-        return []
-    missing = counts["missing"]
-    share = 100.0 * missing / max(1, counts["samples"] + missing)
-    limit = accept.gaps_percent.max
-    return [
-        {
-            "estimator": "",
-            "metric": "gaps_percent",
-            "per": "run",
-            "what": "recording",
-            "value": share,
-            "max": limit,
-            "unit": "%",
-            "passed": share <= limit,
-        }
-    ]
+def _as_fit_error(name: str, error: Exception) -> FitError:
+    told = FitError(
+        f"{name} broke down: {type(error).__name__}: {error}",
+        hint="this is a fault of the estimator: report it to whoever wrote it",
+    )
+    told.__cause__ = error
+    return told
+
+
+def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:
+    """One error for all models that are missing; the recording is at fault only if it alone is."""
+    kind = DataError if all(isinstance(p.error, DataError) for p in problems) else FitError
+    told = [": ".join(filter(None, (p.estimator, p.error.message))) for p in problems]
+    hints = list(dict.fromkeys(p.error.hint for p in problems if p.error.hint))
+    out = kind("; ".join(told), hint="; ".join(hints) or f"hil show {directory.path}")
+    out.__cause__ = problems[0].error
+    return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.verdict import VerdictWord, word
 from hil.errors import DataError
 from hil.record.catalogue import RunListing
 from hil.record.catalogue import list_runs as listings_of
@@ -38,11 +39,11 @@ def describe_run(run: str | Path) -> dict[str, Any]:
     return out | {"report": str(page) if page.is_file() else None}
 
 
-def verdict_word(run: Path) -> str:
+def verdict_word(run: Path) -> VerdictWord:
     """`passed`, `rejected` or `not judged`."""
     document = _optional(run / "verdict.json") or {}
     passed = document.get("passed")
-    return "not judged" if passed is None else "passed" if passed else "rejected"
+    return word(passed if isinstance(passed, bool) else None)
 
 
 def _entry(listing: RunListing) -> dict[str, Any]:

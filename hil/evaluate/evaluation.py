@@ -3,8 +3,11 @@
 `rmse_raw` compares with the effort as it was measured, `rmse_filtered` with the same signal after
 a zero-phase Butterworth filter of order 5 at 0.20 of the Nyquist frequency, series by series. Only
 the *measured* signal is filtered, never the prediction. What the filter takes away, raw minus
-filtered, is the noise floor: no model of the motion can get `rmse_raw` below it.
-Dwells are too short to filter; there, a dwell's mean stands for the filtered signal.
+filtered, is kept as `noise_floor`: the part of the signal above `cutoff_hz`. It is noise as far as
+the motion is slower than that; friction at a reversal is not, and a model that follows it gets
+`rmse_raw` below this part.
+Dwells are too short to filter; there, a dwell's mean stands for the filtered signal, and
+`noise_floor` is the scatter about it.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from hil.data.dataset import Conditions, Dataset
-from hil.data.filters import AT_REST, shortest_series, zero_phase
+from hil.data.filters import AT_REST, sample_rate, shortest_series, zero_phase
 from hil.data.prediction import Model
 from hil.evaluate.metrics import correlation, mep, nrmse, rmse
 from hil.typing import BoolArray, FloatArray
@@ -41,7 +44,8 @@ class Errors:
         name: Which one, for people.
         samples: Rows that were judged.
         rmse_raw, rmse_filtered: (n,) in the unit of the effort.
-        noise_floor: (n,) RMS of measured minus filtered.
+        noise_floor: (n,) RMS of measured minus filtered: the high-frequency part, or the scatter
+            within dwells. No lower bound for `rmse_raw`.
         nrmse: (n,) `rmse_raw` over the standard deviation of the training or measured signal.
         mep: (n,) largest error in per cent of the largest measured magnitude.
         r: (n,) correlation of measured and predicted.
@@ -83,6 +87,8 @@ class Evaluation:
         coverage: Share of the rows for which the model says its prediction is valid; only those
             are judged.
         series: Ids of the series judged.
+        cutoff_hz: Lowest and highest cut-off of the filter over the motions; None when there are
+            none (dwells are averaged instead).
     """
 
     unit: str
@@ -91,6 +97,7 @@ class Evaluation:
     tables: tuple[Errors, ...] = field(default_factory=tuple)
     coverage: float = 1.0
     series: tuple[str, ...] = ()
+    cutoff_hz: tuple[float, float] | None = None
 
     def table(self, by: str) -> tuple[Errors, ...]:
         """The groups of one grouping."""
@@ -105,6 +112,7 @@ class Evaluation:
             "total": self.total.to_dict(),
             "tables": [errors.to_dict() for errors in self.tables],
             "series": list(self.series),
+            "cutoff_hz": None if self.cutoff_hz is None else list(self.cutoff_hz),
         }
 
 
@@ -131,7 +139,8 @@ def evaluate(model: Model, dataset: Dataset, train_std: FloatArray | None = None
     coverage = float(np.mean(np.all(judged, axis=1))) if len(dataset) else 0.0
     series = tuple(condition.id for condition in dataset.conditions)
     unit, names = dataset.effort_unit, dataset.joint_names
-    return Evaluation(unit, names, total, tuple(groups), coverage, series)
+    cutoff = cutoff_hz(dataset)
+    return Evaluation(unit, names, total, tuple(groups), coverage, series, cutoff)
 
 
 def filtered_effort(dataset: Dataset) -> FloatArray:
@@ -141,12 +150,29 @@ def filtered_effort(dataset: Dataset) -> FloatArray:
     """
     out = np.array(dataset["effort"])
     for condition, rows in dataset.slices():
-        length = rows.stop - rows.start
-        if length and condition.kind in AT_REST:
+        if rows.stop > rows.start and condition.kind in AT_REST:
             out[rows] = np.mean(out[rows], axis=0)
-        elif length >= shortest_series(MEASURED_ORDER):
+        elif _is_filtered(condition, rows):
             out[rows] = zero_phase(out[rows], MEASURED_CUTOFF, MEASURED_ORDER)
     return out
+
+
+def cutoff_hz(dataset: Dataset) -> tuple[float, float] | None:
+    """Lowest and highest cut-off over the series that are filtered; None without any.
+
+    A fraction of the Nyquist frequency is another frequency for every sample rate.
+    """
+    found = [
+        MEASURED_CUTOFF * sample_rate(dataset["t"][rows]) / 2
+        for condition, rows in dataset.slices()
+        if _is_filtered(condition, rows)
+    ]
+    return (min(found), max(found)) if found else None
+
+
+def _is_filtered(condition: Conditions, rows: slice) -> bool:
+    long_enough = rows.stop - rows.start >= shortest_series(MEASURED_ORDER)
+    return condition.kind not in AT_REST and long_enough
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ COVERAGE_ROWS = 60_000
 
 
 def excitation(
-    facts: RunFacts, recording: Recording, names: Sequence[str], held_out: Dataset | None
+    facts: RunFacts, recording: Recording, names: Sequence[str], held_out: Sequence[Dataset]
 ) -> Section:
     """Where the arm went, from the recorded positions.
 
@@ -29,7 +29,7 @@ def excitation(
         facts: Small files of the run.
         recording: Its samples.
         names: Joint names, length n.
-        held_out: The series no model was fitted on, to mark their poses; None when unknown.
+        held_out: The series each model was judged on, to mark their poses.
     """
     blocks: list[Block] = [_plan(facts), _angles(recording, names)]
     poses, where = dwell_poses(facts, recording)
@@ -76,11 +76,11 @@ def _pose_map(
     poses: IntArray,
     where: FloatArray,
     names: Sequence[str],
-    held_out: Dataset | None,
+    held_out: Sequence[Dataset],
 ) -> Plots:
     unsettled = np.isin(poses, facts.unsettled)
-    kept_away = [] if held_out is None else [c.pose for c in held_out.of_kind("dwell").conditions]
-    held = np.isin(poses, kept_away) & ~unsettled
+    kept_away = {c.pose for data in held_out for c in data.conditions if c.kind == "dwell"}
+    held = np.isin(poses, list(kept_away)) & ~unsettled
     groups = {
         "trained on": np.flatnonzero(~held & ~unsettled),
         "held out": np.flatnonzero(held),

@@ -12,10 +12,8 @@ from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import series_means
 from hil.data.prediction import Model
 from hil.errors import DataError
-from hil.report.documents import as_object
-from hil.report.facts import RunFacts
-from hil.report.measured import measured
-from hil.report.recording import Recording
+from hil.report.documents import as_names
+from hil.report.fit_facts import FitFacts
 from hil.typing import FloatArray, IntArray
 
 MOST_ROWS = 60_000
@@ -30,7 +28,7 @@ class Dwells:
         t: (D,) when [s].
         q: (D, n) where [rad].
         measured, predicted: (D, n) mean effort.
-        approach, pose: (D,) +1, −1 or 0, and pose numbers.
+        approach, pose, load: (D,) +1, −1 or 0; pose numbers; indices of the loads.
     """
 
     t: FloatArray
@@ -39,6 +37,7 @@ class Dwells:
     predicted: FloatArray
     approach: IntArray
     pose: IntArray
+    load: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,22 +70,26 @@ class Shown:
     motions: Motions | None
 
 
-def held_out_of_run(facts: RunFacts, recording: Recording) -> Dataset:
-    """The series of a run that its models were not fitted on.
+def held_out_of(fit: FitFacts, data: Dataset) -> Dataset:
+    """The series of a run that a model was judged on, as its `evaluation.json` names them.
+
+    Ids begin with the name the run directory had then; it may have been renamed since.
 
     Raises:
-        DataError: The recording or the spec cannot be used, or nothing was held out.
+        DataError: The evaluation names none that are in the recording.
     """
-    from hil.campaign.judging import hold_out
-    from hil.spec.experiment import HoldOut
+    judged = {_within_run(str(name)) for name in as_names(fit.held_out.get("series"))}
+    held_out = data.select(lambda condition: _within_run(condition.id) in judged)
+    if not held_out.conditions:
+        raise DataError(
+            f"{fit.folder.name}/evaluation.json names no held-out series of this recording",
+            hint="fit and judge again: hil fit RUN --estimator NAME --validate OTHER_RUN",
+        )
+    return held_out
 
-    # Only this part of the spec: the rest may name files that are not in the run directory.
-    asked = as_object(as_object(facts.spec.get("validate")).get("hold_out"))
-    try:
-        how = HoldOut.model_validate(asked)
-    except ValueError as error:
-        raise DataError(f"validate.hold_out of {facts.path / 'spec.yaml'}: {error}") from error
-    return hold_out(measured(facts, recording), how).test
+
+def _within_run(name: str) -> str:
+    return name.rpartition(":")[2]
 
 
 def show(folder: Path, data: Dataset) -> Shown:
@@ -121,6 +124,7 @@ def _dwells(model: Model, data: Dataset) -> Dwells:
         predicted=series_means(data, predicted),
         approach=np.array([c.approach for c in data.conditions], dtype=np.int64),
         pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
+        load=np.array([c.load for c in data.conditions], dtype=np.int64),
     )
 
 

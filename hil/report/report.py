@@ -29,7 +29,8 @@ from hil.report.judgement import (
     sentence_of,
     verdict_badge,
 )
-from hil.report.predictions import Shown, held_out_of_run, show
+from hil.report.measured import measured
+from hil.report.predictions import Shown, held_out_of, show
 from hil.report.recording import Drift, Recording, drift_of, read_recording
 from hil.report.render import write_page
 from hil.report.words import listed, when
@@ -78,7 +79,7 @@ def run_page(path: Path) -> Page:
     problems: list[str] = []
     recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)
-    shown = _shown(facts.judged_fits, {} if held_out is None else {"": held_out}, problems)
+    shown = _shown(facts.judged_fits, held_out, problems)
     drift = drift_of(facts, recording) if recording else None
     about = (path.resolve().name, facts.robot_title, when(facts.start.get("started")))
     return Page(
@@ -90,7 +91,7 @@ def run_page(path: Path) -> Page:
         warnings=(*run_warnings(facts, recording), *problems),
         sections=(
             *model_sections(facts.judged_fits, shown),
-            *_run_sections(facts, recording, drift, held_out),
+            *_run_sections(facts, recording, drift, tuple(held_out.values())),
         ),
         footer=_footer(path),
     )
@@ -106,7 +107,8 @@ def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
             f"there is no evaluation in {names}" + "".join(f"\n{text}" for text in problems),
             hint="judge the model first: hil evaluate MODEL SOURCE",
         )
-    shown = _shown(fits, held_out, problems)
+    by_label = {fit.label: held_out[fit.source] for fit in fits if fit.source in held_out}
+    shown = _shown(fits, by_label, problems)
     rows = [row for fit in fits for row in fit.criteria]
     return Page(
         title=listed(list(dict.fromkeys(fit.name for fit in fits))),
@@ -121,7 +123,10 @@ def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
 
 
 def _run_sections(
-    facts: RunFacts, recording: Recording | None, drift: Drift | None, held_out: Dataset | None
+    facts: RunFacts,
+    recording: Recording | None,
+    drift: Drift | None,
+    held_out: Sequence[Dataset],
 ) -> list[Section]:
     sections: list[Section] = []
     if recording is not None:
@@ -142,14 +147,20 @@ def _joint_names(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
     return names if len(names) == n else tuple(f"joint {j + 1}" for j in range(n))
 
 
-def _held_out(facts: RunFacts, recording: Recording | None, problems: list[str]) -> Dataset | None:
+def _held_out(
+    facts: RunFacts, recording: Recording | None, problems: list[str]
+) -> dict[str, Dataset]:
+    """Label of each model → the series of the run it was judged on."""
+    out: dict[str, Dataset] = {}
     if recording is None or not facts.judged_fits:
-        return None
+        return out
     try:
-        return held_out_of_run(facts, recording)
+        data = measured(facts, recording)
+        for fit in facts.judged_fits:
+            out[fit.label] = held_out_of(fit, data)
     except HilError as error:
-        problems.append(f"The plots of the models are left out: {error.message}")
-        return None
+        problems.append(f"Plots of the models are left out: {error.message}")
+    return out
 
 
 def _shown(
@@ -157,7 +168,7 @@ def _shown(
 ) -> dict[str, Shown]:
     out: dict[str, Shown] = {}
     for fit in fits[:MOST_PLOTTED]:
-        data = held_out.get(fit.source)
+        data = held_out.get(fit.label)
         try:
             if data is not None:
                 out[fit.label] = show(fit.folder, data)

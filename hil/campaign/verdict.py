@@ -1,0 +1,100 @@
+"""The verdict of a run: its recording and its models apart, and what could not be judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from hil.errors import HilError
+from hil.spec.experiment import Accept
+
+VerdictWord = Literal["passed", "rejected", "not judged"]
+
+
+@dataclass(frozen=True, slots=True)
+class FailedFit:
+    """A model that could not be fitted or judged, and why.
+
+    Attributes:
+        estimator: Its name; empty where it concerns all of them.
+        error: What happened.
+    """
+
+    estimator: str
+    error: HilError
+
+    def to_dict(self) -> dict[str, str]:
+        """JSON form."""
+        return {
+            "estimator": self.estimator,
+            "error": self.error.message,
+            "hint": self.error.hint,
+        }
+
+
+def verdict_document(
+    recording: Sequence[Mapping[str, Any]],
+    models: Sequence[Mapping[str, Any]],
+    *,
+    not_judged: Sequence[Mapping[str, str]] = (),
+    problems: Sequence[FailedFit] = (),
+) -> dict[str, Any]:
+    """The content of `verdict.json`.
+
+    `passed` is the verdict on the run: false when any criterion is missed, be it the recording's;
+    true only when model criteria are met and no model is missing; null otherwise.
+
+    Args:
+        recording: Rows judged on the recording.
+        models: Rows judged on held-out data; only those of honest models.
+        not_judged: Models that no criterion was applied to although there are some.
+        problems: Models that are missing.
+    """
+    of_recording, of_models = _passed(recording), _passed(models)
+    if problems and of_models:
+        of_models = None
+    passed = of_models
+    if of_recording is False:
+        passed = False
+    return {
+        "passed": passed,
+        "verdict": word(passed),
+        "recording": {"verdict": word(of_recording), "passed": of_recording},
+        "model": {"verdict": word(of_models), "passed": of_models},
+        "rows": [*models, *recording],
+        "not_judged": list(not_judged),
+        "problems": [problem.to_dict() for problem in problems],
+    }
+
+
+def recording_rows(accept: Accept, counts: Mapping[str, int]) -> list[dict[str, Any]]:
+    """The criteria on the recording: share of samples missing by the device's clock."""
+    if accept.gaps_percent is None:
+        return []
+    missing = counts["missing"]
+    share = 100.0 * missing / max(1, counts["samples"] + missing)
+    limit = accept.gaps_percent.max
+    return [
+        {
+            "estimator": "",
+            "metric": "gaps_percent",
+            "per": "run",
+            "what": "recording",
+            "value": share,
+            "max": limit,
+            "unit": "%",
+            "passed": share <= limit,
+        }
+    ]
+
+
+def word(passed: bool | None) -> VerdictWord:
+    """`passed`, `rejected` or `not judged`."""
+    if passed is None:
+        return "not judged"
+    return "passed" if passed else "rejected"
+
+
+def _passed(rows: Sequence[Mapping[str, Any]]) -> bool | None:
+    return all(row["passed"] for row in rows) if rows else None
