@@ -55,7 +55,7 @@ def plan(experiment: Experiment) -> Plan:
     Raises:
         PlanError: No safe plan follows from the spec.
     """
-    from hil.campaign.recording import connected, plan_for
+    from hil.campaign.robots import connected, plan_for
 
     with connected(experiment.spec.robot, experiment.robot) as robot:
         return plan_for(experiment, robot)
@@ -97,12 +97,12 @@ def dataset(*sources: AnyPath) -> Dataset:
 
 
 def fit(
-    sources: Iterable[AnyPath],
+    sources: AnyPath | Iterable[AnyPath],
     *,
     estimator: str,
     robot: str | None = None,
     payload: str | None = None,
-    validate: Iterable[AnyPath] = (),
+    validate: AnyPath | Iterable[AnyPath] = (),
     parameters: dict[str, Any] | None = None,
     out: AnyPath = "models",
     page: AnyPath | None = None,
@@ -110,20 +110,20 @@ def fit(
     """Fit an estimator to recordings and judge it on others.
 
     Args:
-        sources: Run directories or MCAP files to fit on.
+        sources: Run directories or MCAP files to fit on, or just one.
         estimator: Name in `hil.estimators`.
         robot: Built-in arm or URDF; by default what the data says.
         payload: `MASS` or `MASS,X,Y,Z` [kg, m]; by default what the data says.
-        validate: Held-out sources.
+        validate: Held-out sources, or just one.
         parameters: The estimator's own parameters.
         out: Folder in which the model's folder is made.
         page: Also write an HTML report about the held-out sources here.
     """
     from hil.fitting import fit_sources, parse_payload
 
-    held_out = [Path(source) for source in validate]
+    held_out = _paths(validate)
     result = fit_sources(
-        [Path(source) for source in sources],
+        _paths(sources),
         estimator=estimator,
         robot=robot,
         payload=parse_payload(payload) if payload else None,
@@ -146,11 +146,20 @@ def _fit_page(result: FitReport, held_out: Iterable[Path], page: Path) -> None:
     render_fit_report(result.fitted.folder, data, page)
 
 
-def evaluate(model: AnyPath, sources: Iterable[AnyPath]) -> list[dict[str, Any]]:
-    """Judge a saved model; one entry per source, with the keys of `FitReport.validation`."""
+def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[str, Any]]:
+    """Judge a saved model; one entry per source, with the keys of `FitReport.to_dict`.
+
+    Raises:
+        DataError: A source cannot be read, or was among the model's training data.
+    """
     from hil.fitting import evaluate_sources
 
-    return evaluate_sources(Path(model), [Path(source) for source in sources])
+    return evaluate_sources(Path(model), _paths(sources))
+
+
+def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
+    """One path or several; a text is a path, not a row of letters."""
+    return [Path(given)] if isinstance(given, str | Path) else [Path(path) for path in given]
 
 
 def import_recording(
@@ -161,14 +170,25 @@ def import_recording(
     format_: str | None = None,
     rows: tuple[int, int] | None = None,
     drop_bad_rows: bool = False,
+    payload: str | None = None,
 ) -> dict[str, Any]:
     """Turn a recording of another tool into our MCAP.
 
+    Args:
+        file: What to import.
+        map_file: YAML that says what its columns are.
+        out: The MCAP to be made.
+        format_: Overrides the map's format.
+        rows: First and last row, counted from 1, both included; the map's windows do not apply.
+        drop_bad_rows: Leave rows out that make no sense instead of refusing.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that was mounted; by default what the map says.
+
     Raises:
-        SpecError: The map is not valid.
+        SpecError: The map or the payload is not valid.
         DataError: The file holds rows that make no sense (with their line numbers).
     """
     from hil.data.importing import import_file
+    from hil.fitting import parse_payload
 
     report = import_file(
         Path(file),
@@ -177,6 +197,7 @@ def import_recording(
         format_=format_,
         rows=rows,
         drop_bad_rows=drop_bad_rows,
+        payload=parse_payload(payload) if payload else None,
     )
     return report.to_dict()
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MASS_TOLERANCE_KG = 0.01
+COM_TOLERANCE_M = 0.005
+
 
 @dataclass(frozen=True, slots=True)
 class Payload:
@@ -18,6 +21,19 @@ class Payload:
     mass: float = 0.0
     com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def agrees_with(self, other: Payload) -> bool:
+        """Whether a read-back is what was declared, within what controllers round to."""
+        if abs(self.mass - other.mass) > MASS_TOLERANCE_KG:
+            return False
+        # The centre of mass of nothing is nowhere in particular.
+        return self.is_empty or all(
+            abs(a - b) <= COM_TOLERANCE_M for a, b in zip(self.com, other.com, strict=True)
+        )
+
+    def __str__(self) -> str:
+        x, y, z = self.com
+        return f"{self.mass:.3f} kg at ({x:.3f}, {y:.3f}, {z:.3f}) m"
 
     @property
     def is_empty(self) -> bool:

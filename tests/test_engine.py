@@ -12,9 +12,19 @@ import pytest
 from kinematic_robot import KinematicRobot
 
 from hil.engine import TRANSITIONS, Engine, Observers, Outcome, RunState
+from hil.engine.freshness import Deadline
 from hil.engine.interlocks import Threshold, from_spec
 from hil.engine.states import IllegalTransition, StateMachine
-from hil.errors import InterlockTripped, PreflightFailed, RecordingError, RobotFault, Stopped
+from hil.errors import (
+    InterlockTripped,
+    PlanError,
+    PreflightFailed,
+    RecordingError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+    Stopped,
+)
 from hil.excite.motion import Hold, Line
 from hil.payload import Payload
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
@@ -29,9 +39,13 @@ class ListSink:
     def __init__(self) -> None:
         self.blocks: list[StructArray] = []
         self.events: list[dict[str, Any]] = []
+        self.extra: list[tuple[str, StructArray]] = []
 
     def put(self, rows: StructArray) -> None:
         self.blocks.append(rows.copy())
+
+    def put_topic(self, topic: str, rows: StructArray) -> None:
+        self.extra.append((topic, rows.copy()))
 
     def event(self, kind: str, **details: Any) -> None:
         self.events.append({"kind": kind, **details})
@@ -149,21 +163,170 @@ def test_an_interlock_violated_from_the_start_trips_before_anything_moves() -> N
     assert "start" not in robot.calls
 
 
-def test_the_fault_bit_trips_without_being_asked_for() -> None:
+def test_the_fault_bit_ends_the_run_in_the_drivers_own_words() -> None:
+    class Faulty(KinematicRobot):
+        def read(self, timeout_s: float = 1.0) -> StructArray:
+            if self.faulted:
+                raise RobotFault("protective stop: joint 2 overloaded")
+            block = super().read(timeout_s)
+            if (block["segment"] == 1).any():
+                block["status"] |= Status.FAULT
+                self.faulted = True
+            return block
+
+        faulted = False
+
+    result = engine(Faulty(), ListSink()).run()
+    assert result.outcome is Outcome.FAILED
+    assert isinstance(result.error, RobotFault)
+    assert "joint 2 overloaded" in result.reason
+
+
+def test_a_fault_without_words_names_its_code() -> None:
     def fault(block: StructArray) -> None:
         if (block["segment"] == 1).any():
             block["status"] |= Status.FAULT
+            block["fault_code"] = 77
 
-    result = engine(KinematicRobot(fault), ListSink(), interlocks=from_spec([])).run()
-    assert result.outcome is Outcome.TRIPPED
+    result = engine(KinematicRobot(fault), ListSink()).run()
+    assert isinstance(result.error, RobotFault)
+    assert "fault 77" in result.reason
 
 
-def test_what_a_robot_does_not_measure_does_not_trip() -> None:
+def test_a_temperature_that_is_not_measured_does_not_trip() -> None:
     def blind(block: StructArray) -> None:
         block["temperature"] = np.nan
 
-    locks = [Threshold("temperature", "temperature", 70, "°C")]
+    locks = from_spec([TemperatureInterlock(kind="temperature", limit_c=70)])
     assert engine(KinematicRobot(blind), ListSink(), interlocks=locks).run().error is None
+
+
+def test_a_tracking_error_that_cannot_be_seen_trips() -> None:
+    def blind(block: StructArray) -> None:
+        block["q"] = np.nan
+
+    locks = from_spec([TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05)])
+    result = engine(KinematicRobot(blind), ListSink(), interlocks=locks).run()
+    assert result.outcome is Outcome.TRIPPED
+
+
+def test_an_unknown_interlock_is_refused() -> None:
+    class Unknown:
+        kind = "wishful"
+
+    with pytest.raises(PlanError, match="wishful"):
+        from_spec([Unknown()])
+
+
+def test_an_interlock_stops_the_robot_before_anything_else_happens() -> None:
+    class Watching(ListSink):
+        def event(self, kind: str, **details: Any) -> None:
+            super().event(kind, **details)
+            if kind == "trip":
+                assert "stop" in robot.calls
+
+    def fast(block: StructArray) -> None:
+        if (block["segment"] == 3).any():
+            block["qd"] = 2.0
+
+    robot, sink = KinematicRobot(fast), Watching()
+    locks = from_spec([SpeedInterlock(kind="speed", limit_deg_s=90)])
+    engine(robot, sink, interlocks=locks).run()
+    assert [e["kind"] for e in sink.events].count("trip") == 1
+    assert robot.calls.count("stop") == 2
+
+
+@pytest.mark.parametrize("broken", ["frozen", "nan"])
+@pytest.mark.parametrize("segment", [1, 2])
+def test_a_clock_that_stands_still_ends_the_run(broken: str, segment: int) -> None:
+    def break_clock(block: StructArray) -> None:
+        if (block["segment"] == segment).any():
+            block["device_time"] = 0.01 if broken == "frozen" else np.nan
+            block["status"] = Status.MOVING
+
+    result = engine(KinematicRobot(break_clock), ListSink()).run()
+    assert isinstance(result.error, StaleState)
+    assert result.outcome is Outcome.FAILED
+
+
+def test_a_motion_that_never_ends_times_out() -> None:
+    def endless(block: StructArray) -> None:
+        if (block["segment"] == 1).any():
+            block["status"] = Status.MOVING
+
+    result = engine(KinematicRobot(endless), ListSink()).run()
+    assert isinstance(result.error, RobotTimeout)
+
+
+def test_a_dwell_whose_samples_never_come_times_out() -> None:
+    def elsewhere(block: StructArray) -> None:
+        block["segment"][block["segment"] == 2] = 1
+
+    result = engine(KinematicRobot(elsewhere), ListSink()).run()
+    assert isinstance(result.error, RobotTimeout)
+
+
+def test_time_outs_of_a_robot_in_wall_time_do_not_need_its_clock() -> None:
+    clock = iter(range(1000))
+    deadline = Deadline(5.0, 0.0, wall=True, now=lambda: float(next(clock)))
+    assert [deadline.over(0.0) for _ in range(7)] == [False] * 5 + [True] * 2
+
+
+def test_a_stopped_arm_is_recorded_until_it_is_at_rest() -> None:
+    class Coasts(KinematicRobot):
+        coasting = 0
+
+        def stop(self) -> None:
+            if "stop" not in self.calls:
+                self.coasting = 5
+            super().stop()
+
+        def read(self, timeout_s: float = 1.0) -> StructArray:
+            block = super().read(timeout_s)
+            if self.coasting:
+                self.coasting -= 1
+                block["qd"] = 0.5
+            return block
+
+    robot, sink = Coasts(), ListSink()
+    result = engine(robot, sink).run()
+    assert result.outcome is Outcome.COMPLETED
+    assert (np.abs(sink.blocks[-1]["qd"][-1]) < 0.01).all()
+    assert len(sink.rows) == robot.ticks
+
+
+def test_an_arm_that_does_not_come_to_rest_is_a_failure() -> None:
+    def drifting(block: StructArray) -> None:
+        if "stop" in robot.calls:
+            block["qd"] = 0.5
+
+    robot = KinematicRobot(drifting)
+    result = engine(robot, ListSink()).run()
+    assert result.outcome is Outcome.FAILED
+    assert "not at rest" in result.reason
+
+
+def test_a_robot_that_cannot_be_stopped_never_counts_as_completed() -> None:
+    class Unstoppable(KinematicRobot):
+        def stop(self) -> None:
+            raise RobotFault("the line is dead")
+
+    result = engine(Unstoppable(), ListSink()).run()
+    assert result.outcome is Outcome.FAILED
+    assert "the line is dead" in result.reason
+
+
+def test_further_topics_reach_the_sink() -> None:
+    class Raw(KinematicRobot):
+        topics = ()
+
+        def drain(self) -> dict[str, StructArray]:
+            return {"/can/raw": np.zeros(2, dtype=[("device_time", "<f8")])}
+
+    sink = ListSink()
+    engine(Raw(), sink).run()
+    assert len(sink.extra) == len(sink.blocks)
+    assert sink.extra[0][0] == "/can/raw"
 
 
 @pytest.mark.parametrize("at_step", [1, 2, 3, 4])
@@ -233,8 +396,10 @@ def test_a_bug_still_stops_the_robot() -> None:
             raise ZeroDivisionError
 
     robot = KinematicRobot()
-    with pytest.raises(ZeroDivisionError):
-        engine(robot, Buggy()).run()
+    result = engine(robot, Buggy()).run()
+    assert result.outcome is Outcome.FAILED
+    assert "ZeroDivisionError" in result.reason
+    assert any("Traceback" in n or "put" in n for n in result.notes)
     assert robot.calls[-1] == "stop"
 
 
@@ -255,15 +420,18 @@ def test_a_stop_that_fails_does_not_hide_why_the_run_ended() -> None:
 def test_a_load_is_mounted_only_when_the_operator_confirms() -> None:
     asked: list[str] = []
 
-    def confirm(text: str) -> bool:
+    def confirm(text: str, meanwhile: Any) -> str:
         asked.append(text)
-        return True
+        meanwhile()
+        return "operator"
 
     robot = KinematicRobot()
     plan = small_plan("Mount 1 kg")
     assert engine(robot, ListSink(), plan=plan, prompt=confirm).run().error is None
     assert asked == ["Mount 1 kg"]
-    refused = engine(KinematicRobot(), ListSink(), plan=plan, prompt=lambda text: False).run()
+    refused = engine(
+        KinematicRobot(), ListSink(), plan=plan, prompt=lambda text, meanwhile: ""
+    ).run()
     assert refused.outcome is Outcome.STOPPED
 
 

@@ -24,6 +24,7 @@ class Experiment:
         station: The validated station.
         robot: The station's entry for the spec's robot.
         spec_text, station_text: The files as written; copied into the run directory.
+        folder: Folder of the spec.
         station_source: Path of the station file, or that it is the built-in mock bench.
     """
 
@@ -33,6 +34,7 @@ class Experiment:
     spec_text: str
     station_text: str
     station_source: str
+    folder: Path
 
     @property
     def title(self) -> str:
@@ -63,6 +65,7 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
         spec_text=spec_path.read_text("utf-8"),
         station_text=text or f"# {BUILT_IN}\n" + station.model_dump_json(indent=1) + "\n",
         station_source=source,
+        folder=spec_path.resolve().parent,
     )
 
 

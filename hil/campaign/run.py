@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hil.campaign.experiment import Experiment
 from hil.engine import Observer, Observers, Outcome
-from hil.errors import HilError
+from hil.errors import HilError, Stopped
+
+if TYPE_CHECKING:
+    from hil.campaign.recording import Recorded
+    from hil.engine.signals import SignalWatch
 
 VerdictWord = Literal["passed", "rejected", "not judged"]
 
@@ -70,23 +73,25 @@ def run_experiment(
     Raises:
         HilError: What went wrong before there was a run directory; later errors are in the report.
     """
+    from hil.campaign.operator import ask_operator
     from hil.campaign.recording import record
+    from hil.engine.signals import SignalWatch
 
     watching = Observers(tuple(observers))
     try:
-        recorded = record(
-            experiment,
-            runs=runs,
-            operator=operator,
-            observers=watching,
-            prompt=ask_operator,
-            waivers=waivers or {},
-        )
-        error, verdict = recorded.result.error, None
-        if recorded.result.outcome is Outcome.COMPLETED and experiment.spec.fit:
-            error, verdict = _judge(experiment, recorded, watching)
-        watching.publish({"kind": "stage", "stage": "writing the report"})
-        page, problem = _report(recorded.directory.path)
+        with SignalWatch() as signals:
+            recorded = record(
+                experiment,
+                runs=runs,
+                operator=operator,
+                observers=watching,
+                prompt=ask_operator,
+                signals=signals,
+                waivers=waivers or {},
+            )
+            error, verdict = _judge(experiment, recorded, signals, watching)
+            watching.publish({"kind": "stage", "stage": "writing the report"})
+            page, problem = _report(recorded.directory.path)
     finally:
         watching.close()
     return RunReport(
@@ -102,22 +107,19 @@ def run_experiment(
     )
 
 
-def ask_operator(text: str) -> bool:
-    """Ask on the console; without one there is nobody to confirm, so the answer is no."""
-    if not (sys.stdin and sys.stdin.isatty()):
-        return False
-    sys.stderr.write(f"\n{text}\nType yes when done: ")
-    sys.stderr.flush()
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
-
-
 def _judge(
-    experiment: Experiment, recorded: Any, watching: Observers
+    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> tuple[HilError | None, bool | None]:
+    """What ended the run or the fit early, and the verdict of a run that may be judged."""
     from hil.campaign.judging import judge_run
 
+    result = recorded.result
+    if result.outcome is not Outcome.COMPLETED:
+        return result.error, None
+    if signals.seen:
+        return Stopped("stopped after the motion, before the fit", by_signal=True), None
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
-    watching.publish({"kind": "stage", "stage": f"fitting {names}"})
+    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
         passed = judge_run(recorded.directory, experiment.spec, recorded.counts)
     except HilError as error:

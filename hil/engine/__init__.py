@@ -1,9 +1,11 @@
 """The run state machine: the only thing that moves a robot."""
 
-from hil.engine.engine import Engine, RunResult, Sink
+from hil.engine.engine import Engine, RunResult
 from hil.engine.interlocks import Interlock, Trip
 from hil.engine.observers import Event, Observer, Observers
+from hil.engine.reading import Sink
 from hil.engine.states import TRANSITIONS, Outcome, RunState
+from hil.engine.steps import Prompt
 
 __all__ = [
     "TRANSITIONS",
@@ -13,6 +15,7 @@ __all__ = [
     "Observer",
     "Observers",
     "Outcome",
+    "Prompt",
     "RunResult",
     "RunState",
     "Sink",

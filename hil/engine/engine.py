@@ -1,54 +1,25 @@
 """The engine: executes a plan on a robot, and is the only thing that moves it.
 
-One loop on one thread: hand over a segment, read blocks until it is over, judge every sample by
-the interlocks, pass every block to the recorder. Whatever happens, the robot is stopped on the way
-out and the run ends with an outcome.
+One loop on one thread: hand over a segment, read blocks until it is over. Whatever happens, the
+robot is stopped on the way out, is watched until it is at rest, and the run ends with an outcome.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
+import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from dataclasses import dataclass
 
-import numpy as np
-
-from hil.engine.dwell import DwellWatch
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
+from hil.engine.reading import Reading, Sink, StopRequest
 from hil.engine.states import Outcome, RunState, StateMachine
-from hil.errors import CommandRefused, HilError, InterlockTripped, RobotTimeout, Stopped
-from hil.excite.motion import Motion
-from hil.payload import Payload
-from hil.plan.plan import Plan, Step, StepKind
-from hil.robot import Robot, Segment, Status
-from hil.typing import StructArray
-
-PAYLOAD_TOLERANCE_KG = 0.01
-
-SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
-    "warmup": "move",
-    "move": "move",
-    "dwell": "hold",
-    "reference": "hold",
-    "trajectory": "trajectory",
-}
-
-
-class Sink(Protocol):
-    """Where samples and events go: the recorder, or a list in tests."""
-
-    def put(self, rows: StructArray) -> None:
-        """Take over a block; raises `RecordingError` when it can no longer be kept."""
-
-    def event(self, kind: str, **details: Any) -> None:
-        """Take over one event."""
-
-
-Prompt = Callable[[str], bool]
-"""Shows a text to the operator; returns True when it was confirmed."""
+from hil.engine.steps import Prompt, Steps, nobody
+from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, Stopped
+from hil.plan.plan import Plan, Step
+from hil.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +49,6 @@ class RunResult:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class _Progress:
-    samples: int = 0
-    first: float = float("nan")
-    last: float = float("nan")
-    unsettled: list[int] = field(default_factory=list)
-    steps_done: int = 0
-
-    def count(self, block: StructArray) -> None:
-        if self.samples == 0:
-            self.first = float(block["device_time"][0])
-        self.samples += len(block)
-        self.last = float(block["device_time"][-1])
-
-
 class Engine:
     """Runs one plan once.
 
@@ -113,18 +69,16 @@ class Engine:
         *,
         interlocks: Sequence[Interlock] = (),
         observers: Observers | None = None,
-        prompt: Prompt = lambda text: False,
+        prompt: Prompt = nobody,
     ) -> None:
         self._plan = plan
         self._robot = robot
         self._sink = sink
-        self._interlocks = tuple(interlocks)
+        self._stop_request = StopRequest()
+        self._reading = Reading(robot, sink, interlocks, plan.joint_names, self._stop_request)
+        self._steps = Steps(plan, robot, self._reading, sink, prompt)
         self._observers = observers or Observers()
-        self._prompt = prompt
         self._machine = StateMachine()
-        self._progress = _Progress()
-        self._stop_reason = ""
-        self._stop_by_signal = False
         self._notes: list[str] = []
         self._clock = time.monotonic()
 
@@ -135,130 +89,87 @@ class Engine:
 
     def request_stop(self, reason: str, *, by_signal: bool = False) -> None:
         """Ask for a controlled stop; safe from any thread and from a signal handler."""
-        self._stop_by_signal = by_signal
-        self._stop_reason = reason
+        self._stop_request.by_signal = by_signal
+        self._stop_request.reason = reason
 
-    def run(self, preflight: Callable[[], None] = lambda: None) -> RunResult:
+    def run(self, preflight: Callable[[], object] = lambda: None) -> RunResult:
         """Execute the plan to one of its ends.
 
         Args:
             preflight: Raises when the robot must not move.
 
         Returns:
-            The result; errors end up in it and are not raised.
+            The result; errors of every kind end up in it and are not raised.
         """
         self._clock = time.monotonic()
         error: HilError | None = None
         try:
-            self._enter(RunState.PREFLIGHT)
-            preflight()
-            self._enter(RunState.ARMED)
-            self._arm()
-            self._enter(RunState.RUNNING)
-            for step in self._plan:
-                self._execute(step)
+            self._execute_plan(preflight)
         except HilError as caught:
             error = caught
         except KeyboardInterrupt:
             error = Stopped("stopped by the keyboard", by_signal=True)
-        finally:
-            self._halt()
-        return self._result(error)
+        except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
+            error = self._unexpected(caught)
+        return self._result(self._halt(error))
+
+    def _execute_plan(self, preflight: Callable[[], object]) -> None:
+        self._enter(RunState.PREFLIGHT)
+        preflight()
+        self._enter(RunState.ARMED)
+        # The first block is judged before anything moves: what is violated already trips.
+        self._reading.block()
+        self._enter(RunState.RUNNING)
+        for step in self._plan:
+            self._steps.execute(step)
+            self._publish(step)
 
     def _enter(self, state: RunState) -> None:
-        self._obey_stop_request()
+        self._stop_request.obey()
         self._machine.to(state)
         self._sink.event("state", state=str(state))
 
-    def _halt(self) -> None:
+    def _halt(self, error: HilError | None) -> HilError | None:
         """Stop the robot first, then tell others; nothing here may prevent the stop."""
+        failure: HilError | None = None
         try:
             self._robot.stop()
-        except HilError as error:  # the cause of the end is already known: keep both
-            self._notes.append(f"stopping the robot: {error.message}")
+        except HilError as caught:
+            failure = caught
+        except Exception as caught:
+            failure = self._unexpected(caught)
         self._machine.to(RunState.STOPPING)
         with contextlib.suppress(HilError):
-            self._sink.event("state", state=str(RunState.STOPPING))
+            self._note_end(error)
+        problems = [f"stopping the robot: {failure.message}"] if failure else []
+        problems += [problem] if (problem := self._come_to_rest()) else []
+        self._notes += problems
+        if error is None and problems:
+            return RobotFault("; ".join(problems), hint="look at the robot before going near it")
+        return error
 
-    def _arm(self) -> None:
-        """Judge the first block before anything moves: a condition already violated trips."""
-        self._read_block()
+    def _note_end(self, error: HilError | None) -> None:
+        if isinstance(error, InterlockTripped):
+            self._sink.event("trip", reason=error.message)
+        self._sink.event("state", state=str(RunState.STOPPING))
 
-    def _execute(self, step: Step) -> None:
-        self._obey_stop_request()
-        if step.checkpoint:
-            self._sink.event("checkpoint", step=step.index)
-        if step.kind == "payload":
-            self._change_load(step)
-        elif step.motion is not None:
-            self._move(step, step.motion)
-        self._progress.steps_done += 1
-        self._publish(step)
+    def _come_to_rest(self) -> str:
+        try:
+            return self._reading.to_rest()
+        except Exception as caught:  # a broken driver or sink: the stop was commanded already
+            return self._unexpected(caught).message
 
-    def _change_load(self, step: Step) -> None:
-        load = self._plan.loads[step.load]
-        if load.prompt:
-            confirmed = self._prompt(load.prompt)
-            self._sink.event("prompt", text=load.prompt, confirmed=confirmed)
-            if not confirmed:
-                raise Stopped(f"the operator did not confirm: {load.prompt!r}")
-        read_back = self._robot.set_payload(load.payload)
-        self._sink.event("payload", load=step.load, mass_kg=read_back.mass)
-        _require_same(load.payload, read_back)
-
-    def _move(self, step: Step, motion: Motion) -> None:
-        self._robot.prepare(segment_of(step, motion, self._plan.rate_hz))
-        self._robot.start()
-        if step.kind in ("dwell", "reference"):
-            self._dwell(step)
-        else:
-            self._follow(step, motion)
-
-    def _follow(self, step: Step, motion: Motion) -> None:
-        deadline = 2.0 + 1.5 * motion.duration_s
-        begin = self._progress.last
-        while True:
-            block = self._read_block()
-            last = block[-1]
-            if last["segment"] == step.index and not last["status"] & Status.MOVING:
-                return
-            if last["device_time"] - begin > deadline:
-                raise RobotTimeout(
-                    f"step {step.index} ({step.kind}) should take {motion.duration_s:.1f} s "
-                    f"and was not over after {deadline:.1f} s"
-                )
-
-    def _dwell(self, step: Step) -> None:
-        watch = DwellWatch(self._plan.dwell)
-        while True:
-            block = self._read_block()
-            mine = block[block["segment"] == step.index]
-            if len(mine) and watch.feed(mine):
-                break
-        if not watch.settled:
-            self._progress.unsettled.append(step.index)
-        self._sink.event(
-            "dwell", step=step.index, settled=watch.settled, elapsed_s=round(watch.elapsed_s, 6)
+    def _unexpected(self, caught: Exception) -> HilError:
+        self._notes.append("".join(traceback.format_exception(caught)[-3:]).strip())
+        error = RobotError(
+            f"unexpected {type(caught).__name__}: {caught}",
+            hint="this is a bug in hil or in the driver; stop.json holds where it happened",
         )
-
-    def _read_block(self) -> StructArray:
-        self._obey_stop_request()
-        block = self._robot.read()
-        self._sink.put(block)
-        self._progress.count(block)
-        for interlock in self._interlocks:
-            if trip := interlock.check(block):
-                self._robot.stop()
-                self._sink.event("trip", interlock=trip.interlock, value=trip.value)
-                raise trip.error(self._plan.joint_names)
-        return block
-
-    def _obey_stop_request(self) -> None:
-        if self._stop_reason:
-            raise Stopped(self._stop_reason, by_signal=self._stop_by_signal)
+        error.__cause__ = caught
+        return error
 
     def _publish(self, step: Step) -> None:
-        progress = self._progress
+        progress = self._reading.progress
         self._observers.publish(
             {
                 "kind": "progress",
@@ -276,7 +187,7 @@ class Engine:
 
     def _result(self, error: HilError | None) -> RunResult:
         self._machine.to(RunState.DONE)
-        progress = self._progress
+        progress = self._reading.progress
         return RunResult(
             outcome=_outcome_of(error),
             reason=error.message if error else "",
@@ -290,32 +201,9 @@ class Engine:
         )
 
 
-def segment_of(step: Step, motion: Motion, rate_hz: float) -> Segment:
-    """The samples of a step as a robot wants them."""
-    samples = motion.sample(rate_hz)
-    return Segment(
-        index=step.index,
-        kind=SEGMENT_KINDS[step.kind],
-        q=samples.q,
-        qd=samples.qd,
-        qdd=samples.qdd,
-        speed=float(np.abs(samples.qd).max(initial=0.0)),
-        acceleration=float(np.abs(samples.qdd).max(initial=0.0)),
-    )
-
-
 def _outcome_of(error: HilError | None) -> Outcome:
     if error is None:
         return Outcome.COMPLETED
     if isinstance(error, InterlockTripped):
         return Outcome.TRIPPED
     return Outcome.STOPPED if isinstance(error, Stopped) else Outcome.FAILED
-
-
-def _require_same(declared: Payload, read_back: Payload) -> None:
-    if abs(declared.mass - read_back.mass) > PAYLOAD_TOLERANCE_KG:
-        raise CommandRefused(
-            f"payload {declared.mass:.3f} kg was declared, "
-            f"the robot reads back {read_back.mass:.3f} kg",
-            hint="check the payload settings of the controller",
-        )

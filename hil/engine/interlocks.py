@@ -1,7 +1,7 @@
 """Interlocks: judged on every state sample, in blocks, by level and not by edge.
 
-An interlock says how much of its limit a block uses up; at 1 it trips. New kinds register under
-the entry-point group `hil.interlocks`.
+A quantity the interlock needs and the robot does not deliver while it moves trips too: what
+cannot be seen is not safe.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.errors import InterlockTripped
+from hil.errors import InterlockTripped, PlanError
 from hil.robot import Status
 from hil.typing import FloatArray, StructArray
 
@@ -51,7 +51,15 @@ class Interlock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Threshold:
-    """Trips when |value| of a joint exceeds `limit`; NaN (not measured) never trips."""
+    """Trips when |value| of a joint exceeds `limit`.
+
+    Attributes:
+        name: Shown when it trips.
+        field: Field of the state record; `minus` is subtracted from it when given.
+        limit: In the unit of the record.
+        unit, scale: For people: `limit * scale` is in `unit`.
+        required: Whether NaN (not measured) trips while the arm moves.
+    """
 
     name: str
     field: str
@@ -59,6 +67,7 @@ class Threshold:
     unit: str
     scale: float = 1.0
     minus: str = ""
+    required: bool = True
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""
@@ -66,9 +75,13 @@ class Threshold:
         if self.minus:
             values = values - block[self.minus]
         magnitude = np.abs(values)
-        if not (magnitude > self.limit).any():
+        bad = magnitude > self.limit
+        if self.required:
+            moving = (block["status"] & Status.MOVING) != 0
+            bad |= np.isnan(magnitude) & moving[:, None]
+        if not bad.any():
             return None
-        row, joint = np.argwhere(magnitude > self.limit)[0]
+        row, joint = np.argwhere(bad)[0]
         return Trip(
             self.name,
             int(joint),
@@ -79,35 +92,25 @@ class Threshold:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class FaultBit:
-    """Trips when the controller raises its fault bit without raising an error itself."""
-
-    name: str = "fault"
-
-    def check(self, block: StructArray) -> Trip | None:
-        """See `Interlock.check`."""
-        faulty = (block["status"] & Status.FAULT) != 0
-        if not faulty.any():
-            return None
-        row = int(np.argmax(faulty))
-        code = float(block["fault_code"][row])
-        return Trip(self.name, 0, code, 0.0, "(fault code)", float(block["device_time"][row]))
-
-
 def from_spec(specs: Sequence[Any]) -> list[Interlock]:
-    """The interlocks a spec asks for, and the controller's fault bit, which is always watched.
+    """The interlocks a spec asks for.
 
     Args:
         specs: `ExperimentSpec.interlocks`.
+
+    Raises:
+        PlanError: There is no such kind; an interlock nobody judges would be worse than none.
     """
+    return [_interlock(spec) for spec in specs]
+
+
+def _interlock(spec: Any) -> Interlock:
     degrees = 180 / np.pi
-    out: list[Interlock] = [FaultBit()]
-    for spec in specs:
-        if spec.kind == "tracking_error":
-            out.append(Threshold(spec.kind, "q", spec.limit_rad, "rad", minus="q_target"))
-        elif spec.kind == "temperature":
-            out.append(Threshold(spec.kind, "temperature", spec.limit_c, "°C"))
-        elif spec.kind == "speed":
-            out.append(Threshold(spec.kind, "qd", spec.limit_deg_s / degrees, "°/s", degrees))
-    return out
+    if spec.kind == "tracking_error":
+        return Threshold(spec.kind, "q", spec.limit_rad, "rad", minus="q_target")
+    if spec.kind == "temperature":
+        # Not every arm measures temperatures; one that does not cannot be stopped by them.
+        return Threshold(spec.kind, "temperature", spec.limit_c, "°C", required=False)
+    if spec.kind == "speed":
+        return Threshold(spec.kind, "qd", spec.limit_deg_s / degrees, "°/s", degrees)
+    raise PlanError(f"there is no interlock of kind {spec.kind!r}")

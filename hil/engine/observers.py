@@ -74,5 +74,9 @@ class Observers:
         """End all observers; returns what went wrong with any of them."""
         for thread in self._threads:
             thread.close()
+        return self.problems()
+
+    def problems(self) -> list[str]:
+        """What has gone wrong with any of them so far."""
         failures = [f"observer failed: {t.failure!r}" for t in self._threads if t.failure]
         return failures + [f"observer lost {t.dropped} events" for t in self._threads if t.dropped]

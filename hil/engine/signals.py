@@ -1,38 +1,76 @@
-"""Ctrl-C and SIGTERM become stop requests, not exceptions in the middle of a command."""
+"""Ctrl-C, SIGTERM and a lost terminal become stop requests, not exceptions in a command.
+
+While nothing moves (planning, fitting, reporting) a signal ends the work with `Stopped`. While an
+engine is guarded, the first and second signal ask it for a controlled stop, which nothing can
+interrupt any more; the third tells the robot to stop directly and ends the process.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
-from types import FrameType
+from types import FrameType, TracebackType
+from typing import Any
 
 from hil.engine.engine import Engine
+from hil.errors import Stopped
+from hil.robot import Robot
 
-WATCHED = (signal.SIGINT, signal.SIGTERM)
+WATCHED = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+LAST_RESORT_AT = 3
+EXIT_CODE = 130
 
 
-@contextlib.contextmanager
-def stop_on_signals(engine: Engine) -> Iterator[None]:
-    """While inside, the first signal asks the engine to stop, the next raises KeyboardInterrupt.
+class SignalWatch:
+    """Handles the watched signals while it is open; does nothing outside the main thread."""
 
-    Signal handlers can only be set in the main thread; elsewhere this changes nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    seen: list[int] = []
+    def __init__(self) -> None:
+        self.seen = 0
+        self._guarded: tuple[Engine, Robot] | None = None
+        self._before: dict[int, Any] = {}
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        seen.append(number)
-        if len(seen) > 1:
-            raise KeyboardInterrupt
-        engine.request_stop(f"stopped by {signal.Signals(number).name}", by_signal=True)
+    def __enter__(self) -> SignalWatch:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._handle) for number in WATCHED}
+        return self
 
-    before = {number: signal.signal(number, handle) for number in WATCHED}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    @contextlib.contextmanager
+    def guard(self, engine: Engine, robot: Robot) -> Iterator[None]:
+        """While inside, signals go to the engine, and raise nothing anywhere."""
+        self._guarded = (engine, robot)
+        try:
+            yield
+        finally:
+            self._guarded = None
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.seen += 1
+        reason = f"stopped by {signal.Signals(number).name}"
+        if self._guarded is None:
+            raise Stopped(reason, by_signal=True)
+        engine, robot = self._guarded
+        engine.request_stop(reason, by_signal=True)
+        if self.seen >= LAST_RESORT_AT:
+            _last_resort(robot)
+
+
+def _last_resort(robot: Robot) -> None:
+    """Three signals: whoever presses means it, and the engine may be stuck in a driver."""
+    try:
+        robot.stop()
+    finally:
+        os._exit(EXIT_CODE)

@@ -6,12 +6,15 @@ upload-and-play over ADS, a virtual clock, and drivers that live in a child proc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 from hil.payload import Payload
 from hil.typing import FloatArray, StructArray
+
+if TYPE_CHECKING:
+    from hil.record.topic import Topic
 
 EffortKind = Literal["current", "torque"]
 ClockKind = Literal["wall", "virtual"]
@@ -133,3 +136,18 @@ class Robot(Protocol):
 
     def close(self) -> None:
         """Stop if need be and release the robot."""
+
+
+@runtime_checkable
+class HasTopics(Protocol):
+    """What a robot also offers when it records more than the base record (raw drive integers, …).
+
+    A robot opts in by having these two members; the engine drains them after every `read`.
+    """
+
+    @property
+    def topics(self) -> Sequence[Topic]:
+        """The further topics, known before `connect`."""
+
+    def drain(self) -> Mapping[str, StructArray]:
+        """Rows per topic name since the last call, in order; topics without news are left out."""

@@ -1,0 +1,101 @@
+"""What a run directory holds before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from hil.campaign.experiment import Experiment
+from hil.plan.plan import Plan
+from hil.record.provenance import collect_provenance
+from hil.record.recorder import Recorder
+from hil.record.rundir import RunDirectory
+from hil.record.topic import state_topic
+from hil.record.writer import Attachment, McapWriter
+from hil.robot import HasTopics, Robot
+from hil.spec.load import spec_hash
+from hil.spec.station import StationRobot
+
+
+def write_beginning(
+    directory: RunDirectory,
+    experiment: Experiment,
+    robot: Robot,
+    plan: Plan,
+    operator: str,
+    waivers: Mapping[str, str],
+) -> None:
+    """Store what the run starts from: spec, station, plan and start document.
+
+    Raises:
+        RecordingError: The disk refuses.
+    """
+    directory.write_text("spec.yaml", experiment.spec_text)
+    directory.write_text("station.yaml", experiment.station_text)
+    directory.write_json("plan.json", plan.to_dict())
+    provenance = collect_provenance(experiment.folder)
+    if operator:
+        provenance["operator"] = operator
+    directory.write_start(
+        provenance
+        | {
+            "experiment": experiment.spec.name,
+            "plan_hash": plan.hash,
+            "spec_hash": spec_hash(experiment.spec),
+            "station": experiment.station_source,
+            "robot_name": experiment.spec.robot,
+            "robot": _describe(robot, experiment.robot),
+            "loads": [
+                {"mass_kg": load.payload.mass, "com_m": list(load.payload.com)}
+                for load in plan.loads
+            ],
+            "seed": experiment.spec.excitation.seed,
+            "waivers": [
+                {"check": check, "reason": reason, "who": provenance["operator"]}
+                for check, reason in waivers.items()
+            ],
+        }
+    )
+
+
+def _describe(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
+    can = robot.capabilities
+    return {
+        "model": station_robot.model,
+        "gravity_m_s2": list(station_robot.gravity_m_s2),
+        "identity": asdict(robot.identity),
+        "joint_names": list(can.joint_names),
+        "rate_hz": can.rate_hz,
+        "clock": can.clock,
+        "effort_kind": can.effort_kind,
+        "drive_gains": list(can.drive_gains),
+        "drive_gains_source": can.drive_gains_source,
+    }
+
+
+def open_recorder(directory: RunDirectory, robot: Robot, experiment: Experiment) -> Recorder:
+    """The recorder of a new attempt, with what explains the data at the start of the file.
+
+    Raises:
+        RecordingError: The file cannot be made.
+    """
+    can = robot.capabilities
+    unit = "A" if can.effort_kind == "current" else "N·m"
+    topic = state_topic(len(can.joint_names), can.rate_hz, clock=can.clock, effort_unit=unit)
+    names = ("spec.yaml", "station.yaml", "plan.json", "start.json")
+    attachments = [
+        Attachment(name, _media_type(name), (directory.path / name).read_bytes()) for name in names
+    ]
+    writer = McapWriter(
+        directory.next_recording(),
+        [topic, *(robot.topics if isinstance(robot, HasTopics) else ())],
+        metadata={"run": {"uid": str(directory.start["uid"]), "name": experiment.spec.name}},
+        attachments=attachments,
+        joint_names=can.joint_names,
+    )
+    return Recorder(writer, on_backlog="wait" if can.clock == "virtual" else "raise")
+
+
+def _media_type(name: str) -> str:
+    return "application/json" if name.endswith(".json") else "application/yaml"

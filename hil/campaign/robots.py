@@ -1,0 +1,70 @@
+"""The station's robot: opened, connected, and where it stands."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from hil import plugins
+from hil.campaign.experiment import Experiment
+from hil.plan.build import build_plan
+from hil.plan.plan import Plan
+from hil.robot import Robot
+from hil.spec.station import StationRobot
+from hil.typing import FloatArray
+
+AT_SET_POINT_RAD = 0.01
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """A robot that must be told how it is mounted: a real one feels it."""
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Gravity in the base frame, before `connect`."""
+
+
+def open_robot(name: str, station_robot: StationRobot) -> Robot:
+    """The driver's robot, not yet connected; a simulated one is mounted as the station says.
+
+    Raises:
+        PluginError: There is no such driver, or it does not load.
+        SpecError: The driver does not accept the station's options, or they contradict its gravity.
+    """
+    driver = plugins.load("hil.drivers", station_robot.driver)
+    robot: Robot = driver(name, station_robot.model, **station_robot.options)
+    if isinstance(robot, Simulated):
+        robot.set_gravity(station_robot.gravity_m_s2)
+    return robot
+
+
+@contextlib.contextmanager
+def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
+    """The robot, connected while inside and closed on every way out."""
+    robot = open_robot(name, station_robot)
+    try:
+        robot.connect()
+        yield robot
+    finally:
+        robot.close()
+
+
+def plan_for(experiment: Experiment, robot: Robot) -> Plan:
+    """The plan from where the robot stands now, at the robot's own rate."""
+    newest = robot.read()[-1]
+    return build_plan(
+        experiment.spec,
+        experiment.robot,
+        start_q=_standing_at(newest),
+        rate_hz=robot.capabilities.rate_hz,
+    )
+
+
+def _standing_at(row: np.void) -> FloatArray:
+    """The set-point the robot holds, or where it is when it holds none that makes sense."""
+    q, target = np.array(row["q"]), np.array(row["q_target"])
+    holds = np.abs(q - target) < AT_SET_POINT_RAD
+    return np.where(holds, target, q)

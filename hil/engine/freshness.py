@@ -1,0 +1,83 @@
+"""Notices when state stops arriving or repeats itself: time-outs that trust no single clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from hil.errors import StaleState
+from hil.typing import StructArray
+
+STALE_AFTER_S = 0.5
+"""Wall time without a newer sample, on robots that live in wall time [s]."""
+
+STALE_AFTER_BLOCKS = 50
+"""Blocks in a row without a newer sample; a virtual clock has no other measure."""
+
+
+class Freshness:
+    """Follows the device clock and raises when it stands still.
+
+    Args:
+        now: Monotonic clock [s].
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self._newest = -np.inf
+        self._since = now()
+        self._blocks = 0
+
+    def check(self, block: StructArray) -> None:
+        """Judge one block.
+
+        Raises:
+            StaleState: Its time is not a number, or has not advanced for too long.
+        """
+        times = block["device_time"]
+        if not np.isfinite(times).all():
+            raise StaleState(
+                "the robot's clock is not a number",
+                hint="check the driver: every row needs a finite device_time",
+            )
+        if times[-1] > self._newest:
+            self._newest, self._since, self._blocks = float(times[-1]), self._now(), 0
+            return
+        self._blocks += 1
+        quiet = self._now() - self._since
+        if quiet > STALE_AFTER_S or self._blocks > STALE_AFTER_BLOCKS:
+            raise StaleState(
+                f"the robot's clock stands still at {self._newest:.3f} s: "
+                f"{self._blocks} blocks in {quiet:.2f} s brought nothing new",
+                hint="check the connection and the controller; the data so far is kept",
+            )
+
+
+class Deadline:
+    """A time-out by the device clock or by the wall clock, whichever comes first.
+
+    Args:
+        seconds: Time allowed.
+        begin: Device time now [s].
+        wall: Whether the robot lives in wall time; on a virtual clock only device time counts.
+        now: Monotonic clock [s].
+    """
+
+    def __init__(
+        self,
+        seconds: float,
+        begin: float,
+        *,
+        wall: bool,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.seconds = seconds
+        self._device_end = begin + seconds
+        self._now = now
+        self._wall_end = now() + seconds if wall else np.inf
+
+    def over(self, device_time: float) -> bool:
+        """Whether the time is up; a device time that is no number counts as up."""
+        return not device_time <= self._device_end or self._now() > self._wall_end

@@ -1,0 +1,173 @@
+"""Reading the robot: every block is recorded first and judged second."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from hil.engine.freshness import Deadline, Freshness
+from hil.engine.interlocks import Interlock
+from hil.errors import HilError, RobotFault, Stopped
+from hil.robot import HasTopics, Robot, Status
+from hil.typing import StructArray
+
+REST_RAD_S = 0.01
+"""All joints slower than this, and no motion commanded, is at rest."""
+
+REST_WITHIN_S = 5.0
+"""An arm that still moves this long after it was stopped is reported as not at rest [s]."""
+
+
+class Sink(Protocol):
+    """Where samples and events go: the recorder, or a list in tests."""
+
+    def put(self, rows: StructArray) -> None:
+        """Take over a block of the base record; raises `RecordingError` when it cannot be kept."""
+
+    def put_topic(self, topic: str, rows: StructArray) -> None:
+        """Take over rows of one of the robot's further topics (`hil.robot.HasTopics`)."""
+
+    def event(self, kind: str, **details: Any) -> None:
+        """Take over one event."""
+
+
+@dataclass(slots=True)
+class Progress:
+    """What has been read and done.
+
+    Attributes:
+        samples: Rows of the base record.
+        first, last: Device time of the first and the newest row [s].
+        unsettled: Steps whose dwell ran into its time-out.
+        steps_done: Plan steps executed to their end.
+    """
+
+    samples: int = 0
+    first: float = float("nan")
+    last: float = float("nan")
+    unsettled: list[int] = field(default_factory=list)
+    steps_done: int = 0
+
+    def count(self, block: StructArray) -> None:
+        """Add a block."""
+        if self.samples == 0:
+            self.first = float(block["device_time"][0])
+        self.samples += len(block)
+        self.last = float(block["device_time"][-1])
+
+
+@dataclass(slots=True)
+class StopRequest:
+    """Somebody wants the run to stop; set from any thread or a signal handler.
+
+    Attributes:
+        reason: Why, in words; empty while nobody does. Set last.
+        by_signal: Whether a signal asked.
+    """
+
+    reason: str = ""
+    by_signal: bool = False
+
+    def obey(self) -> None:
+        """Raise `Stopped` when a stop was requested."""
+        if self.reason:
+            raise Stopped(self.reason, by_signal=self.by_signal)
+
+
+class Reading:
+    """Reads one robot for one run.
+
+    Args:
+        robot: Connected.
+        sink: Receives everything.
+        interlocks: Judged on every sample.
+        joint_names: For messages.
+        stop_request: Looked at before every block.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        sink: Sink,
+        interlocks: Sequence[Interlock],
+        joint_names: Sequence[str],
+        stop_request: StopRequest,
+    ) -> None:
+        self._robot = robot
+        self._topics = robot if isinstance(robot, HasTopics) else None
+        self._sink = sink
+        self._interlocks = tuple(interlocks)
+        self._joint_names = tuple(joint_names)
+        self._freshness = Freshness()
+        self.wall = robot.capabilities.clock == "wall"
+        self.stop_request = stop_request
+        self.progress = Progress()
+
+    def block(self) -> StructArray:
+        """The next block, recorded and judged.
+
+        Raises:
+            Stopped: A stop was requested.
+            RobotError: The robot reports a fault, or its state stopped arriving.
+            InterlockTripped: A sample violates an interlock; the robot was told to stop.
+            RecordingError: The sink cannot keep the data.
+        """
+        self.stop_request.obey()
+        block = self._recorded()
+        self._freshness.check(block)
+        if (block["status"] & Status.FAULT).any():
+            raise self._fault(block)
+        for interlock in self._interlocks:
+            if trip := interlock.check(block):
+                self._robot.stop()
+                raise trip.error(self._joint_names)
+        return block
+
+    def deadline(self, seconds: float) -> Deadline:
+        """A time-out that begins now."""
+        return Deadline(seconds, self.progress.last, wall=self.wall)
+
+    def to_rest(self) -> str:
+        """Record a stopped robot until it is at rest; says what is wrong, or nothing."""
+        deadline = self.deadline(REST_WITHIN_S)
+        try:
+            while True:
+                block = self._recorded()
+                if _at_rest(block):
+                    return ""
+                self._freshness.check(block)
+                if deadline.over(self.progress.last):
+                    return f"the arm was not at rest {REST_WITHIN_S:g} s after it was stopped"
+        except HilError as error:
+            return f"nobody saw the arm come to rest: {error.message}"
+
+    def _recorded(self) -> StructArray:
+        block = self._robot.read()
+        self._sink.put(block)
+        self.progress.count(block)
+        if self._topics is not None:
+            for topic, rows in self._topics.drain().items():
+                self._sink.put_topic(topic, rows)
+        return block
+
+    def _fault(self, block: StructArray) -> HilError:
+        """The driver's own words if the next read brings them, else the code."""
+        try:
+            self._robot.read()
+        except HilError as error:
+            return error
+        row = block[(block["status"] & Status.FAULT) != 0][0]
+        return RobotFault(
+            f"the controller reports fault {int(row['fault_code'])} "
+            f"at device time {float(row['device_time']):.3f} s",
+            hint="look the code up in the controller's manual and clear the cause",
+        )
+
+
+def _at_rest(block: StructArray) -> bool:
+    row = block[-1]
+    moving = bool(row["status"] & Status.MOVING)
+    return not moving and bool((np.abs(row["qd"]) < REST_RAD_S).all())

@@ -1,0 +1,139 @@
+"""Executing the steps of a plan, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+
+from hil.engine.dwell import DwellWatch
+from hil.engine.reading import Reading, Sink
+from hil.errors import CommandRefused, RobotTimeout, Stopped
+from hil.excite.motion import Motion
+from hil.plan.plan import Plan, Step, StepKind
+from hil.robot import Robot, Segment, Status
+
+SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
+    "warmup": "move",
+    "move": "move",
+    "dwell": "hold",
+    "reference": "hold",
+    "trajectory": "trajectory",
+}
+DWELL_GRACE_S = 2.0
+"""How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
+
+Prompt = Callable[[str, Callable[[], object]], str]
+"""Asks the operator; returns who confirmed, or nothing for a no.
+
+While it waits it calls its second argument again and again: that keeps reading the robot, and
+raises `Stopped` when somebody wants to stop.
+"""
+
+
+def nobody(text: str, meanwhile: Callable[[], object]) -> str:
+    """The prompt of an unattended run: nobody confirms."""
+    return ""
+
+
+class Steps:
+    """Knows how each kind of step is done.
+
+    Args:
+        plan: Where the steps come from.
+        robot: Connected.
+        reading: Reads, records and judges while a step is executed.
+        sink: Receives events.
+        prompt: Asks the operator to change the load.
+    """
+
+    def __init__(
+        self, plan: Plan, robot: Robot, reading: Reading, sink: Sink, prompt: Prompt
+    ) -> None:
+        self._plan = plan
+        self._robot = robot
+        self._reading = reading
+        self._sink = sink
+        self._prompt = prompt
+
+    def execute(self, step: Step) -> None:
+        """Do one step to its end, or raise what ended it."""
+        self._reading.stop_request.obey()
+        if step.checkpoint:
+            self._sink.event("checkpoint", step=step.index)
+        if step.kind == "payload":
+            self._change_load(step)
+        elif step.motion is not None:
+            self._move(step, step.motion)
+        self._reading.progress.steps_done += 1
+
+    def _change_load(self, step: Step) -> None:
+        load = self._plan.loads[step.load]
+        if load.prompt:
+            answered_by = self._prompt(load.prompt, self._reading.block)
+            self._sink.event("prompt", text=load.prompt, answered_by=answered_by)
+            if not answered_by:
+                raise Stopped(f"nobody confirmed: {load.prompt!r}")
+        read_back = self._robot.set_payload(load.payload)
+        self._sink.event("payload", load=step.load, mass_kg=read_back.mass, com_m=read_back.com)
+        if not load.payload.agrees_with(read_back):
+            raise CommandRefused(
+                f"payload {load.payload} was declared, the robot reads back {read_back}",
+                hint="check the payload settings of the controller",
+            )
+
+    def _move(self, step: Step, motion: Motion) -> None:
+        self._robot.prepare(segment_of(step, motion, self._plan.rate_hz))
+        self._robot.start()
+        if step.kind in ("dwell", "reference"):
+            self._dwell(step)
+        else:
+            self._follow(step, motion)
+
+    def _follow(self, step: Step, motion: Motion) -> None:
+        deadline = self._reading.deadline(2.0 + 1.5 * motion.duration_s)
+        while True:
+            last = self._reading.block()[-1]
+            if last["segment"] == step.index and not last["status"] & Status.MOVING:
+                return
+            if deadline.over(float(last["device_time"])):
+                raise RobotTimeout(
+                    f"step {step.index} ({step.kind}) should take {motion.duration_s:.1f} s "
+                    f"and was not over after {deadline.seconds:.1f} s",
+                    hint="check whether the controller still runs its program",
+                )
+
+    def _dwell(self, step: Step) -> None:
+        watch = DwellWatch(self._plan.dwell)
+        deadline = self._reading.deadline(self._plan.dwell.timeout_s + DWELL_GRACE_S)
+        while True:
+            block = self._reading.block()
+            mine = block[block["segment"] == step.index]
+            if len(mine) and watch.feed(mine):
+                break
+            if deadline.over(float(block["device_time"][-1])):
+                raise RobotTimeout(
+                    f"step {step.index} ({step.kind}): no samples of this dwell "
+                    f"within {deadline.seconds:.1f} s",
+                    hint="check whether the controller accepted the hold",
+                )
+        if not watch.settled:
+            self._reading.progress.unsettled.append(step.index)
+        self._sink.event(
+            "dwell", step=step.index, settled=watch.settled, elapsed_s=round(watch.elapsed_s, 6)
+        )
+
+
+def segment_of(step: Step, motion: Motion, rate_hz: float) -> Segment:
+    """The samples of a step as a robot wants them."""
+    samples = motion.sample(rate_hz)
+    return Segment(
+        index=step.index,
+        kind=SEGMENT_KINDS[step.kind],
+        q=samples.q,
+        qd=samples.qd,
+        qdd=samples.qdd,
+        speed=float(np.abs(samples.qd).max(initial=0.0)),
+        acceleration=float(np.abs(samples.qdd).max(initial=0.0)),
+    )
