@@ -1,0 +1,150 @@
+"""However a run ends, its directory says how, and nothing is claimed that is not so."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hil
+from hil.campaign import operator, recording
+from hil.engine import Engine
+from hil.errors import PreflightFailed, RecordingError
+from hil.record.recorder import Recorder
+from hil.record.rundir import RunDirectory
+
+EXPERIMENTS = Path(__file__).parent.parent / "experiments"
+DWELL = EXPERIMENTS / "ci_dwell_12.yaml"
+
+
+def test_a_recording_that_cannot_be_finished_is_a_failed_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    close = Recorder.close
+
+    def full(self: Recorder, timeout_s: float = 60.0) -> Any:
+        close(self, timeout_s)
+        raise RecordingError("no space left on device")
+
+    monkeypatch.setattr(Recorder, "close", full)
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    assert report.outcome == "failed"
+    assert report.verdict == "not judged"
+    assert isinstance(report.error, RecordingError)
+    assert RunDirectory.open(report.run).status == "failed"
+    assert not (report.run / "fit").exists()
+
+
+def test_a_failed_preflight_moves_nothing_and_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise PreflightFailed("temperature: too cold")
+
+    monkeypatch.setattr(recording, "require_preflight", refuse)
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    assert report.outcome == "failed"
+    assert isinstance(report.error, PreflightFailed)
+    stop = RunDirectory.open(report.run).stop
+    assert stop is not None
+    assert stop["steps_done"] == 0
+
+
+def test_preflight_is_run_and_kept(tmp_path: Path) -> None:
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    checks = json.loads((report.run / "preflight.json").read_text("utf-8"))["checks"]
+    assert {"limits", "pose", "payload"} <= {check["name"] for check in checks}
+
+
+def test_what_an_observer_broke_is_in_the_stop_document(tmp_path: Path) -> None:
+    class Raises:
+        def notify(self, event: Any) -> None:
+            raise RuntimeError("plot window closed")
+
+    report = hil.run(hil.load(DWELL), runs=tmp_path, observers=[Raises()])
+    stop = RunDirectory.open(report.run).stop
+    assert stop is not None
+    assert any("plot window closed" in problem for problem in stop["problems"])
+
+
+def test_a_second_signal_during_the_stop_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    halt = Engine._halt
+
+    def interrupted(self: Engine, error: Any) -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        return halt(self, error)
+
+    monkeypatch.setattr(Engine, "_halt", interrupted)
+    execute = Engine._execute_plan
+
+    def signalled(self: Engine, preflight: Callable[[], object]) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        execute(self, preflight)
+
+    monkeypatch.setattr(Engine, "_execute_plan", signalled)
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    assert report.outcome == "stopped"
+    assert RunDirectory.open(report.run).status == "stopped"
+    assert not list(report.run.glob("recording/*.partial"))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_planning_ends_the_command_and_says_so(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    command = [sys.executable, "-m", "hil", "run", str(EXPERIMENTS / "ur5_dwell_650.yaml")]
+    with subprocess.Popen(
+        [*command, "--runs", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "HIL_STATION": ""},
+    ) as running:
+        assert running.stderr is not None
+        while "planning" not in running.stderr.readline():
+            pass
+        time.sleep(0.3)
+        running.send_signal(number)
+        _, err = running.communicate(timeout=30)
+    assert running.returncode == 130
+    assert number.name in err
+    assert "Traceback" not in err
+
+
+def test_nobody_confirms_where_there_is_no_console(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    assert operator.ask_operator("Mount 3 kg", lambda: None) == ""
+
+
+def test_while_the_operator_thinks_the_robot_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    read_end, write_end = os.pipe()
+    reads: list[int] = []
+
+    class Console:
+        def isatty(self) -> bool:
+            return True
+
+        def fileno(self) -> int:
+            return read_end
+
+        def readline(self) -> str:
+            return os.read(read_end, 100).decode()
+
+    def meanwhile() -> None:
+        reads.append(1)
+        if len(reads) == 3:
+            os.write(write_end, b"yes\n")
+
+    monkeypatch.setattr(sys, "stdin", Console())
+    assert operator.ask_operator("Mount 3 kg", meanwhile) == "operator"
+    assert len(reads) == 3
