@@ -4,10 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from hil.cli.app import app
 from hil.data.importing import ImportMap, import_file
-from hil.data.load import load_source
+from hil.data.load import load_source, serial_of
 from hil.errors import DataError, RecordingError, SpecError
+from hil.payload import Payload
 from hil.record import read_info
 
 NAMES = ["a", "b"]
@@ -317,3 +320,84 @@ def test_format_can_be_overridden_and_slips_are_named(tmp_path) -> None:
     with pytest.raises(SpecError, match="no import format 'cvs'") as caught:
         imported(path, layout(), tmp_path, format_="cvs")
     assert "'csv'" in caught.value.hint
+
+
+NOTED = "no load declared: 0 kg assumed"
+
+
+def loads(data):
+    return [(c.load, c.payload.mass) for c in data.conditions]
+
+
+def test_load_that_nobody_declared_is_said_to_count_as_none(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table())
+    (note,) = import_file(path, layout(), out=tmp_path / "a.mcap").notes
+    assert note.startswith(NOTED)
+    assert "--payload" in note
+
+
+def test_declared_load_is_said(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table())
+    for mass in (0.0, 2.805):
+        map_ = layout(payload={"mass_kg": mass})
+        report = import_file(path, map_, out=tmp_path / f"{mass}.mcap")
+        assert report.notes == (f"declared load: {mass:g} kg",)
+
+
+def test_load_given_with_the_import_wins_over_the_maps(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table(60))
+    windows = [{"rows": "1:30", "payload": {"mass_kg": 5}}, {"rows": "31:60"}]
+    map_ = layout(payload={"mass_kg": 1.0}, windows=windows)
+    data = imported(path, map_, tmp_path, payload=Payload(2.805, (0, 0, 0.05)))
+    assert {c.payload for c in data.conditions} == {Payload(2.805, (0, 0, 0.05))}
+
+
+def test_windows_may_have_loads_of_their_own(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table(90))
+    windows = [
+        {"rows": "1:30"},
+        {"rows": "31:60", "payload": {"mass_kg": 2.805, "com_m": [0, 0, 0.1]}},
+        {"rows": "61:90"},
+    ]
+    report = import_file(path, layout(windows=windows), out=tmp_path / "out.mcap")
+    data = load_source(report.out)
+    assert loads(data) == [(0, 0.0), (1, 2.805), (0, 0.0)]
+    assert data.conditions[1].payload.com == (0, 0, 0.1)
+    assert "declared load of rows 31:60: 2.805 kg" in report.notes
+    assert any(note.startswith("no load declared for the other rows") for note in report.notes)
+
+
+def test_renamed_file_that_misses_its_window_is_noted(tmp_path) -> None:
+    map_ = layout(windows=[{"file": "run*.csv", "rows": "5:20"}])
+    path = written(tmp_path / "renamed.csv", table())
+    note = "no window of the map matches renamed.csv: all rows used"
+    assert note in import_file(path, map_, out=tmp_path / "a.mcap").notes
+    assert note not in import_file(path, map_, out=tmp_path / "b.mcap", rows=(5, 20)).notes
+    path = written(tmp_path / "run1.csv", table())
+    assert note not in import_file(path, map_, out=tmp_path / "c.mcap").notes
+
+
+def test_serial_number_of_the_map_stays_with_the_recording(tmp_path) -> None:
+    path = written(tmp_path / "run.csv", table())
+    report = import_file(path, layout(serial="2019-0815"), out=tmp_path / "out.mcap")
+    assert serial_of(report.out) == "2019-0815"
+
+
+def test_command_line_declares_the_load_and_says_so(tmp_path) -> None:
+    path, out = written(tmp_path / "run.csv", table()), tmp_path / "out.mcap"
+    map_ = tmp_path / "map.yaml"
+    map_.write_text(layout().model_dump_json(exclude_unset=True))  # JSON is YAML
+    command = [
+        "import",
+        str(path),
+        "--map",
+        str(map_),
+        "-o",
+        str(out),
+        "--payload",
+        "2.805,0,0,0.1",
+    ]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert "declared load: 2.805 kg" in result.output
+    assert load_source(out).conditions[0].payload == Payload(2.805, (0, 0, 0.1))

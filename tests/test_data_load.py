@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from hil.data.load import load_source
+from hil.data.filters import sample_rate
+from hil.data.load import load_source, serial_of
 from hil.data.splits import groups
 from hil.errors import DataError
 from hil.payload import Payload
@@ -58,10 +59,10 @@ def rows(segments, *, first=0, value=None):
 FULL = [1] * 40 + [2] * 30 + [3] * 100 + [4] * 25
 
 
-def run_with(tmp_path, *attempts, plan=PLAN, stop=True, unsettled=()):
+def run_with(tmp_path, *attempts, plan=PLAN, stop=True, unsettled=(), robot=ROBOT):
     run = RunDirectory.create(tmp_path / "runs", "ur5", "test")
     run.write_json("plan.json", plan)
-    run.write_start({"uid": "u", "robot": ROBOT})
+    run.write_start({"uid": "u", "robot": robot})
     for block in attempts:
         with McapWriter(run.next_recording(), [topic()], joint_names=NAMES) as writer:
             writer.write(STATE_TOPIC, block)
@@ -128,6 +129,45 @@ def test_pause_in_the_time_stamps_cuts_a_trajectory(tmp_path) -> None:
     assert np.diff(data.offsets).tolist() == [50, 50]
     assert [c.id.rsplit(":")[-1] for c in data.conditions] == ["trajectory3", "trajectory3/1"]
     assert len(groups(data, "trajectory")) == 1
+
+
+@pytest.mark.parametrize("lost", [4, 9])
+def test_some_lost_samples_cut_too_since_no_filter_may_run_across_them(tmp_path, lost) -> None:
+    block = rows(FULL)
+    block["device_time"][120:] += lost / RATE
+    data = load_source(run_with(tmp_path, block)).of_kind("trajectory")
+    assert np.diff(data.offsets).tolist() == [50, 50]
+    for _, part in data.slices():
+        assert sample_rate(data["t"][part]) == pytest.approx(RATE)
+        assert np.max(np.diff(data["t"][part])) < 1.5 / RATE
+
+
+def test_only_the_kinds_asked_for_are_cut(tmp_path) -> None:
+    path = run_with(tmp_path, rows(FULL))
+    everything, dwells = load_source(path), load_source(path, kinds=("dwell",))
+    assert [c.kind for c in dwells.conditions] == ["dwell", "dwell"]
+    wanted = everything.of_kind("dwell")
+    assert dwells.conditions == wanted.conditions
+    assert all(np.array_equal(dwells[name], wanted[name]) for name in wanted.columns)
+
+
+def test_step_that_was_begun_again_counts_once_though_the_move_between_is_not_wanted(
+    tmp_path,
+) -> None:
+    again = [1] * 40 + [3] * 100 + [1] * 40 + [3] * 60
+    path = run_with(tmp_path, rows(again))
+    data = load_source(path, kinds=["trajectory"])
+    assert len(data.conditions) == 1
+    assert data["q"][:, 0].tolist() == list(range(180, 240))
+
+
+def test_serial_number_is_what_the_run_says(tmp_path) -> None:
+    path = run_with(tmp_path, rows(FULL), robot={**ROBOT, "identity": {"serial": "A7"}})
+    assert serial_of(path) == "A7"
+
+
+def test_robot_without_a_serial_number_has_none(tmp_path) -> None:
+    assert serial_of(run_with(tmp_path, rows(FULL))) == ""
 
 
 def test_interrupted_run_gives_what_was_recorded(tmp_path) -> None:

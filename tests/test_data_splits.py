@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from synthetic_motion import dataset, dwelling, moving
 
 from hil.data import Conditions, Dataset
+from hil.data.fingerprints import SKETCH_ROWS, Sketch, revisited
 from hil.data.splits import assert_disjoint, groups, kfold, paper_sample_split, split
 from hil.errors import DataError
 
@@ -112,3 +113,73 @@ def test_papers_split_by_sample_shares_poses_which_the_guard_sees() -> None:
     assert len(train) == pytest.approx(225, abs=30)
     with pytest.raises(DataError, match="both training and test"):
         assert_disjoint(train, test)
+
+
+def test_same_recording_with_its_clock_shifted_is_found() -> None:
+    data = moving(1, samples=50)
+    shifted = Dataset(
+        **{
+            **vars(data),
+            "columns": {**data.columns, "t": data["t"] + 1234.5},
+            "conditions": (Conditions("other", "trajectory", "elsewhere", 9),),
+        }
+    )
+    with pytest.raises(DataError, match="50 samples of the test data"):
+        assert_disjoint(data, shifted)
+
+
+def test_standing_still_at_the_same_place_is_no_shared_recording() -> None:
+    """Brakes on, current zero, the same park position: one distinct sample, many rows."""
+
+    def parked(seed, source):
+        columns = {
+            name: values.copy() for name, values in moving(seed, samples=200).columns.items()
+        }
+        columns["q"][:100], columns["effort"][:100] = 0.5, 0.0
+        return dataset(columns, [200], [Conditions(source, "trajectory", source, 0)])
+
+    assert_disjoint(parked(1, "a"), parked(2, "b"))
+
+
+@pytest.mark.parametrize("nothing", [0, 0.0, []])
+def test_holding_out_nothing_holds_out_nothing(nothing) -> None:
+    parts = split(dwelling(6), "pose", nothing)
+    assert parts.held_out == ()
+    assert len(parts.test) == 0
+    assert len(parts.train.conditions) == 6
+
+
+def test_negative_share_is_refused() -> None:
+    with pytest.raises(DataError, match=r"cannot hold out -0\.1 of 6"):
+        split(dwelling(6), "pose", -0.1)
+
+
+def test_sketch_of_a_long_recording_tells_what_share_it_knows() -> None:
+    train, new = moving(*range(20)), moving(21, 22)
+    assert len(train) > SKETCH_ROWS
+    sketch = Sketch.of(train)
+    assert len(sketch.smallest) == SKETCH_ROWS
+    mixed = Dataset.concatenate([new, train.select(lambda c: c.trajectory < 2)])
+    assert sketch.share_known(new) == 0.0
+    assert sketch.share_known(train) == 1.0
+    assert sketch.share_known(mixed) == pytest.approx(0.5, abs=0.05)
+
+
+def test_same_motion_of_another_arm_is_seen_as_revisited() -> None:
+    first = moving(1, 2)
+    # Another arm: tracking errors, other currents, another clock, half the rate.
+    random = np.random.default_rng(3)
+    again = moving(2, 5)
+    rows = np.concatenate([np.arange(0, 600, 2), np.arange(600, 1200, 2)])
+    columns = {name: values[rows] for name, values in again.columns.items()}
+    columns["q"] = columns["q"] + 0.003 * random.normal(size=columns["q"].shape)
+    other = dataset(columns, [300, 300], list(again.conditions))
+    shares = revisited(first, other)
+    assert shares["trajectory2"] > 0.95
+    assert shares["trajectory5"] < 0.05
+
+
+def test_repeated_poses_are_seen_as_revisited() -> None:
+    shares = revisited(dwelling(8, seed=1), dwelling(8, seed=1, noise_a=0.01))
+    assert set(shares.values()) == {1.0}
+    assert set(revisited(dwelling(8, seed=1), dwelling(8, seed=2)).values()) == {0.0}

@@ -31,6 +31,13 @@ def import_(
     drop_bad_rows: Annotated[
         bool, typer.Option("--drop-bad-rows", help="Leave out rows that make no sense.")
     ] = False,
+    payload: Annotated[
+        str,
+        typer.Option(
+            "--payload",
+            help="Load that was mounted, MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default the map's.",
+        ),
+    ] = "",
     json: JsonFlag = False,
 ) -> None:
     """Import a recording; rows that make no sense are refused with their line numbers."""
@@ -43,6 +50,7 @@ def import_(
         format_=format_ or None,
         rows=_window(rows),
         drop_bad_rows=drop_bad_rows,
+        payload=payload or None,
     )
     if json:
         print_json(report)

@@ -16,10 +16,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.data.dataset import Conditions, Dataset
 from hil.errors import DataError
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 MAX_NYQUIST_FRACTION = 0.8
 """Above this the bilinear transform squeezes the stop band to nothing."""
+
+PAUSE_STEPS = 3.0
+"""A step in time longer than this many median steps is a pause: no filter may run across it."""
 
 AT_REST = ("dwell", "reference")
 """Series kinds that stand still: too short to filter, and with nothing to differentiate."""
@@ -52,8 +55,9 @@ class FilterSettings(BaseModel):
 def sample_rate(t: FloatArray) -> float:
     """Mean sample rate [Hz] of time stamps (N,), pauses left out.
 
-    Steps longer than three times the median are pauses. The mean is used because stamps of
-    millisecond resolution alternate (10 ms, 12 ms), so their median is off by several per cent.
+    What a pause is, `PAUSE_STEPS` says; series read from recordings hold none. The mean is used
+    because stamps of millisecond resolution alternate (10 ms, 12 ms), so their median is off by
+    several per cent.
 
     Raises:
         DataError: Fewer than two samples, or time does not increase.
@@ -61,7 +65,15 @@ def sample_rate(t: FloatArray) -> float:
     steps = np.diff(t)
     if len(steps) == 0 or not np.all(steps > 0):
         raise DataError("the sample rate needs at least two strictly increasing time stamps")
-    return float(1.0 / np.mean(steps[steps <= 3.0 * np.median(steps)]))
+    return float(1.0 / np.mean(steps[~is_pause(steps)]))
+
+
+def is_pause(steps: FloatArray) -> BoolArray:
+    """(M,) which of the steps in time (M,) between successive samples are pauses."""
+    if not len(steps):
+        return np.zeros(0, dtype=bool)
+    longer: BoolArray = steps > PAUSE_STEPS * np.median(steps)
+    return longer
 
 
 def nyquist_fraction(cutoff: float, unit: str, rate_hz: float) -> float:

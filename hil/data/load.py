@@ -7,14 +7,14 @@ never imports it, so that estimators stay clear of the recorder (ARCHITECTURE.md
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.data.dataset import Dataset
+from hil.data.dataset import Dataset, SeriesKind
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import Origin, Series, StepNote, assemble, cut
 from hil.errors import DataError
@@ -27,10 +27,13 @@ from hil.record.writer import PARTIAL_SUFFIX
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on the floor [m/s²]."""
 
-MEASURED_KINDS = ("move", "dwell", "trajectory", "reference", "warmup")
+WINDOW_PAYLOAD = "payload of window {}"
+"""Metadata record of an imported file: the load of one window, where it has its own."""
+
+MEASURED_KINDS: tuple[SeriesKind, ...] = ("move", "dwell", "trajectory", "reference", "warmup")
 
 
-def load_source(path: str | Path) -> Dataset:
+def load_source(path: str | Path, kinds: Collection[SeriesKind] | None = None) -> Dataset:
     """The samples of a run directory or of one MCAP file, cut into series with their conditions.
 
     A run's plan says which step every sample belongs to; a step recorded several times (after a
@@ -38,18 +41,23 @@ def load_source(path: str | Path) -> Dataset:
     or one per window of its map. Rows that the robot marked as unusable are left out, repeated
     time stamps too, and a pause in the time stamps cuts a series in two.
 
+    Args:
+        path: Run directory or MCAP file.
+        kinds: Only series of these kinds; all that measured something by default. Leaving out the
+            moves of a long dwell program saves most of the time.
+
     Raises:
         DataError: The source is missing, damaged, from a newer hil, or does not say whose samples
             it holds; or it holds none.
     """
-    source = Path(path)
+    source, wanted = Path(path), MEASURED_KINDS if kinds is None else tuple(kinds)
     if source.is_dir():
-        return _from_run(source)
+        return _from_run(source, wanted)
     if not source.exists():
         raise DataError(
             f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
         )
-    return _from_file(source)
+    return _from_file(source, wanted)
 
 
 def gravity_of(path: str | Path) -> tuple[float, float, float]:
@@ -59,12 +67,7 @@ def gravity_of(path: str | Path) -> tuple[float, float, float]:
         DataError: The source is missing, damaged or from a newer hil.
     """
     source = Path(path)
-    if source.is_dir():
-        start: Mapping[str, Any] = RunDirectory.open(source).start
-    else:
-        info = read_info(source)
-        start = _attached(info, "start.json") if "start.json" in info.attachments else {}
-    given = start.get("robot", {}).get("gravity_m_s2", UPRIGHT)
+    given = _robot_of(source).get("gravity_m_s2", UPRIGHT)
     try:
         x, y, z = (float(value) for value in given)
     except (TypeError, ValueError):
@@ -72,10 +75,32 @@ def gravity_of(path: str | Path) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _from_run(path: Path) -> Dataset:
+def serial_of(path: str | Path) -> str:
+    """Serial number of the robot a source was recorded on; empty when nobody said.
+
+    Raises:
+        DataError: The source is missing, damaged or from a newer hil.
+    """
+    robot = _robot_of(Path(path))
+    identity = robot.get("identity", {})
+    return str(robot.get("serial") or identity.get("serial") or "")
+
+
+def _robot_of(source: Path) -> Mapping[str, Any]:
+    """What a run, its recording or an imported file says about the robot."""
+    if source.is_dir():
+        start: Mapping[str, Any] = RunDirectory.open(source).start
+        return start.get("robot") or {}
+    info = read_info(source)
+    if "start.json" in info.attachments:
+        return _attached(info, "start.json").get("robot") or {}
+    return info.metadata.get("robot", {})
+
+
+def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     run = RunDirectory.open(path)
     start, plan = run.start, read_json(path / "plan.json")
-    steps = _steps(plan, path / "plan.json", (run.stop or {}).get("unsettled", ()))
+    steps = _steps(plan, path / "plan.json", (run.stop or {}).get("unsettled", ()), kinds)
     origin = _origin_of_run(start, str(path))
     if not run.recordings:
         raise DataError(f"{path} holds no recording")
@@ -91,28 +116,38 @@ def _from_run(path: Path) -> Dataset:
     return assemble(ordered, origin, _dwell_samples(plan))
 
 
-def _from_file(path: Path) -> Dataset:
+def _from_file(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     info = read_info(path)
     rows = read_topic(path, salvage=not info.complete)
     if "plan.json" in info.attachments and "start.json" in info.attachments:
         start, plan = (_attached(info, name) for name in ("start.json", "plan.json"))
-        pieces = cut(rows, _steps(plan, path, ()), 0)
+        pieces = cut(rows, _steps(plan, path, (), kinds), 0)
         return assemble(pieces, _origin_of_run(start, str(path)), _dwell_samples(plan))
     if "robot" not in info.metadata:
         raise DataError(
             f"{path} does not say which robot its samples are of",
             hint="turn foreign files into recordings with: hil import FILE --map MAP.yaml -o OUT",
         )
-    payload = _imported_payload(info.metadata.get("payload", {}))
-    numbers = np.unique(rows["segment"])
-    steps = {
-        int(n): StepNote("trajectory", trajectory=int(n), payload=payload)
-        for n in numbers[numbers >= 0]
-    }
+    numbers = np.unique(rows["segment"]).tolist() if "trajectory" in kinds else []
+    steps = _windows(info, [n for n in numbers if n >= 0])
     return assemble(cut(rows, steps, 0), _origin_of_import(info), SAMPLES_PER_DWELL)
 
 
-def _steps(plan: Mapping[str, Any], where: Path, unsettled: Any) -> dict[int, StepNote]:
+def _windows(info: RecordingInfo, numbers: Sequence[int]) -> dict[int, StepNote]:
+    """The trajectories of an import; windows with a load of their own count as other loads."""
+    declared = _imported_payload(info.metadata.get("payload", {}))
+    windows = {n: info.metadata.get(WINDOW_PAYLOAD.format(n)) for n in numbers}
+    own = {n: _imported_payload(raw) if raw else declared for n, raw in windows.items()}
+    loads = list(dict.fromkeys((declared, *own.values())))
+    return {
+        n: StepNote("trajectory", trajectory=n, load=loads.index(own[n]), payload=own[n])
+        for n in numbers
+    }
+
+
+def _steps(
+    plan: Mapping[str, Any], where: Path, unsettled: Any, kinds: Collection[SeriesKind]
+) -> dict[int, StepNote]:
     """What each step of a plan measured, by its index."""
     try:
         loads = [_load(load) for load in plan["loads"]]
@@ -127,7 +162,7 @@ def _steps(plan: Mapping[str, Any], where: Path, unsettled: Any) -> dict[int, St
                 settled=step["index"] not in unsettled,
             )
             for step in plan["steps"]
-            if step["kind"] in MEASURED_KINDS
+            if step["kind"] in kinds
         }
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise DataError(f"{where} is no plan: {type(error).__name__} {error}") from error

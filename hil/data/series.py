@@ -11,13 +11,11 @@ from typing import Literal
 import numpy as np
 
 from hil.data.dataset import Conditions, Dataset, SeriesKind
+from hil.data.filters import is_pause
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.robot.state import Status
 from hil.typing import BoolArray, FloatArray, IntArray, StructArray
-
-PAUSE = 10.0
-"""A step in time longer than this many median steps cuts a series."""
 
 SHORTEST_PIECE = 20
 """Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""
@@ -72,24 +70,30 @@ class Series:
 
 
 def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[Series]:
-    """The series in a recording, in order; a step that was repeated counts as recorded last."""
-    usable = rows[(rows["status"] & int(Status.MASKED)) == 0]
-    usable = usable[_advancing(usable["device_time"])]
+    """The series in a recording, in order; a step that was repeated counts as recorded last.
+
+    Args:
+        rows: All rows of the recording: what lies between two visits of a step tells them apart.
+        steps: The steps that are wanted.
+        attempt: Number of the recording.
+    """
+    usable = np.flatnonzero((rows["status"] & int(Status.MASKED)) == 0)
+    usable = usable[_advancing(rows["device_time"][usable])]
     if not len(usable):
         return []
-    pause = _pauses(usable["device_time"])
-    edges = _edges((np.diff(usable["segment"]) != 0) | pause)
-    last: dict[int, list[StructArray]] = {}
+    segment = rows["segment"][usable]
+    pause = is_pause(np.diff(rows["device_time"][usable]))
+    edges = _edges((np.diff(segment) != 0) | pause)
+    last: dict[int, list[IntArray]] = {}
     previous = None
-    for start, stop in pairwise(edges):
-        step = int(usable["segment"][start])
+    for (start, stop), step in zip(pairwise(edges), segment[edges[:-1]].tolist(), strict=True):
         # After a pause within a step its rows go on; coming back to it later starts it afresh.
         if step != previous:
             last[step] = []
         last[step].append(usable[start:stop])
         previous = step
     return [
-        Series(step, i, attempt, steps[step], piece)
+        Series(step, i, attempt, steps[step], rows[piece])
         for step, pieces in last.items()
         if step in steps
         for i, piece in enumerate(_worth_keeping(pieces))
@@ -159,7 +163,7 @@ def _settled_rows(series: Series, dwell_samples: int) -> StructArray:
     )
 
 
-def _worth_keeping(pieces: list[StructArray]) -> list[StructArray]:
+def _worth_keeping(pieces: list[IntArray]) -> list[IntArray]:
     if len(pieces) == 1:
         return pieces
     return [piece for piece in pieces if len(piece) >= SHORTEST_PIECE] or pieces[-1:]
@@ -170,12 +174,6 @@ def _advancing(t: FloatArray) -> BoolArray:
     before = np.concatenate(([-np.inf], np.fmax.accumulate(t)[:-1])) if len(t) else t
     later: BoolArray = t > before
     return later
-
-
-def _pauses(t: FloatArray) -> BoolArray:
-    """(N − 1,) whether the step to the next row is a pause."""
-    steps = np.diff(t)
-    return steps > PAUSE * np.median(steps) if len(steps) else np.zeros(0, dtype=bool)
 
 
 def _edges(breaks: BoolArray) -> IntArray:

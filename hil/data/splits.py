@@ -13,11 +13,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hil.data.dataset import Conditions, Dataset, rows_of
+from hil.data.fingerprints import fingerprints
 from hil.errors import DataError
-from hil.typing import IntArray
 
 SplitBy = Literal["trajectory", "pose", "load"]
 Group: TypeAlias = tuple[str, int]
+
+SAME_SHARE = 0.01
+"""Share of distinct samples that two independent recordings may have in common by chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +68,8 @@ def split(
     Args:
         dataset: What to split; series outside every group are left out of both parts.
         by: What must stay together. A pose keeps both its approaches and all its loads together.
-        test: How many groups (int), which share of them (float below 1), or which numbers.
+        test: How many groups (int), which share of them (float below 1), or which numbers. With 0
+            nothing is held out; any other share holds out at least one group.
         seed: For the draw; not used when numbers are given.
 
     Raises:
@@ -76,7 +80,7 @@ def split(
         held_out = _draw(everything, by, test, seed)
     else:
         held_out = _named(everything, by, test)
-    if len(held_out) == len(everything):
+    if held_out and len(held_out) == len(everything):
         raise DataError(f"nothing would be left to fit on: all {by} groups are held out")
     return _split_at(dataset, by, held_out)
 
@@ -101,9 +105,12 @@ def kfold(dataset: Dataset, by: SplitBy, folds: int, seed: int = 0) -> Iterator[
 def assert_disjoint(train: Dataset, test: Dataset) -> None:
     """Refuse a test set that shares a series, a pose, a trajectory or a sample with the training.
 
-    Loads may be shared. Samples are compared by value (time, position, effort), so the same
-    recording imported twice under different names is found too; up to 1 % may coincide, as
-    noise-free simulations do where they start.
+    Loads may be shared. Samples are compared by value (position and effort, not time), so the same
+    recording imported twice under different names, or with its clock shifted, is found too; up to
+    1 % of the distinct samples may coincide, as noise-free simulations do where they start.
+
+    The same *program* recorded twice passes, since the samples differ: see
+    `hil.data.fingerprints.revisited`.
 
     Raises:
         DataError: Something is shared; the message names it.
@@ -118,8 +125,9 @@ def assert_disjoint(train: Dataset, test: Dataset) -> None:
                 f"the first is {by} {number} of {source or 'the data'}",
                 hint="split by whole groups: hil.data.splits.split(dataset, by=…)",
             )
-    same = _shared_samples(train, test)
-    if same > 0.01 * len(test):
+    rows = fingerprints(test)
+    same = int(np.isin(rows, fingerprints(train)).sum())
+    if same > SAME_SHARE * len(rows):
         raise DataError(
             f"{same} samples of the test data are also in the training data",
             hint="the same recording was given twice; leave it out of one of the two",
@@ -141,11 +149,13 @@ def paper_sample_split(
 
 
 def _draw(everything: Sequence[Group], by: SplitBy, test: float, seed: int) -> tuple[Group, ...]:
+    if test == 0:
+        return ()
     count = int(test) if test >= 1 else max(1, round(test * len(everything)))
-    if count < 1 or count >= len(everything):
+    if test < 0 or count >= len(everything):
         raise DataError(
-            f"cannot hold out {count} of {len(everything)} {by} group(s)",
-            hint=f"the data needs at least {count + 1} different {by} groups",
+            f"cannot hold out {test if test < 0 else count} of {len(everything)} {by} group(s)",
+            hint=f"the data needs at least {max(1, count) + 1} different {by} groups",
         )
     chosen = np.random.default_rng(seed).choice(len(everything), count, replace=False)
     return tuple(everything[i] for i in np.sort(chosen))
@@ -165,17 +175,3 @@ def _split_at(dataset: Dataset, by: SplitBy, held_out: tuple[Group, ...]) -> Spl
     test = dataset.select(lambda condition: group_of(condition, by) in chosen)
     train = dataset.select(lambda condition: group_of(condition, by) not in chosen | {None})
     return Split(train, test, by, held_out)
-
-
-def _shared_samples(train: Dataset, test: Dataset) -> int:
-    return int(np.isin(_fingerprints(test), _fingerprints(train)).sum())
-
-
-def _fingerprints(dataset: Dataset) -> IntArray:
-    """One number per row from the bits of time, position and effort."""
-    values = np.hstack([dataset["t"][:, None], dataset["q"], dataset["effort"]])
-    bits = np.ascontiguousarray(values, dtype=np.float64).view(np.int64)
-    factors = np.random.default_rng(0).integers(1, 2**62, bits.shape[1], dtype=np.int64) | 1
-    with np.errstate(over="ignore"):
-        mixed: IntArray = ((bits ^ (bits >> 29)) * factors).sum(axis=1)
-    return mixed

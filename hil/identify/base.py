@@ -169,7 +169,10 @@ def estimator(name: str, /, **params: Any) -> RobotEstimator:
     require_known(params, kind.parameter_names(), name)
     try:
         made: RobotEstimator = kind(**params)
+    except SpecError as error:
+        raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
     except (ValidationError, ValueError, TypeError) as error:
+        # A plug-in that does not check its parameters as `hil.identify.parameters` would.
         raise SpecError(f"{name}: {_first_line(error)}") from error
     return made
 

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any, Self
+import math
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any, Self, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from hil.errors import SpecError
 from hil.suggest import did_you_mean
@@ -12,8 +17,9 @@ from hil.suggest import did_you_mean
 class Parametrised:
     """Keyword-only constructor parameters that can be read, set and stored.
 
-    A subclass assigns every parameter to an attribute of the same name and does nothing else in
-    its constructor.
+    A subclass checks every parameter in its constructor (`number`, `flag`, `choice`, `settings`),
+    assigns it to an attribute of the same name, and does nothing else there. `set_params` goes
+    through the constructor, so that nothing gets in unchecked.
     """
 
     @classmethod
@@ -30,16 +36,80 @@ class Parametrised:
         """Change parameters; the estimator must be fitted again.
 
         Raises:
-            SpecError: There is no such parameter.
+            SpecError: There is no such parameter, or it cannot have that value; then nothing has
+                changed.
         """
         require_known(params, self.parameter_names(), type(self).__name__)
-        for name, value in params.items():
+        checked = type(self)(**{**self.get_params(), **params})
+        for name, value in checked.get_params().items():
             setattr(self, name, value)
         return self
 
     def __repr__(self) -> str:
         inside = ", ".join(f"{name}={value!r}" for name, value in self.get_params().items())
         return f"{type(self).__name__}({inside})"
+
+
+Settings = TypeVar("Settings", bound=BaseModel)
+
+
+def number(
+    name: str, value: Any, *, at_least: float | None = None, above: float | None = None
+) -> float:
+    """A finite number within its limits.
+
+    Raises:
+        SpecError: It is not; the message names the parameter.
+    """
+    limits = [f"at least {at_least:g}"] if at_least is not None else []
+    limits += [f"above {above:g}"] if above is not None else []
+    found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    if (
+        not math.isfinite(found)
+        or (at_least is not None and found < at_least)
+        or (above is not None and found <= above)
+    ):
+        wanted = " ".join(["a number", *limits])
+        raise SpecError(f"{name} is {value!r}, but must be {wanted}")
+    return found
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        SpecError: It is neither; the message names the parameter.
+    """
+    if not isinstance(value, bool):
+        raise SpecError(f"{name} is {value!r}, but must be true or false")
+    return value
+
+
+def choice(name: str, value: Any, known: Sequence[str]) -> Any:
+    """One of a few words.
+
+    Raises:
+        SpecError: It is none of them; the message names the parameter.
+    """
+    if value not in known:
+        listed = " or ".join(repr(word) for word in known)
+        hint = did_you_mean(value, known) if isinstance(value, str) else ""
+        raise SpecError(f"{name} is {value!r}, but must be {listed}", hint=hint)
+    return value
+
+
+def settings(name: str, value: Any, kind: type[Settings]) -> Settings:
+    """Settings as they are, or from their dict; None gives the defaults.
+
+    Raises:
+        SpecError: They are not valid; the message names the parameter and the key.
+    """
+    try:
+        return kind.model_validate({} if value is None else value)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join((name, *(str(part) for part in first["loc"])))
+        raise SpecError(f"{where}: {first['msg']}") from error
 
 
 def require_known(given: dict[str, Any], known: tuple[str, ...], of: str) -> None:

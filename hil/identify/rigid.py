@@ -21,7 +21,6 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel, base_parameters, coulomb_viscous_columns
-from hil.errors import SpecError
 from hil.identify.base import chunks, payload_torque, prepared
 from hil.identify.checks import (
     require_clean,
@@ -31,6 +30,7 @@ from hil.identify.checks import (
     torque_scale,
 )
 from hil.identify.compress import JointwiseQR
+from hil.identify.parameters import flag, number, settings
 from hil.identify.wls import WlsEstimator
 from hil.typing import FloatArray
 
@@ -61,11 +61,9 @@ class RigidWls(WlsEstimator):
         weighted: bool = True,
         filters: FilterSettings | dict[str, Any] | None = None,
     ) -> None:
-        if not (np.isfinite(sign_width) and sign_width >= 0):
-            raise SpecError(f"sign_width is {sign_width}, but must be 0 or a speed in rad/s")
-        self.sign_width = sign_width
-        self.weighted = weighted
-        self.filters = FilterSettings.model_validate(filters or {})
+        self.sign_width = number("sign_width", sign_width, at_least=0.0)
+        self.weighted = flag("weighted", weighted)
+        self.filters = settings("filters", filters, FilterSettings)
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are subtracted from the target.

@@ -31,6 +31,7 @@ from hil.identify.base import HONEST, load_of, payload_torque
 from hil.identify.checks import require_clean, require_robot, require_samples, torque_scale
 from hil.identify.compress import JointwiseQR
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
+from hil.identify.parameters import choice, flag, number
 from hil.identify.wls import WlsEstimator
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
@@ -71,16 +72,12 @@ class StaticWls(WlsEstimator):
         current_term: bool = False,
         rest_speed: float = 0.01,
     ) -> None:
-        if form not in ("shared", "paper"):
-            raise SpecError(f"form is {form!r}, but must be 'shared' or 'paper'")
+        self.form = choice("form", form, ("shared", "paper"))
+        self.weighted = flag("weighted", weighted)
+        self.current_term = flag("current_term", current_term)
+        self.rest_speed = number("rest_speed", rest_speed, above=0.0)
         if current_term and form != "paper":
             raise SpecError("current_term is eq. 20 of the paper and goes with form: paper only")
-        if not rest_speed > 0:
-            raise SpecError(f"rest_speed is {rest_speed}, but must be a speed in rad/s")
-        self.form = form
-        self.weighted = weighted
-        self.current_term = current_term
-        self.rest_speed = rest_speed
 
     @property
     def protocol(self) -> str:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from hil.data.importing.units import QUANTITY_DIMENSIONS, unit_named, units_of
+from hil.payload import Payload
 from hil.spec.findings import findings_of
 from hil.spec.loads import Load
 from hil.spec.messages import explain
@@ -101,6 +102,7 @@ class Window(Strict):
 
     rows: str = Field(pattern=r"^\d+:\d+$", description="First and last row, counted from 1.")
     file: str = Field("*", description="Name or pattern of the files this holds for.")
+    payload: Load | None = Field(None, description="Its own load; by default the map's.")
 
     @property
     def span(self) -> tuple[int, int]:
@@ -120,6 +122,7 @@ class ImportMap(Strict):
     effort_kind: Literal["current", "torque"]
     drive_gains_nm_a: tuple[Positive, ...] | None = None
     drive_gains_source: str = ""
+    serial: str = Field("", description="Serial number: recordings of two arms are not pooled.")
     payload: Load = Load()
     header: bool = Field(False, description="The first line names the columns.")
     delimiter: str = Field(",", description="Between columns; `whitespace` for any of it.")
@@ -135,6 +138,12 @@ class ImportMap(Strict):
     def n_joints(self) -> int:
         """Number of joints n."""
         return len(self.joint_names)
+
+    def with_payload(self, payload: Payload) -> ImportMap:
+        """The same layout with this load for every row, whatever map and windows declare."""
+        load = Load(mass_kg=payload.mass, com_m=payload.com, inertia_kgm2=payload.inertia)
+        windows = tuple(window.model_copy(update={"payload": None}) for window in self.windows)
+        return self.model_copy(update={"payload": load, "windows": windows})
 
     def quantities(self) -> dict[str, Quantity]:
         """The quantities the map names, by field of the base robot record."""

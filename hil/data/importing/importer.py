@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -13,13 +13,14 @@ import numpy as np
 
 from hil.data.importing.bag import read_bag
 from hil.data.importing.convert import convert
-from hil.data.importing.import_map import FileFormat, ImportMap, load_map
+from hil.data.importing.import_map import FileFormat, ImportMap, Window, load_map
 from hil.data.importing.interleaved import read_interleaved
 from hil.data.importing.mat import read_mat
 from hil.data.importing.raw import Raw
 from hil.data.importing.recording import segments_of, write_recording
 from hil.data.importing.text import read_text
 from hil.errors import DataError, SpecError
+from hil.payload import Payload
 from hil.suggest import did_you_mean
 
 READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
@@ -74,6 +75,7 @@ def import_file(
     format_: str | None = None,
     rows: tuple[int, int] | None = None,
     drop_bad_rows: bool = False,
+    payload: Payload | None = None,
 ) -> ImportReport:
     """Turn a file into an MCAP with the base robot record.
 
@@ -85,6 +87,7 @@ def import_file(
         rows: First and last row, counted from 1 without the header, both included; the map's
             windows then do not apply.
         drop_bad_rows: Leave bad rows out, with a note in the output, instead of refusing.
+        payload: What was mounted, instead of what the map says.
 
     Raises:
         SpecError: The map is not valid.
@@ -93,6 +96,7 @@ def import_file(
     """
     layout = map_ if isinstance(map_, ImportMap) else load_map(map_)
     layout = _with_format(layout, format_)
+    layout = layout if payload is None else layout.with_payload(payload)
     if not path.exists():
         raise DataError(f"{path} does not exist")
     whole = READERS[layout.format](path, layout)
@@ -106,9 +110,11 @@ def import_file(
     good = samples.without_bad_rows()
     segments = segments_of(kept, windows)
     origin = _origin(path, layout, rows, samples.place, dropped)
-    write_recording(out, good, segments, layout, origin)
-    notes = _notes(samples, dropped, int(np.sum(segments >= 0)), bool(windows))
-    return ImportReport(out, path, len(good), tuple(dropped), samples.place, notes)
+    write_recording(out, good, segments, layout, origin, windows)
+    notes = [*_dropped_notes(samples, dropped), *_load_notes(layout, windows)]
+    if rows is None:
+        notes += _window_notes(path.name, layout, windows, int(np.sum(segments >= 0)))
+    return ImportReport(out, path, len(good), tuple(dropped), samples.place, tuple(notes))
 
 
 def _with_format(layout: ImportMap, format_: str | None) -> ImportMap:
@@ -178,11 +184,32 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _notes(samples: Raw, dropped: list[int], inside: int, windowed: bool) -> tuple[str, ...]:
-    notes = []
+def _dropped_notes(samples: Raw, dropped: list[int]) -> Iterator[str]:
     if dropped:
-        notes.append(f"dropped {len(dropped)} of {len(samples)} rows:")
-        notes += list(samples.listing())
-    if windowed:
-        notes.append(f"{inside} rows lie in the map's windows; the others belong to no trajectory")
-    return tuple(notes)
+        yield f"dropped {len(dropped)} of {len(samples)} rows:"
+        yield from samples.listing()
+
+
+def _window_notes(
+    file: str, layout: ImportMap, windows: tuple[Window, ...], inside: int
+) -> Iterator[str]:
+    if windows:
+        yield f"{inside} rows lie in the map's windows; the others belong to no trajectory"
+    elif layout.windows:
+        # The arm does other things around a window, and a renamed file loses its own.
+        yield f"no window of the map matches {file}: all rows used"
+
+
+def _load_notes(layout: ImportMap, windows: tuple[Window, ...]) -> Iterator[str]:
+    """What every row counts as recorded with: a load nobody declared spoils a fit unnoticed."""
+    declared = "payload" in layout.model_fields_set
+    own = [(window, window.payload) for window in windows if window.payload is not None]
+    for window, load in own:
+        yield f"declared load of rows {window.rows}: {load.mass_kg:g} kg"
+    if declared:
+        yield f"declared load{' elsewhere' if own else ''}: {layout.payload.mass_kg:g} kg"
+    elif len(own) < max(1, len(windows)):
+        yield (
+            f"no load declared{' for the other rows' if own else ''}: 0 kg assumed; "
+            "declare one with --payload MASS_KG[,X_M,Y_M,Z_M]"
+        )

@@ -11,8 +11,10 @@ import numpy as np
 from hil.data.filters import sample_rate
 from hil.data.importing.import_map import ImportMap, Window
 from hil.data.importing.raw import Raw
+from hil.data.load import WINDOW_PAYLOAD
 from hil.record.topic import STATE_TOPIC, Topic, state_topic
 from hil.record.writer import McapWriter
+from hil.spec.loads import Load
 from hil.typing import IntArray, StructArray
 
 ROBOT_METADATA = "robot"
@@ -29,12 +31,12 @@ def robot_metadata(layout: ImportMap) -> dict[str, str]:
         "effort_kind": layout.effort_kind,
         "drive_gains": json.dumps(gains) if gains else "",
         "drive_gains_source": layout.drive_gains_source,
+        "serial": layout.serial,
     }
 
 
-def payload_metadata(layout: ImportMap) -> dict[str, str]:
-    """The load that was mounted."""
-    load = layout.payload
+def payload_metadata(load: Load) -> dict[str, str]:
+    """A load that was mounted."""
     return {
         "mass_kg": repr(load.mass_kg),
         "com_m": json.dumps(load.com_m),
@@ -43,7 +45,12 @@ def payload_metadata(layout: ImportMap) -> dict[str, str]:
 
 
 def write_recording(
-    out: Path, samples: Raw, segments: IntArray, layout: ImportMap, origin: Mapping[str, str]
+    out: Path,
+    samples: Raw,
+    segments: IntArray,
+    layout: ImportMap,
+    origin: Mapping[str, str],
+    windows: tuple[Window, ...] = (),
 ) -> None:
     """Write the MCAP; it appears under its name when it is whole, and not at all otherwise.
 
@@ -53,6 +60,7 @@ def write_recording(
         segments: (N,) number of the window each row belongs to, −1 outside.
         layout: What was imported.
         origin: Where it came from, for the file's metadata.
+        windows: What the segments are; those with a load of their own keep it.
 
     Raises:
         RecordingError: The file exists already or cannot be written.
@@ -61,11 +69,14 @@ def write_recording(
     unit = "A" if layout.effort_kind == "current" else "N·m"
     rate = sample_rate(samples.columns["t"])
     topic = state_topic(layout.n_joints, rate, clock="file", effort_unit=unit)
-    metadata = {
+    metadata: dict[str, Mapping[str, str]] = {
         ROBOT_METADATA: robot_metadata(layout),
-        PAYLOAD_METADATA: payload_metadata(layout),
+        PAYLOAD_METADATA: payload_metadata(layout.payload),
         IMPORT_METADATA: origin,
     }
+    for number, window in enumerate(windows):
+        if window.payload is not None:
+            metadata[WINDOW_PAYLOAD.format(number)] = payload_metadata(window.payload)
     writer = McapWriter(out, [topic], metadata=metadata, joint_names=layout.joint_names)
     try:
         with writer:

@@ -1,0 +1,114 @@
+"""Telling recordings apart by what they hold: the same samples, or the same motion again.
+
+Names do not help: the same recording may be copied, cut or imported twice, and its clock shifted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.typing import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+DECIMALS = 6
+"""Positions [rad] and efforts are compared to so many: units converted twice still agree."""
+
+SKETCH_ROWS = 4096
+"""Fingerprints that are kept of a training set: all of a small one, a fair draw of a large one."""
+
+SAME_PLACE_RAD = 0.02
+"""Two poses that differ by less in every joint are the same for a model."""
+
+PLACES = 200
+"""Poses per series that are looked up, evenly spread over its path."""
+
+KNOWN_ROWS = 100_000
+"""Training rows that are searched."""
+
+
+def fingerprints(dataset: Dataset) -> IntArray:
+    """The distinct rows of a dataset, one number each, sorted.
+
+    Made of position and effort. Time is left out, since a copy may begin at another; rows that an
+    arm at rest repeats count once.
+    """
+    values = np.round(np.hstack([dataset["q"], dataset["effort"]]), DECIMALS) + 0.0
+    bits = np.ascontiguousarray(values, dtype=np.float64).view(np.int64)
+    random = np.random.default_rng(0)
+    factors = np.asarray(random.integers(1, 2**62, bits.shape[1], dtype=np.int64)) | 1
+    with np.errstate(over="ignore"):
+        mixed = ((bits ^ (bits >> 29)) * factors).sum(axis=1)
+        mixed = (mixed ^ (mixed >> 31)) * factors[0]
+    distinct: IntArray = np.unique(mixed)
+    return distinct
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sketch:
+    """Fingerprints of a dataset in bounded memory: the smallest ones (bottom-k sampling).
+
+    Attributes:
+        smallest: At most `SKETCH_ROWS` fingerprints, sorted.
+        complete: They are all there are.
+    """
+
+    smallest: IntArray
+    complete: bool
+
+    @staticmethod
+    def of(dataset: Dataset) -> Sketch:
+        """The sketch of a dataset."""
+        found = fingerprints(dataset)
+        return Sketch(found[:SKETCH_ROWS], len(found) <= SKETCH_ROWS)
+
+    def share_known(self, dataset: Dataset) -> float:
+        """Estimated share of a dataset's distinct rows that the sketched one holds too."""
+        found = fingerprints(dataset)
+        if not self.complete:
+            found = found[found <= self.smallest.max()]
+        return float(np.mean(np.isin(found, self.smallest))) if len(found) else 0.0
+
+
+def revisited(train: Dataset, test: Dataset) -> dict[str, float]:
+    """How much of each test series leads through places the training data have been to.
+
+    Equal programs on two arms, or repeated under two loads, share no sample and yet every pose.
+
+    Returns:
+        Series id → share (0…1) of the poses, evenly spread over the path of the series, for which
+        the training data hold one within `SAME_PLACE_RAD` in every joint.
+    """
+    from scipy.spatial import cKDTree
+
+    known = train["q"][:: max(1, len(train) // KNOWN_ROWS)]
+    tree = cKDTree(known[np.all(np.isfinite(known), axis=1)])
+    return {
+        condition.id: _share_near(tree, _places(test["q"][rows]))
+        for condition, rows in test.slices()
+        if rows.stop > rows.start
+    }
+
+
+def _share_near(tree: cKDTree, places: FloatArray) -> float:
+    if not len(places):
+        return 0.0
+    distance, _ = tree.query(places, p=np.inf, distance_upper_bound=SAME_PLACE_RAD)
+    return float(np.mean(np.isfinite(distance)))
+
+
+def _places(q: FloatArray) -> FloatArray:
+    """Rows of one series at equal distances along its path, so that standing still counts once."""
+    q = q[np.all(np.isfinite(q), axis=1)]
+    if not len(q):
+        return q
+    # Steps below a tenth of a milliradian are an encoder's noise, not a way gone.
+    steps = np.max(np.abs(np.diff(q, axis=0)), axis=1)
+    way = np.concatenate(([0.0], np.cumsum(np.where(steps > 1e-4, steps, 0.0))))
+    rows = np.searchsorted(way, np.linspace(0.0, way[-1], PLACES))
+    return q[np.unique(rows)]
