@@ -22,7 +22,7 @@ BUILDERS = {
     "residual_over": lambda: figures.residual_over(A, B, "velocity [°/s]", "A", 0.1),
     "residual_over_time": lambda: figures.residual_over_time(T, A, "N·m", 0.1),
     "regression": lambda: figures.regression(A, B, "A"),
-    "rmse_bars": lambda: figures.rmse_bars(NAMES, {"wls": A[:2]}, B[:2], "A"),
+    "rmse_bars": lambda: figures.rmse_bars(NAMES, {"wls": A[:2]}, ("above 12 Hz", B[:2]), "A"),
     "joints_over_time": lambda: figures.joints_over_time(
         T, np.column_stack([A, B]), NAMES, "temperature [°C]", limit=3.0
     ),

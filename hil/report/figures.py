@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.report import colours
 from hil.report.decimate import Shown, binned, decimated, summarised, thinned
-from hil.report.traces import Trace, axes, corner, line, markers, noise_band, span
+from hil.report.traces import Trace, axes, band, corner, line, markers, span
 from hil.typing import FloatArray, IntArray
 
 Figure: TypeAlias = dict[str, Any]
@@ -86,7 +86,7 @@ def dwells(
 
 
 def residual_over(
-    x: FloatArray, residual: FloatArray, x_title: str, unit: str, noise: float = float("nan")
+    x: FloatArray, residual: FloatArray, x_title: str, unit: str, fast: float = float("nan")
 ) -> Figure:
     """Residual of one joint (N,) against anything (N,): the cloud, its mean and spread per bin.
 
@@ -95,7 +95,7 @@ def residual_over(
         residual: Measured minus predicted.
         x_title: Axis title with unit.
         unit: Of the residual.
-        noise: Standard deviation of the measurement noise, drawn as a band; NaN for none.
+        fast: RMS of the measured signal's high-frequency part, drawn as a band; NaN for none.
     """
     good = np.isfinite(x) & np.isfinite(residual)
     x, residual = x[good], residual[good]
@@ -103,14 +103,14 @@ def residual_over(
     size = _mark_size(len(some))
     cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=size, opacity=0.45)
     layout = axes(x_title, f"residual [{unit}]")
-    layout["shapes"] = noise_band(noise)
+    layout["shapes"] = band(fast)
     return {"data": [cloud, *_mean_and_spread(x, residual)], "layout": layout}
 
 
-def residual_over_time(t: FloatArray, residual: FloatArray, unit: str, noise: float) -> Figure:
-    """Residual of one joint (N,) over time: the line with its extremes, and the noise band."""
+def residual_over_time(t: FloatArray, residual: FloatArray, unit: str, fast: float) -> Figure:
+    """Residual of one joint (N,) over time: the line with its extremes, and a band of ± `fast`."""
     layout = axes("time [s]", f"residual [{unit}]")
-    layout["shapes"] = noise_band(noise)
+    layout["shapes"] = band(fast)
     return {"data": [line(*decimated(t, residual), "residual", colours.RESIDUAL)], "layout": layout}
 
 
@@ -151,10 +151,10 @@ def correlation(a: FloatArray, b: FloatArray) -> float:
 def rmse_bars(
     joints: Sequence[str],
     values: Mapping[str, FloatArray],
-    noise: FloatArray,
+    ticks: tuple[str, FloatArray],
     unit: str,
 ) -> Figure:
-    """RMSE per joint, one group of bars per joint, one bar per estimator; noise floor as ticks."""
+    """RMSE per joint, one group of bars per joint, one bar per estimator; named ticks across."""
     traces: list[Trace] = []
     names = [escape(joint) for joint in joints]
     patterns = ("", "/", "x", ".", "\\", "+")
@@ -163,7 +163,8 @@ def rmse_bars(
         traces.append(
             {"type": "bar", "name": escape(name), "x": names, "y": rmse, "marker": marker}
         )
-    if np.isfinite(noise).any():
+    name, height = ticks
+    if np.isfinite(height).any():
         mark = {
             "symbol": "line-ew-open",
             "size": 30,
@@ -171,8 +172,8 @@ def rmse_bars(
             "line": {"width": 4},
         }
         traces.append(
-            {"type": "scatter", "mode": "markers", "name": "noise floor", "x": names,
-             "y": noise, "marker": mark}
+            {"type": "scatter", "mode": "markers", "name": escape(name), "x": names,
+             "y": height, "marker": mark}
         )  # fmt: skip
     layout = axes("joint", f"RMSE [{unit}]", barmode="group", showlegend=True)
     return {"data": traces, "layout": layout}

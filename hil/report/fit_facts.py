@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects, document
-from hil.report.words import short_source
+from hil.report.words import number, short_source
 from hil.typing import FloatArray
 
 Part = Literal["held_out", "trained"]
@@ -60,6 +60,29 @@ class FitFacts:
     def trained(self) -> Document:
         """Errors on the data the model was fitted to; empty when not stored."""
         return as_object(self.evaluation.get("trained"))
+
+    @property
+    def beside(self) -> Sequence[Document]:
+        """Errors where only the load or only the motion is new; not judged."""
+        return as_objects(self.evaluation.get("beside"))
+
+    @property
+    def above(self) -> str:
+        """Where the high-frequency part of the signal begins, `12.5 Hz`; empty when unknown."""
+        cutoff = self.held_out.get("cutoff_hz")
+        if not isinstance(cutoff, list) or not cutoff:
+            return ""
+        edges = dict.fromkeys(number(as_float(edge)) for edge in cutoff)
+        return f"{'–'.join(edges)} Hz"
+
+    @property
+    def fast_part(self) -> str:
+        """What `noise_floor` is: the part the filter takes away, or the scatter within dwells."""
+        if self.above:
+            return f"part above {self.above}"
+        if "cutoff_hz" in self.held_out:
+            return "scatter within dwells"
+        return "high-frequency part"
 
     @property
     def criteria(self) -> Sequence[Document]:

@@ -29,13 +29,11 @@ APPROACHES: Legend = (
     ("measured, from above", colours.DOWN, "▼"),
     ("predicted", colours.PREDICTED, "line"),
 )
-NOISE = ("noise floor, ± 1 SD", colours.LIMIT, "band")
-RESIDUAL: Legend = (("measured − predicted", colours.RESIDUAL, "line"), NOISE)
+RESIDUAL: Legend = (("measured − predicted", colours.RESIDUAL, "line"),)
 CLOUD: Legend = (
     ("measured − predicted", colours.NEUTRAL, "•"),
     ("mean", colours.PREDICTED, "line"),
     ("mean ± 1 SD", colours.PREDICTED, "dot"),
-    NOISE,
 )
 REGRESSION: Legend = (
     ("sample", colours.MEASURED, "•"),
@@ -44,11 +42,14 @@ REGRESSION: Legend = (
 
 
 def bars(fits: Sequence[FitFacts]) -> Plots:
-    """RMSE per joint of all models beside the noise floor."""
+    """RMSE per joint of all models, and the high-frequency part of the measured signal."""
     unit, n = fits[0].unit, len(fits[0].joint_names)
     errors = {fit.label: fit.values("rmse_raw") for fit in fits if len(fit.joint_names) == n}
     figure = figures.rmse_bars(
-        [f"J{j + 1}" for j in range(n)], errors, fits[0].values("noise_floor"), unit
+        [f"J{j + 1}" for j in range(n)],
+        errors,
+        (f"measured signal: {fits[0].fast_part}", fits[0].values("noise_floor")),
+        unit,
     )
     said = (
         f"{label}: {', '.join(f'J{j + 1} {number(v)}' for j, v in enumerate(values))} {unit}"
@@ -60,7 +61,7 @@ def bars(fits: Sequence[FitFacts]) -> Plots:
 
 def dwell_plots(fit: FitFacts, dwells: Dwells) -> list[Plots]:
     """Measured and predicted per pose and approach, residuals, regression."""
-    unit, noise = fit.unit, fit.values("noise_floor")
+    unit, fast = fit.unit, fit.values("noise_floor")
     residual = dwells.measured - dwells.predicted
     since = dwells.t - dwells.t.min()
 
@@ -72,7 +73,7 @@ def dwell_plots(fit: FitFacts, dwells: Dwells) -> list[Plots]:
 
     def residual_over(x: FloatArray, axis: str) -> Callable[[int], Figure]:
         return lambda j: figures.residual_over(
-            x if x.ndim == 1 else x[:, j], residual[:, j], axis, unit, float(noise[j])
+            x if x.ndim == 1 else x[:, j], residual[:, j], axis, unit, float(fast[j])
         )
 
     panels = _Panels(fit, residual)
@@ -89,13 +90,13 @@ def dwell_plots(fit: FitFacts, dwells: Dwells) -> list[Plots]:
             "Held-out dwells: residual against pose",
             "Against the joint's own angle; a pattern here is gravity the model does not have.",
             residual_over(dwells.q * DEGREES, "joint angle [°]"),
-            CLOUD,
+            (*CLOUD, _band(fit)),
         ),
         panels.plots(
             "Held-out dwells: residual over the run",
             "A trend here is drift.",
             residual_over(since, "time [s]"),
-            CLOUD,
+            (*CLOUD, _band(fit)),
         ),
         panels.plots(
             "Held-out dwells: regression",
@@ -108,7 +109,7 @@ def dwell_plots(fit: FitFacts, dwells: Dwells) -> list[Plots]:
 
 def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
     """Measured and predicted over the worst trajectory, residuals, regression over all."""
-    unit, noise = fit.unit, fit.values("noise_floor")
+    unit, fast = fit.unit, fit.values("noise_floor")
     of_worst = motions.measured - motions.predicted
     residual = motions.all_measured - motions.all_predicted
 
@@ -118,7 +119,7 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
 
     def residual_over(x: FloatArray, axis: str) -> Callable[[int], Figure]:
         return lambda j: figures.residual_over(
-            x[:, j] * DEGREES, residual[:, j], axis, unit, float(noise[j])
+            x[:, j] * DEGREES, residual[:, j], axis, unit, float(fast[j])
         )
 
     which = _name_of(motions.worst)
@@ -134,20 +135,20 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
         panels.plots(
             "The same trajectory: residual over time",
             "",
-            lambda j: figures.residual_over_time(motions.t, of_worst[:, j], unit, float(noise[j])),
-            RESIDUAL,
+            lambda j: figures.residual_over_time(motions.t, of_worst[:, j], unit, float(fast[j])),
+            (*RESIDUAL, _band(fit)),
         ),
         panels.plots(
             "All held-out trajectories: residual against velocity",
             "A step at zero is friction the model does not have.",
             residual_over(motions.qd, "velocity [°/s]"),
-            CLOUD,
+            (*CLOUD, _band(fit)),
         ),
         panels.plots(
             "All held-out trajectories: residual against pose",
             "",
             residual_over(motions.q, "joint angle [°]"),
-            CLOUD,
+            (*CLOUD, _band(fit)),
         ),
         panels.plots(
             "All held-out trajectories: regression",
@@ -158,6 +159,10 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
             REGRESSION,
         ),
     ]
+
+
+def _band(fit: FitFacts) -> tuple[str, str, str]:
+    return f"± RMS of the measured signal's {fit.fast_part}", colours.LIMIT, "band"
 
 
 def _name_of(condition: Conditions) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.report import fit_plots, fit_tables
+from hil.report.approach import approach_table
 from hil.report.blocks import Block, Facts, Section, items
 from hil.report.documents import as_float, as_object
 from hil.report.fit_facts import FitFacts
@@ -14,9 +15,11 @@ from hil.report.words import number
 
 READING = (
     "RMSE raw compares the prediction with the signal as it was measured, RMSE filtered with the "
-    "same signal after a zero-phase low-pass (for dwells: their mean). The noise floor is what "
-    "that filter takes away; no model can push RMSE raw below it. NRMSE is RMSE raw over the "
-    "standard deviation of the training signal: 1 is as good as always predicting the mean."
+    "same signal after a zero-phase low-pass at 0.20 of the Nyquist frequency (for dwells: their "
+    "mean). What that takes away is shown as the part above the cut-off, for dwells as the scatter "
+    "about their mean: noise, and friction that changes fast. NRMSE is RMSE raw over the standard "
+    "deviation of the training signal: 1 is as good as always predicting the mean, and all there "
+    "is to reach on a joint without signal."
 )
 
 
@@ -37,15 +40,19 @@ def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list
 
 def _model(i: int, fit: FitFacts, shown: Shown | None) -> Section:
     blocks: list[Block] = [fit_tables.per_joint(fit)]
+    if parts := fit_tables.parts(fit):
+        blocks.append(parts)
     if groups := fit_tables.per_group(fit):
         blocks.append(groups)
     if shown is not None and shown.dwells is not None:
+        if sides := approach_table(fit, shown.dwells):
+            blocks.append(sides)
         blocks += fit_plots.dwell_plots(fit, shown.dwells)
     if shown is not None and shown.motions is not None:
         blocks += fit_plots.motion_plots(fit, shown.motions)
     blocks.append(_about(fit))
     what = fit.held_out.get("what")
-    lead = f"Judged on {what}, which the fit has not seen." if what else ""
+    lead = f"Judged on what the fit has not seen: {what}." if what else ""
     return Section(f"model-{i + 1}", f"Model {fit.label}", lead, tuple(blocks), folded=i > 0)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.report.blocks import Cell, Column, Table, cells
-from hil.report.documents import Document, as_float, as_objects
+from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.fit_facts import FitFacts
 from hil.report.words import UNKNOWN, criterion_text, joint_title, number, short_source
 
@@ -23,7 +23,7 @@ def comparison(fits: Sequence[FitFacts]) -> Table:
         Column("NRMSE", HELD_OUT),
         Column("RMSE raw", TRAINED),
         Column("RMSE filtered", TRAINED),
-        Column("noise floor"),
+        Column(fits[0].fast_part if _alike(fits) else "high-frequency part", "measured signal"),
         Column("fit time [s]"),
         Column("verdict", number=False),
     )
@@ -43,7 +43,7 @@ def per_joint(fit: FitFacts) -> Table:
     held, relative, trained = f"held out [{fit.unit}]", "held out", f"trained on [{fit.unit}]"
     columns = (
         Column("joint", number=False),
-        *(Column(title, held) for title in ("RMSE raw", "RMSE filtered", "noise floor")),
+        *(Column(title, held) for title in ("RMSE raw", "RMSE filtered", fit.fast_part)),
         *(Column(title, relative) for title in ("NRMSE", "R", "MEP [%]")),
         *(Column(title, trained) for title in ("RMSE raw", "RMSE filtered")),
         *(Column(title, "criteria, held out") for title in limits),
@@ -73,6 +73,22 @@ def per_joint(fit: FitFacts) -> Table:
     return table.without_empty_columns()
 
 
+def parts(fit: FitFacts) -> Table | None:
+    """Where load and motion are both new, or only one of them; None when no such parts are kept."""
+    if not fit.beside:
+        return None
+    columns = (
+        Column("held out", number=False),
+        Column("samples"),
+        Column(f"RMSE raw [{fit.unit}]"),
+        Column(f"RMSE filtered [{fit.unit}]"),
+    )
+    rows = [_part_row("new load, new motion: judged", fit.total())]
+    rows += [_part_row(str(part.get("what")), as_object(part.get("total"))) for part in fit.beside]
+    caption = f"{fit.label}: new loads and new motions apart, means over the joints"
+    return Table(caption, columns, tuple(rows))
+
+
 def per_group(fit: FitFacts) -> Table | None:
     """Held-out means per source, trajectory, load, …, where there is more than one of a kind."""
     groups = [g for g in as_objects(fit.held_out.get("tables")) if g.get("samples")]
@@ -88,6 +104,10 @@ def per_group(fit: FitFacts) -> Table | None:
     )
     rows = tuple(_group_row(group) for group in several)
     return Table(f"{fit.label}: held-out errors by group, means over the joints", columns, rows)
+
+
+def _alike(fits: Sequence[FitFacts]) -> bool:
+    return len({fit.fast_part for fit in fits}) == 1
 
 
 def _said(metric: str, value: float) -> str:
@@ -134,7 +154,11 @@ def _limit_cell(row: Document | None) -> Cell:
 
 
 def _group_row(group: Document) -> tuple[Cell, ...]:
-    name, samples = short_source(str(group.get("name"))), as_float(group.get("samples"))
-    means = (as_float(group.get(key)) for key in ("mean_raw", "mean_filtered"))
+    return (Cell(str(group.get("by"))), *_part_row(short_source(str(group.get("name"))), group))
+
+
+def _part_row(name: str, errors: Document) -> tuple[Cell, ...]:
+    samples = as_float(errors.get("samples"))
+    means = (as_float(errors.get(key)) for key in ("mean_raw", "mean_filtered"))
     shown = str(int(samples)) if np.isfinite(samples) else UNKNOWN
-    return cells(str(group.get("by")), name, shown, *(number(mean) for mean in means))
+    return cells(name, shown, *(number(mean) for mean in means))

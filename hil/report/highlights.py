@@ -10,6 +10,7 @@ from hil.report.blocks import KeyFigure, Mark
 from hil.report.documents import as_float, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
+from hil.report.judgement import failed_fits, nrmse_warning
 from hil.report.recording import Drift, Recording
 from hil.report.words import count, duration, listed, number
 from hil.robot import Status
@@ -48,9 +49,10 @@ def fit_highlights(fit: FitFacts) -> list[KeyFigure]:
         )
         for signal in ("raw", "filtered")
     ]
-    floor = fit.mean("noise_floor")
-    if np.isfinite(floor):
-        out.append(KeyFigure("noise floor", f"{number(floor)} {fit.unit}", "lowest RMSE raw"))
+    fast = fit.mean("noise_floor")
+    if np.isfinite(fast):
+        note = "RMS of the measured signal, mean of joints"
+        out.append(KeyFigure(fit.fast_part, f"{number(fast)} {fit.unit}", note))
     return out
 
 
@@ -67,7 +69,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     if poses := facts.unsettled:
         which = listed([str(pose) for pose in poses], 12)
         out.append(f"{len(poses)} dwell(s) did not settle before the time-out: poses {which}.")
-    return out + _waived(facts) + fit_warnings(facts.fits)
+    return out + _waived(facts) + failed_fits(facts) + fit_warnings(facts.fits)
 
 
 def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
@@ -76,6 +78,7 @@ def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
     named = {fit.name: fit.protocol for fit in fits if not fit.is_honest}
     out += [f"{name} is no prediction and is not judged; {why}." for name, why in named.items()]
     for fit in fits:
+        out += filter(None, [nrmse_warning(fit)])
         coverage = as_float(fit.held_out.get("coverage"))
         if coverage < WHOLE:
             share = number(100 * coverage)

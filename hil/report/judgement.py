@@ -6,10 +6,13 @@ import math
 from collections.abc import Sequence
 
 from hil.report.blocks import Badge, Mark
-from hil.report.documents import Document, as_float, as_objects
+from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
 from hil.report.words import criterion_text, listed, number, quantity, with_unit
+
+NO_SIGNAL = 0.9
+"""NRMSE on the training data from which a joint counts as one without signal."""
 
 ENDINGS: dict[str, tuple[str, Mark]] = {
     "interrupted": ("INTERRUPTED", "warn"),
@@ -55,15 +58,50 @@ def next_command(facts: RunFacts, run: str) -> str:
 def fit_sentence(fit: FitFacts) -> str:
     """How good one model is on what it has not seen."""
     what = fit.held_out.get("what")
-    error, noise = fit.mean("rmse_raw"), fit.mean("noise_floor")
+    error, fast = fit.mean("rmse_raw"), fit.mean("noise_floor")
     text = (
         f"On held-out data{f' ({what})' if what else ''} the model {fit.name} predicts the "
         f"{quantity(fit.unit)} with an error of {number(error)} {fit.unit} "
         f"(RMSE, mean of {len(fit.joint_names)} joints)"
     )
-    if math.isfinite(noise):
-        text += f"; measurement noise alone accounts for {number(noise)} {fit.unit}"
+    if math.isfinite(fast):
+        text += f"; the measured signal's {fit.fast_part} is {number(fast)} {fit.unit} (RMS)"
     return text + "."
+
+
+def verdict_words(facts: RunFacts) -> str:
+    """`recording passed, model not judged`; empty when nothing has been judged yet."""
+    if not facts.verdict:
+        return ""
+    said = [f"{part} {_word_of(facts.verdict, part)}" for part in ("recording", "model")]
+    return ", ".join(said)
+
+
+def failed_fits(facts: RunFacts) -> list[str]:
+    """The models of the spec that are missing, why, and what to do."""
+    return [
+        f"{problem.get('estimator') or 'No model'} could not be fitted and judged: "
+        + " → ".join(filter(None, (str(problem.get(key) or "") for key in ("error", "hint"))))
+        for problem in as_objects(facts.verdict.get("problems"))
+    ]
+
+
+def nrmse_warning(fit: FitFacts) -> str:
+    """That a limit on the mean NRMSE is about joints without signal too; empty if it is not.
+
+    A joint counts as such when the model does no better than a constant even on the data it was
+    fitted to: at rest, a joint whose axis is vertical carries no gravity at all.
+    """
+    limited = [r for r in fit.criteria if (r.get("metric"), r.get("per")) == ("nrmse", "mean")]
+    trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
+    silent = [name for name, value in trained if value >= NO_SIGNAL]
+    if not (limited and silent):
+        return ""
+    return (
+        f"{fit.label}: the limit on the mean NRMSE includes {listed(silent, 6)}, where a constant "
+        "does as well even on the training data: there is no signal to explain, and NRMSE is 1 "
+        "whatever the model is worth. Limit the RMSE instead (accept.rmse)."
+    )
 
 
 def criteria_sentence(rows: Sequence[Document]) -> str:
@@ -96,13 +134,28 @@ def _missed(rows: Sequence[Document]) -> str:
     return f"{text} ({model})" if model else text
 
 
+def _word_of(verdict: Document, part: str) -> str:
+    """The word of one part; from the rows where the verdict is of an older hil."""
+    told = as_object(verdict.get(part)).get("verdict")
+    rows = [
+        row
+        for row in as_objects(verdict.get("rows"))
+        if bool(row.get("estimator")) == (part == "model")
+    ]
+    found = all(row.get("passed") for row in rows) if rows else None
+    return str(told or VERDICTS[found][0].lower())
+
+
 def _models(facts: RunFacts) -> str:
     best = facts.judged_fits
     if not best:
         return ""
-    said = criteria_sentence(as_objects(facts.verdict.get("rows")))
+    rows = as_objects(facts.verdict.get("rows"))
+    said = criteria_sentence(rows)
     if not best[0].is_honest:  # honest ones come first
         said = f"It is not judged: {best[0].protocol}. {said}".strip()
+    elif rows and not any(row.get("estimator") for row in rows):
+        said = f"It is not judged: the spec sets no criterion for models. {said}"
     return f"{fit_sentence(best[0])} {said or 'The spec sets no acceptance criteria.'}"
 
 
@@ -114,9 +167,10 @@ def _without_model(facts: RunFacts) -> str:
     if wanted:
         return (
             f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
-            "fitting failed or has not been done."
+            f"{'fitting failed' if failed_fits(facts) else 'fitting has not been done'}."
         )
-    return f"{done} The spec asks for no model, so nothing was fitted."
+    said = criteria_sentence(as_objects(facts.verdict.get("rows")))
+    return f"{done} The spec asks for no model, so nothing was fitted. {said}".strip()
 
 
 def _ending(facts: RunFacts) -> str:

@@ -5,10 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from textwrap import wrap
 
+import numpy as np
+
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
-from hil.report.judgement import badge_of, next_command, sentence_of
+from hil.report.judgement import (
+    badge_of,
+    failed_fits,
+    next_command,
+    nrmse_warning,
+    sentence_of,
+    verdict_words,
+)
 from hil.report.words import criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
@@ -28,7 +37,8 @@ def summary_lines(run: Path) -> list[str]:
         lines += _labelled(label, value)
     for fit in facts.judged_fits:
         lines += ["", *_fit_lines(fit)]
-    for problem in facts.problems:
+    silent = filter(None, map(nrmse_warning, facts.judged_fits))
+    for problem in (*facts.problems, *failed_fits(facts), *silent):
         lines += ["", *wrap(f"Warning: {problem}", WIDTH)]
     commands = [next_command(facts, str(run)), "" if _report(facts) else f"hil report {run}"]
     return lines + [f"next: {command}" for command in commands if command]
@@ -48,6 +58,7 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("operator", str(start.get("operator") or "")),
         ("program", f"{facts.steps_done} of {len(facts.steps)} steps" if facts.steps else ""),
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
+        ("verdict", verdict_words(facts)),
         ("report", _report(facts)),
     ]
     if "samples" in stop:
@@ -76,10 +87,13 @@ def _fit_lines(fit: FitFacts) -> list[str]:
     columns.append(fit.values("rmse_raw", "trained"))
     means = [fit.mean(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
     means.append(fit.mean("rmse_raw", "trained"))
-    lines = wrap(f"{fit.label}: RMSE [{fit.unit}] on held-out data, raw on trained", WIDTH)
+    title = f"{fit.label}: RMSE [{fit.unit}] on held-out data, raw on trained"
+    if np.isfinite(means[2]):
+        title += f"; fast: the measured signal's {fit.fast_part}"
+    lines = wrap(title, WIDTH)
     if not fit.is_honest:
         lines += wrap(f"not judged; {fit.protocol}", WIDTH)
-    lines.append(_row("joint", ["raw", "filtered", "noise", "trained"]))
+    lines.append(_row("joint", ["raw", "filtered", "fast", "trained"]))
     for j, name in enumerate(fit.joint_names):
         lines.append(_row(joint_title(j, name), [number(values[j]) for values in columns]))
     lines.append(_row("mean", [number(mean) for mean in means]))

@@ -61,13 +61,13 @@ def markers(
     return trace | ({"text": [escape(item) for item in text]} if text else {})
 
 
-def noise_band(noise: float) -> list[dict[str, Any]]:
-    """A band of ± `noise` behind the data; nothing when the noise is not known."""
-    if not np.isfinite(noise):
+def band(half: float) -> list[dict[str, Any]]:
+    """A band of ± `half` behind the data; nothing when that is not known."""
+    if not np.isfinite(half):
         return []
-    band = {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -noise, "y1": noise}
+    shape = {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half}
     look = {"fillcolor": colours.LIMIT, "opacity": 0.25, "line": {"width": 0}, "layer": "below"}
-    return [band | look]
+    return [shape | look]
 
 
 def corner(text: str) -> list[dict[str, Any]]:
