@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -260,10 +262,24 @@ def test_truth_file_makes_the_same_robot_as_its_seed(tmp_path):
     [
         {"sead": 1},
         {"seed": "one"},
+        {"seed": True},
         {"block": 0},
         {"substep_hz": 1500},
+        {"substep_hz": 1e6},
+        {"rate_hz": 0},
+        {"rate_hz": "fast"},
+        {"temperature_c": float("nan")},
+        {"truth_file": 5},
+        {"mount": 5},
+        {"mount": ["down", 0, 0]},
         {"profile": "fast"},
         {"mounted_payload": {"mass": 1}},
+        {"mounted_payload": {"mass_kg": "heavy"}},
+        {"mounted_payload": {"mass_kg": -1}},
+        {"mounted_payload": {"mass_kg": 1, "com_m": 5}},
+        {"mounted_payload": {"mass_kg": 1, "inertia_kgm2": [1, 2]}},
+        {"mounted_payload": [1, 2]},
+        {"start_q_deg": "upright"},
         {"start_q_deg": [0, 0]},
         {"start_q_deg": [400, 0, 0, 0, 0, 0]},
     ],
@@ -271,6 +287,27 @@ def test_truth_file_makes_the_same_robot_as_its_seed(tmp_path):
 def test_options_that_cannot_be_are_refused(options):
     with pytest.raises(SpecError):
         MockRobot("bench", **options)
+
+
+def test_an_option_that_cannot_be_is_named_with_what_would_be():
+    with pytest.raises(SpecError, match=r"mounted_payload\.com_m is 5") as error:
+        MockRobot("bench", mounted_payload={"mass_kg": 1, "com_m": 5})
+    assert "com_m (3)" in error.value.hint
+
+
+def test_no_block_is_so_long_that_stop_would_wait_for_it():
+    with pytest.raises(SpecError, match="block is 400000") as error:
+        MockRobot("bench", block=400_000)
+    assert "at most 125" in error.value.hint
+    mock = MockRobot("bench", block=125)
+    mock.connect()
+    mock.read()
+    reading = threading.Thread(target=lambda: [mock.read() for _ in range(3)])
+    reading.start()
+    began = time.perf_counter()
+    mock.stop()
+    assert time.perf_counter() - began < 0.5
+    reading.join()
 
 
 def in_a_fresh_process(code):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import sys
+from typing import Any
 
 import typer
 
 from hil.cli import bench, data, models, runs, specs, system
-from hil.errors import HilError, exit_code_of
+from hil.cli.streams import Stream, guard_streams
+from hil.errors import HilError, RecordingError, RobotConnectionError, exit_code_of
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "
@@ -32,15 +36,15 @@ for group in (specs, runs, models, data, system, bench):
 def main() -> None:
     """Entry point of the `hil` script."""
     _one_blas_thread()
+    out = guard_streams()
     try:
         app(prog_name="hil")
     except HilError as error:
-        _tell(error)
-        sys.exit(exit_code_of(error))
-    except BrokenPipeError:
-        # `hil runs | head`: the reader has gone, which is its right.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
+        sys.exit(_tell(error, out))
+    except OSError as error:
+        sys.exit(_tell(_named(error), out))
+    except SystemExit as ending:
+        sys.exit(_ended(ending, out))
 
 
 def _one_blas_thread() -> None:
@@ -49,16 +53,48 @@ def _one_blas_thread() -> None:
         os.environ.setdefault(variable, "1")
 
 
-def _tell(error: HilError) -> None:
-    kind = type(error).__name__
-    if "--json" in sys.argv:
-        told = {
-            "kind": kind,
-            "message": error.message,
-            "hint": error.hint,
-            "exit_code": exit_code_of(error),
-        }
-        typer.echo(json.dumps({"error": told}, ensure_ascii=False))
+def _tell(error: HilError, out: Stream | None) -> int:
+    kind, code = type(error).__name__, exit_code_of(error)
+    _print_error(out, kind, error.message, error.hint, code)
     typer.secho(f"{kind}: {error.message}", err=True, fg=typer.colors.RED)
     if error.hint:
         typer.echo(f"  next: {error.hint}", err=True)
+    return code
+
+
+def _named(error: OSError) -> HilError:
+    """What the system refused, as one of our errors; nearly always it is a file to be written."""
+    told = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
+    if isinstance(error, ConnectionError | TimeoutError):
+        return RobotConnectionError(told, hint="see whether the robot is on and can be reached")
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return RecordingError(told, hint="make room on the disk, or write to another place")
+    return RecordingError(told, hint="see whether the path exists and may be written to")
+
+
+def _ended(ending: SystemExit, out: Stream | None) -> int:
+    """The exit code of a command that typer has ended, with a document for whoever reads JSON."""
+    code, cause = ending.code, ending.__context__
+    if isinstance(cause, BrokenPipeError):  # not of our own streams, which bear it
+        return _tell(_named(cause), out)
+    if not isinstance(code, int):
+        return int(code is not None)
+    if code:
+        told = _told(cause) or ("interrupted" if code == exit_code_of(KeyboardInterrupt()) else "")
+        _print_error(out, type(cause).__name__, told, "hil COMMAND --help", code)
+    return code
+
+
+def _told(cause: BaseException | None) -> str:
+    """The text of a mistake in the command line itself."""
+    tell: Any = getattr(cause, "format_message", str)
+    return str(tell()) if cause is not None else ""
+
+
+def _print_error(out: Stream | None, kind: str, message: str, hint: str, code: int) -> None:
+    """The one document of a command that failed before it could print its own."""
+    if "--json" not in sys.argv or out is None or out.used:
+        return
+    told = {"kind": kind, "message": message, "hint": hint, "exit_code": code}
+    with contextlib.suppress(OSError):  # standard output may be what has failed
+        typer.echo(json.dumps({"error": told}, ensure_ascii=False))

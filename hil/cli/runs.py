@@ -17,7 +17,7 @@ from hil.cli.output import (
     print_json,
     print_table,
 )
-from hil.errors import HilError, PreflightFailed, Rejected, exit_code_of
+from hil.errors import DataError, HilError, PreflightFailed, Rejected, exit_code_of
 
 RunArgument = Annotated[Path, typer.Argument(help="Run directory.", show_default=False)]
 
@@ -36,20 +36,21 @@ def run(
     operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
     waive: Annotated[
         list[str] | None,
-        typer.Option("--waive", help="Accept a failed preflight check, as NAME=REASON; recorded."),
+        typer.Option(
+            "--waive", metavar="NAME=REASON", help="Accept a failed preflight check; recorded."
+        ),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
     from hil import api
+    from hil.campaign.driver_check import check_driver
     from hil.cli.progress import ProgressLines
 
     experiment = api.load(spec, station)
+    check_driver(experiment)
     if not json:
-        typer.echo(
-            experiment.title,
-            err=True,
-        )
+        typer.echo(experiment.title, err=True)
     report = api.run(
         experiment,
         runs=runs,
@@ -64,10 +65,8 @@ def run(
     if report.error is not None:
         _fail(report.error, json)
     if report.verdict == "rejected":
-        raise Rejected(
-            f"the model of {report.run} missed its acceptance criteria",
-            hint=f"hil show {report.run}",
-        )
+        missed = f"the model of {report.run} missed its acceptance criteria"
+        _fail(Rejected(missed, hint=f"hil show {report.run}"), json)
 
 
 def _waivers(texts: Iterable[str]) -> dict[str, str]:
@@ -117,11 +116,24 @@ def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
         )
 
 
-def show(run: RunArgument, json: JsonFlag = False) -> None:
+def show(
+    run: RunArgument,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Also compare every file with its checksum.")
+    ] = False,
+    json: JsonFlag = False,
+) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
     from hil import api
+    from hil.record.rundir import RunDirectory
 
+    problems = RunDirectory.open(run).verify() if verify else []
     if json:
-        print_json(api.describe_run(run))
+        print_json(api.describe_run(run) | ({"problems": problems} if verify else {}))
     else:
         _tell(run)
+    if problems:
+        hint = "take the run from a copy that is whole, or use what is left of it with care"
+        _fail(DataError(f"{run}: {'; '.join(problems)}", hint=hint), json)
+    if verify and not json:
+        typer.echo("every file is as the run left it")

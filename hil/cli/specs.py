@@ -28,8 +28,10 @@ def register(app: typer.Typer) -> None:
 def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = False) -> None:
     """Check a spec and its station; all problems at once, with file, line and column."""
     from hil import api
+    from hil.campaign.driver_check import check_driver
 
     experiment = api.load(spec, station)
+    check_driver(experiment)
     facts = {
         "spec": str(spec),
         "name": experiment.spec.name,
@@ -58,11 +60,13 @@ def plan(
 ) -> None:
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
     from hil import api
+    from hil.campaign.driver_check import check_driver
     from hil.plan.picture import plan_picture
     from hil.plan.preview import preview
     from hil.record.files import json_document, write_replacing
 
     experiment = api.load(spec, station)
+    check_driver(experiment)
     made = api.plan(experiment)
     shown = preview(made).to_dict()
     drawn = plan_picture(made, picture or Path(f"{experiment.spec.name}.plan.svg"))

@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
 
 def mock(
     name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
-    model: Annotated[str, typer.Option(help="Arm the mock stands for.")] = "ur5",
+    model: Annotated[str, typer.Option(help="Built-in arm the mock stands for.")] = "ur5",
     seed: Annotated[int, typer.Option(help="Which individual robot it is.")] = 0,
     profile: Annotated[str, typer.Option(help="`full` or `ideal` physics.")] = "full",
     truth: Annotated[

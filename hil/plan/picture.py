@@ -16,6 +16,7 @@ from hil.plan.picture_style import STYLE
 from hil.plan.plan import Plan
 from hil.plan.preview import preview
 from hil.plan.timeline import Span, Timeline, timeline_of
+from hil.record.files import write_replacing
 from hil.typing import FloatArray
 
 WIDTH, LEFT, RIGHT = 1200.0, 170.0, 1170.0
@@ -28,11 +29,14 @@ UNIT = {"deg": "°", "speed": "°/s", "acceleration": "°/s²"}
 
 
 def plan_picture(plan: Plan, path: Path) -> Path:
-    """Write the picture of `plan` to `path` (.svg) and return the path.
+    """Write the picture of `plan` to `path` (.svg), replacing an older one; return the path.
 
     From top to bottom: every joint over the whole plan with the measured positions marked, a close
     look at the first measurements, peak speed and acceleration against their limits, and where the
     flange is measured, from above and from the side.
+
+    Raises:
+        RecordingError: The file cannot be written.
     """
     timeline = timeline_of(plan)
     n = len(plan.joint_names)
@@ -50,7 +54,8 @@ def plan_picture(plan: Plan, path: Path) -> Path:
         _views(plan, timeline, y_bottom),
     ]
     frame = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": f"0 0 {WIDTH:g} {height:g}"}
-    path.write_text(svg.tag("svg", "\n".join(parts), role="img", **frame) + "\n", "utf-8")
+    picture = svg.tag("svg", "\n".join(parts), role="img", **frame) + "\n"
+    write_replacing(path, picture.encode())
     return path
 
 
@@ -63,12 +68,16 @@ def _heading(plan: Plan) -> str:
         f"{counts['reference']} reference dwells" if "reference" in counts else "",
         f"{facts.duration_s / 60:.1f} min",
         f"about {facts.recording_bytes / 1e6:.0f} MB",
-        f"condition number {facts.condition_number:.1f}",
+        _condition(facts.condition_number),
         f"plan {facts.hash[:12]}",
     ]
     return svg.text(30, 42, plan.name, class_="title") + svg.text(
         30, 66, " · ".join(filter(None, [plan.robot_model, *told])), class_="soft"
     )
+
+
+def _condition(number: float) -> str:
+    return f"condition number {number:.1f}" if np.isfinite(number) else "condition number infinite"
 
 
 def _overview(plan: Plan, timeline: Timeline, top: float) -> str:

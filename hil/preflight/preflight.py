@@ -36,7 +36,7 @@ BUILT_IN: dict[str, Check] = {
 }
 """In the order in which they are reported."""
 
-NEVER_WAIVED = frozenset({"fault", "rest", "pose", "first-move", "limits"})
+NEVER_WAIVED = frozenset({"identity", "fault", "rest", "pose", "first-move", "limits"})
 """Checks whose failure means that motion would be dangerous whoever says otherwise."""
 
 

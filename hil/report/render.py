@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
-from uuid import uuid4
 
+from hil.record.files import write_replacing
 from hil.report import colours
 from hil.report.blocks import Page, Section
 from hil.report.encode import figure_json
@@ -36,13 +35,12 @@ def page_html(page: Page) -> str:
 
 
 def write_page(page: Page, path: Path) -> Path:
-    """Write the page to `path`, whole or not at all; an older report there is replaced."""
-    partial = path.with_name(f".{path.name}.{uuid4().hex[:8]}.partial")
-    try:
-        partial.write_text(page_html(page), "utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    """Write the page to `path`, whole or not at all; an older report there is replaced.
+
+    Raises:
+        RecordingError: The file cannot be written.
+    """
+    write_replacing(path, page_html(page).encode())
     return path
 
 

@@ -22,6 +22,7 @@ from hil_mock_robot.options import (
     mounted_of,
     options_of,
     require_same_mount,
+    require_short_block,
     start_of,
     truth_of,
 )
@@ -69,6 +70,7 @@ class MockRobot:
         self._arm = published(self._truth.arm)
         self._rate = self._options.rate_hz or self._arm.rate_hz
         timing_of(self._rate, self._options.substep_hz)
+        require_short_block(self._options, self._rate)
         self._motion = Motion(self.limits, self._rate, start_of(self._arm, self._options))
         self._sensors = Sensors(self._truth)
         self._declared = Payload()

@@ -12,7 +12,7 @@ class EmbeddedMock:
     """A robot inside the process that uses it; needs no server, no ports and no wall time."""
 
     name = "embedded"
-    description = "UR5 or lab6 in this process on a virtual clock (station: driver: mock)"
+    description = "any built-in arm, in this process, on a virtual clock (station: driver: mock)"
 
     def write_truth(
         self, path: Path | str, model: str = "ur5", seed: int = 0, profile: Profile = "full"
@@ -21,5 +21,6 @@ class EmbeddedMock:
 
         Raises:
             SpecError: There is no such arm or profile.
+            RecordingError: The file cannot be written.
         """
         return draw_truth(model, seed, profile).to_json(path)

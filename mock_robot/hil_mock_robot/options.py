@@ -26,6 +26,19 @@ MOUNTS = {
 }
 """Gravity in the base frame [m/s²] by the name of the mount."""
 
+MOST_BLOCK_S = 1.0
+"""Simulated time of a block at most: `stop` waits for the block that is being computed."""
+
+MOST_SUBSTEP_HZ = 16_000.0
+"""At which a block of one second still takes less than the 0.1 s that `stop` may."""
+
+RANGES = {
+    "substep_hz": (1000.0, MOST_SUBSTEP_HZ),
+    "rate_hz": (1.0, 1000.0),
+    "temperature_c": (-50.0, 100.0),
+}
+"""Least and most of the options that are numbers."""
+
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -33,9 +46,9 @@ class Options:
 
     Attributes:
         seed, profile: Which robot is drawn; see `draw_truth`.
-        substep_hz: Integration steps per second, a multiple of 1000.
+        substep_hz: Integration steps per second, a multiple of 1000, at most 16,000.
         rate_hz: Samples per second; the arm's own when None.
-        block: Samples that one `read` computes at most.
+        block: Samples that one `read` computes at most; no more than a second's.
         truth_file: A truth written earlier, in place of `seed` and `profile`.
         start_q_deg: Pose in which the robot is switched on.
         temperature_c: Joint temperature at that moment; the room's when None.
@@ -71,17 +84,29 @@ def options_of(given: Mapping[str, Any]) -> Options:
             hint=f"its options are {', '.join(known)}",
         )
     options = Options(**given)
-    for name, least in (("seed", 0), ("block", 1)):
+    for name, first in (("seed", 0), ("block", 1)):
         value = getattr(options, name)
-        if not isinstance(value, int) or value < least:
-            raise SpecError(
-                f"mock option {name} is {value!r}", hint=f"use a whole number from {least} up"
-            )
-    for name in ("substep_hz", "rate_hz", "temperature_c"):
+        if not isinstance(value, int) or isinstance(value, bool) or value < first:
+            raise _wrong(name, value, f"use a whole number from {first} up")
+    for name, (least, most) in RANGES.items():
         value = getattr(options, name)
-        if value is not None and not isinstance(value, int | float):
-            raise SpecError(f"mock option {name} is {value!r}", hint="use a number")
+        if value is not None and not (_numbers([value], 1) and least <= value <= most):
+            raise _wrong(name, value, f"use a number from {least:g} to {most:g}")
+    if not isinstance(options.truth_file, str | None):
+        raise _wrong("truth_file", options.truth_file, "give the path of a file")
     return options
+
+
+def require_short_block(options: Options, rate_hz: float) -> None:
+    """Refuse blocks so long that `stop` would have to wait for one.
+
+    Raises:
+        SpecError: `block` is more than a second of samples.
+    """
+    most = max(1, int(MOST_BLOCK_S * rate_hz))
+    if options.block > most:
+        hint = f"use at most {most}, one second at {rate_hz:g} Hz: stop() waits for a block"
+        raise _wrong("block", options.block, hint)
 
 
 def truth_of(model: str, options: Options) -> Truth:
@@ -110,13 +135,14 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
     """
     upright = UPRIGHT_DEG.get(arm.name[:2], (0.0,) * arm.n_joints)
     degrees = upright if options.start_q_deg is None else options.start_q_deg
-    q = np.radians(np.asarray(degrees, dtype=np.float64))
-    if q.shape != (arm.n_joints,) or (q < arm.q_min).any() or (q > arm.q_max).any():
+    numbers = _numbers(degrees, arm.n_joints)
+    q = np.radians(np.array(numbers or [np.nan]))
+    if not ((q >= arm.q_min) & (q <= arm.q_max)).all():
         raise SpecError(
-            f"start_q_deg {list(degrees)} is no pose of the {arm.name}",
+            f"start_q_deg {degrees!r} is no pose of the {arm.name}",
             hint=f"give {arm.n_joints} angles inside its limits",
         )
-    return q
+    return np.asarray(q)
 
 
 def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
@@ -127,12 +153,13 @@ def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
     """
     if isinstance(mount, str) and mount in MOUNTS:
         return MOUNTS[mount]
-    if isinstance(mount, str) or len(mount) != 3:
+    gravity = _numbers(mount, 3)
+    if gravity is None:
         raise SpecError(
             f"mount {mount!r} is unknown",
             hint=f"use one of {', '.join(MOUNTS)}, or gravity in the base frame [m/s²]",
         )
-    x, y, z = (float(value) for value in mount)
+    x, y, z = gravity
     return x, y, z
 
 
@@ -171,15 +198,28 @@ def mounted_of(options: Options) -> Payload | None:
     given = options.mounted_payload
     if given is None or isinstance(given, Payload):
         return given
-    unknown = set(given) - {"mass_kg", "com_m", "inertia_kgm2"}
-    if unknown or "mass_kg" not in given:
-        raise SpecError(
-            f"mounted_payload {dict(given)} cannot be read",
-            hint="give mass_kg, and com_m and inertia_kgm2 if they are not zero",
-        )
-    zero = Payload()
-    return Payload(
-        float(given["mass_kg"]),
-        tuple(given.get("com_m", zero.com)),
-        tuple(given.get("inertia_kgm2", zero.inertia)),
-    )
+    parts = {"mass_kg": [0.0], "com_m": Payload().com, "inertia_kgm2": Payload().inertia}
+    hint = "give mass_kg ≥ 0, and com_m (3) and inertia_kgm2 (6) if they are not zero"
+    if not isinstance(given, Mapping) or "mass_kg" not in given or set(given) - set(parts):
+        raise _wrong("mounted_payload", given, hint)
+    read: dict[str, Any] = {}
+    for key, zero in parts.items():
+        value = [given[key]] if key == "mass_kg" else given.get(key, zero)
+        read[key] = _numbers(value, len(zero))
+        if read[key] is None or (key == "mass_kg" and read[key][0] < 0):
+            raise _wrong(f"mounted_payload.{key}", given[key], hint)
+    return Payload(read["mass_kg"][0], read["com_m"], read["inertia_kgm2"])
+
+
+def _numbers(value: Any, n: int) -> tuple[float, ...] | None:
+    """`value` as n finite numbers, None when it is anything else."""
+    if isinstance(value, str | Mapping) or not isinstance(value, Sequence | np.ndarray):
+        return None
+    if any(isinstance(v, bool) or not isinstance(v, int | float | np.number) for v in value):
+        return None
+    numbers = tuple(float(v) for v in value)
+    return numbers if len(numbers) == n and np.isfinite(numbers).all() else None
+
+
+def _wrong(name: str, value: object, hint: str) -> SpecError:
+    return SpecError(f"mock option {name} is {value!r}", hint=hint)

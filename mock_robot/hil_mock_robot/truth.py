@@ -6,7 +6,6 @@ Nothing in `hil` can read this. It is written to a file only to score what was i
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -186,12 +185,15 @@ class Truth:
     schema: int = SCHEMA
 
     def to_json(self, path: Path | str) -> Path:
-        """Write the truth to `path`, whole or not at all; returns the path."""
-        target = Path(path)
-        partial = target.with_name(target.name + ".partial")
-        partial.write_text(json.dumps(asdict(self), indent=1) + "\n", "utf-8")
-        os.replace(partial, target)
-        return target
+        """Write the truth to `path`, whole or not at all; returns the path.
+
+        Raises:
+            RecordingError: The file cannot be written.
+        """
+        from hil.record.files import write_replacing
+
+        write_replacing(Path(path), (json.dumps(asdict(self), indent=1) + "\n").encode())
+        return Path(path)
 
     @staticmethod
     def from_json(path: Path | str) -> Truth:

@@ -1,0 +1,31 @@
+"""Does the driver accept what the station says about its robot? Asked before anything connects."""
+
+from __future__ import annotations
+
+from hil.campaign.experiment import Experiment
+from hil.errors import SpecError
+
+
+def check_driver(experiment: Experiment) -> None:
+    """Construct the robot's driver, and nothing more: no connection, no motion.
+
+    Raises:
+        SpecError: The driver refuses its options; the message names the station's file and robot.
+        PluginError: There is no such driver, or it does not load.
+    """
+    from hil.campaign.robots import open_robot
+
+    name = experiment.spec.robot
+    place = f"{experiment.station_source}: robots.{name}"
+    try:
+        open_robot(name, experiment.robot)
+    except SpecError as error:
+        raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
+    except (TypeError, ValueError) as error:
+        # What Python itself says when a constructor is called with an option it does not have.
+        given = ", ".join(experiment.robot.options) or "none"
+        raise SpecError(
+            f"{place}: the driver {experiment.robot.driver!r} does not accept its options "
+            f"({given}): {error}",
+            hint="see the driver's documentation for its options",
+        ) from error
