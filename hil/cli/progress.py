@@ -51,13 +51,21 @@ class ProgressLines:
 
     @staticmethod
     def _text(event: Event) -> str:
-        done, total, wall = event["device_s"], event["duration_s"], event["wall_s"]
-        share = min(1.0, done / max(total, 1e-9))
+        step, steps = event["step"] + 1, event["steps"]
+        moved, wall = event["device_s"], event["wall_s"]
+        head = f"step {step}/{steps} {event['doing']:<10} {duration(moved)} of motion"
+        if step == steps:
+            return f"100 %  {head}{_speed(moved, wall)}, took {duration(wall)}"
+        # Dwells may take longer than planned: before its end no run is done.
+        share = min(0.99, moved / max(event["duration_s"], 1e-9))
         # A virtual clock needs a moment to show its speed; before that the plan's own time stands.
-        speed = done / wall if wall > SPEED_KNOWN_AFTER_S else 1.0
-        fast = f" ({speed:.0f}× real time)" if speed > FASTER_THAN_REAL else ""
-        left = max(0.0, total - done) / max(speed, 1e-9)
-        return (
-            f"{100 * share:3.0f} %  step {event['step'] + 1}/{event['steps']} {event['doing']:<10} "
-            f"{duration(done)} of motion{fast}, {duration(left)} left"
-        )
+        pace = moved / wall if wall > SPEED_KNOWN_AFTER_S else 1.0
+        left = max(0.0, event["duration_s"] - moved) / max(pace, 1e-9)
+        return f"{100 * share:3.0f} %  {head}{_speed(moved, wall)}, {duration(left)} left"
+
+
+def _speed(moved_s: float, wall_s: float) -> str:
+    """How much faster than real time, once that can be said."""
+    if wall_s <= SPEED_KNOWN_AFTER_S or moved_s <= FASTER_THAN_REAL * wall_s:
+        return ""
+    return f" ({moved_s / wall_s:.0f}× real time)"
