@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +39,13 @@ def done_run(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return document
 
 
+def station_with(folder: Path, options: str) -> Path:
+    station = folder / "bench.yaml"
+    robot = f"{{driver: mock, model: ur5, options: {options}}}"
+    station.write_text(f"hil_station: 1\nrobots:\n  ur5: {robot}\n", "utf-8")
+    return station
+
+
 def test_validate_says_what_the_spec_is() -> None:
     done = hil("validate", DWELL, "--json")
     assert done.returncode == 0
@@ -70,6 +78,37 @@ def test_plan_keeps_its_contract(tmp_path: Path) -> None:
     assert plan["waypoints"] == 12
     assert all(margin >= 0 for margin in plan["margins"].values())
     assert picture.read_text("utf-8").startswith("<svg")
+
+
+def test_a_plan_that_determines_nothing_is_still_shown(tmp_path: Path) -> None:
+    spec = tmp_path / "one.yaml"
+    motion, _, _ = DWELL.read_text("utf-8").partition("\nfit:")
+    spec.write_text(motion.replace("waypoints: 12", "waypoints: 1"), "utf-8")
+    done = hil("plan", spec, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "infinite" in done.stdout
+    picture = (tmp_path / "ci-dwell-12.plan.svg").read_text("utf-8")
+    assert "condition number infinite" in picture
+    shown = json.loads(hil("plan", spec, "--json", cwd=tmp_path).stdout)
+    assert shown["condition_number"] is None
+
+
+@pytest.mark.parametrize("verb", ["validate", "plan", "run"])
+def test_driver_options_are_checked_before_anything_connects(tmp_path: Path, verb: str) -> None:
+    station = station_with(tmp_path, "{mounted_payload: {mass_kg: heavy}}")
+    done = hil(verb, DWELL, "--station", station, cwd=tmp_path)
+    assert done.returncode == 2
+    assert f"{station}: robots.ur5: mock option mounted_payload.mass_kg is 'heavy'" in done.stderr
+    assert "mass_kg ≥ 0" in done.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_rate_that_is_not_the_robots_is_refused_before_motion(tmp_path: Path) -> None:
+    spec = tmp_path / "fast.yaml"
+    spec.write_text(DWELL.read_text("utf-8") + "\nrecord: {rate_hz: 500}\n", "utf-8")
+    done = hil("plan", spec, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "500 Hz, but the robot runs at 125 Hz" in done.stderr
 
 
 def test_plan_for_humans_fits_a_narrow_terminal(tmp_path: Path) -> None:
@@ -130,6 +169,16 @@ def test_a_rejected_model_exits_10(tmp_path: Path) -> None:
     assert "hil show" in done.stderr.splitlines()[-1]
 
 
+def test_a_rejected_run_prints_one_document(tmp_path: Path) -> None:
+    text = DWELL.read_text("utf-8").replace("accept:", "accept:\n  nrmse: {max: 0.001}")
+    spec = tmp_path / "strict.yaml"
+    spec.write_text(text, "utf-8")
+    done = hil("run", spec, "--runs", tmp_path, "--json")
+    assert done.returncode == 10
+    assert json.loads(done.stdout)["verdict"] == "rejected"
+    assert "Rejected" in done.stderr
+
+
 def test_a_tripped_run_exits_5_and_prints_one_document(tmp_path: Path) -> None:
     lock = "interlocks: [{kind: tracking_error, limit_rad: 0.0005}]"
     spec = tmp_path / "tight.yaml"
@@ -168,10 +217,99 @@ def _running(runs: Path) -> bool:
     return any('"running"' in log.read_text("utf-8") for log in logs)
 
 
-def test_a_pipe_that_closes_is_no_error() -> None:
-    command = f"{sys.executable} -m hil schema | head -n 1"
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True)
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [("schema", 0), ("runs", 0), ("--help", 0), ("validate nowhere.yaml --json", 2)],
+)
+def test_a_reader_that_leaves_changes_nothing(arguments: str, code: int) -> None:
+    # Only the exit code of hil itself: `true` has closed the pipe before hil writes.
+    command = f'{sys.executable} -m hil {arguments} | true; exit "${{PIPESTATUS[0]}}"'
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
+    assert "BrokenPipe" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("arguments", ["schema", "runs", "runs --json"])
+def test_output_that_cannot_be_written_exits_7(arguments: str) -> None:
+    command = f"{sys.executable} -m hil {arguments} > /dev/full"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 7
+    assert "RecordingError: standard output: No space left on device" in done.stderr
+    assert "next: make room" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_mistakes_of_the_command_line_are_json_too() -> None:
+    done = hil("runs", "--jsn", "--json")
+    assert done.returncode == 2
+    assert "--jsn" in json.loads(done.stdout)["error"]["message"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("plan", DWELL, "--picture", "/nonexistent/p.svg"),
+        ("plan", DWELL, "-o", "/nonexistent/plan.json"),
+        ("mock", "embedded", "--truth", "/nonexistent/truth.json"),
+        ("mock", "embedded", "--truth", "."),
+    ],
+)
+def test_what_cannot_be_written_is_one_line_and_exit_7(arguments: Any, tmp_path: Path) -> None:
+    done = hil(*arguments, "--json", cwd=tmp_path)
+    assert done.returncode == 7
+    error = json.loads(done.stdout)["error"]
+    assert error["kind"] == "RecordingError"
+    assert str(arguments[-1]) in error["message"]
+    assert error["hint"]
+    assert "Traceback" not in done.stderr
+    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".partial", ".draft")]
+
+
+def test_a_model_or_report_that_cannot_be_written_exits_7(
+    done_run: dict[str, Any], tmp_path: Path
+) -> None:
+    run = Path(done_run["run"])
+    occupied = tmp_path / "file"
+    occupied.touch()
+    fitted = hil("fit", run, "-e", "static-wls", "-o", occupied / "models", "--json")
+    assert fitted.returncode == 7
+    assert str(occupied) in json.loads(fitted.stdout)["error"]["message"]
+    copy = shutil.copytree(run, tmp_path / "copy")
+    (copy / "report.html").unlink()
+    (copy / "report.html").mkdir()
+    report = hil("report", copy)
+    assert report.returncode == 7
+    assert "report.html" in report.stderr
+    assert "Traceback" not in fitted.stderr + report.stderr
+
+
+def test_a_file_is_no_folder_of_runs_but_a_missing_folder_holds_none(tmp_path: Path) -> None:
+    refused = hil("runs", "--runs", DWELL)
+    assert refused.returncode == 8
+    assert "next: give the folder" in refused.stderr
+    empty = hil("runs", "--runs", tmp_path / "later")
+    assert empty.returncode == 0
+    assert "hil run SPEC" in empty.stdout
+
+
+def test_show_verify_tells_changed_and_missing_files(
+    done_run: dict[str, Any], tmp_path: Path
+) -> None:
+    whole = hil("show", done_run["run"], "--verify")
+    assert whole.returncode == 0, whole.stderr
+    assert "every file is as the run left it" in whole.stdout
+    copy = shutil.copytree(done_run["run"], tmp_path / "copy")
+    (copy / "plan.json").write_text("{}")
+    (copy / "station.yaml").unlink()
+    assert hil("show", copy).returncode == 0
+    told = hil("show", copy, "--verify", "--json")
+    assert told.returncode == 8
+    assert sorted(json.loads(told.stdout)["problems"]) == [
+        "plan.json has changed since the run ended",
+        "station.yaml is missing",
+    ]
 
 
 def test_the_mock_writes_its_truth(tmp_path: Path) -> None:
@@ -190,6 +328,17 @@ def test_doctor_and_plugins_answer() -> None:
 
 def test_help_lists_the_exit_codes() -> None:
     assert "Exit codes" in hil("--help").stdout
+
+
+def test_help_fits_a_narrow_terminal_and_is_plain_in_a_pipe() -> None:
+    shown = hil("run", "--help", COLUMNS="60").stdout
+    assert "--waive" in shown
+    assert max(map(len, shown.splitlines())) <= 60
+    assert "\x1b" not in shown
+
+
+def test_every_mock_arm_is_built_in() -> None:
+    assert "any built-in arm" in hil("mock").stdout
 
 
 def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:

@@ -289,6 +289,13 @@ def test_limits_beyond_the_robots_are_all_told_with_figures() -> None:
     ]
 
 
+def test_a_rate_that_is_not_the_robots_is_refused_with_both() -> None:
+    spec = spec_of(record={"rate_hz": 500})
+    with pytest.raises(SpecError, match=r"record\.rate_hz: 500 Hz.* runs at 125 Hz"):
+        build_plan(spec, ur5())
+    assert build_plan(spec, ur5(), rate_hz=500.0).rate_hz == 500
+
+
 def test_too_few_ranges_are_told() -> None:
     with pytest.raises(SpecError, match="2 ranges, but the ur5 has 6 joints"):
         plan_of(excitation={"kind": "dwell", "range_deg": [[-90, 90]] * 2})

@@ -130,9 +130,43 @@ def test_a_hanging_git_does_not_hold_up_a_run(
     assert time.perf_counter() - began < 2.0
 
 
+def repository_with(directory: Path, file: str) -> str:
+    """Make `directory` a repository that tracks `file`; returns its commit."""
+    git(directory, "init", "-q")
+    (directory / file).write_text("1")
+    git(directory, "add", "-f", file)
+    git(directory, "commit", "-qm", "one")
+    return git(directory, "rev-parse", "HEAD")
+
+
+def test_the_revision_of_hil_and_that_of_the_spec_are_recorded_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, specs = tmp_path / "hil", tmp_path / "specs"
+    source.mkdir()
+    specs.mkdir()
+    commits = repository_with(source, "__init__.py"), repository_with(specs, "spec.yaml")
+    monkeypatch.setattr(provenance, "_PACKAGE", source)
+    document = collect_provenance(specs)
+    assert (document["git"]["sha"], document["spec_git"]["sha"]) == commits
+
+
+def test_the_repository_around_an_installed_hil_is_not_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    repository_with(tmp_path, "thesis.tex")
+    installed = tmp_path / "venv" / "hil"
+    installed.mkdir(parents=True)
+    (installed / "__init__.py").touch()
+    monkeypatch.setattr(provenance, "_PACKAGE", installed)
+    monkeypatch.chdir(tmp_path)
+    assert collect_provenance(tmp_path)["git"] is None
+    assert collect_provenance(tmp_path)["spec_git"] is not None
+
+
 def test_provenance_says_who_what_where_and_with_which_packages(tmp_path: Path) -> None:
     document = collect_provenance(tmp_path)
-    assert document["git"] is None
+    assert document["spec_git"] is None
     assert uuid.UUID(document["uid"]).version == 4
     assert document["uid"] != collect_provenance(tmp_path)["uid"]
     age = datetime.now(UTC) - datetime.fromisoformat(document["started"])

@@ -54,9 +54,9 @@ def build_plan(
         PluginError: The excitation is missing or does not load.
     """
     arm = _arm(station_robot)
-    if problems := excesses(spec, arm):
-        raise SpecError("\n".join(problems), hint="lower these values, or take another robot")
-    rate = spec.record.rate_hz or rate_hz or arm.rate_hz
+    rate = rate_hz or arm.rate_hz
+    if problems := excesses(spec, arm, rate):
+        raise SpecError("\n".join(problems), hint="change these values, or take another robot")
     workspace = _workspace(spec, station_robot, arm, rate)
     roadmap = Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
     start = roadmap.home if start_q is None else _checked_start(np.asarray(start_q), roadmap)

@@ -13,9 +13,16 @@ from hil.typing import FloatArray
 TOLERANCE = 1e-9
 
 
-def excesses(spec: ExperimentSpec, arm: ArmDescription) -> list[str]:
-    """One line per value of `spec` beyond the limits of `arm`, beginning with its key."""
+def excesses(spec: ExperimentSpec, arm: ArmDescription, robot_hz: float) -> list[str]:
+    """One line per value of `spec` that the robot cannot do, beginning with its key.
+
+    Args:
+        spec: What is asked.
+        arm: The limits.
+        robot_hz: Rate at which the robot takes set-points and reports its state.
+    """
     return [
+        *_other_rate(spec, robot_hz),
         *_too_fast(spec.excitation, arm),
         *_beyond_range(spec.excitation, arm),
         *_reference(spec, arm),
@@ -34,6 +41,15 @@ def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatA
         return arm.excite_min, arm.excite_max
     low, high = np.radians(np.array(excitation.range_deg)).T
     return low, high
+
+
+def _other_rate(spec: ExperimentSpec, robot_hz: float) -> Iterator[str]:
+    asked = spec.record.rate_hz
+    if asked is not None and abs(asked - robot_hz) > 1e-6 * robot_hz:
+        yield (
+            f"record.rate_hz: {asked:g} Hz, but the robot runs at {robot_hz:g} Hz: "
+            "leave it out, or set the rate in the station's options"
+        )
 
 
 def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]:

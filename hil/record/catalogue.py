@@ -35,7 +35,16 @@ class RunListing:
 
 
 def list_runs(runs_root: Path) -> list[RunListing]:
-    """Every run under `runs_root`, by number; damaged directories are listed as such."""
+    """Every run under `runs_root`, by number; damaged directories are listed as such.
+
+    Raises:
+        DataError: `runs_root` is a file. A folder that does not exist holds no runs.
+    """
+    if runs_root.exists() and not runs_root.is_dir():
+        raise DataError(
+            f"{runs_root} is not a folder of runs but a file",
+            hint="give the folder that holds them: --runs DIR",
+        )
     listings = [
         _listing(path)
         for path in run_folders(runs_root)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -43,14 +44,15 @@ def write_replacing(path: Path, content: bytes) -> None:
     """Write a view (a report, a plan on request), replacing an older one whole.
 
     Raises:
-        RecordingError: The disk refuses; an older file is still there then.
+        RecordingError: The disk refuses, or `path` is a folder; what was there is still there then.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
     try:
         draft.write_bytes(content)
         draft.replace(path)
     except OSError as error:
-        draft.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where nothing can be written, nothing was
+            draft.unlink()
         raise RecordingError(
             f"cannot write {path}: {error.strerror or error}", hint="choose another place for it"
         ) from error

@@ -15,13 +15,17 @@ from pathlib import Path
 from typing import Any
 
 _GIT_TIMEOUT_S = 2.0
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 
-def collect_provenance(directory: Path | None = None) -> dict[str, Any]:
+def collect_provenance(spec_folder: Path | None = None) -> dict[str, Any]:
     """What `start.json` says about the circumstances.
 
+    `git` is the revision of hil itself where it runs from a checkout (its version is among
+    `packages`), `spec_git` that of the repository in which the spec is kept.
+
     Args:
-        directory: Where the person works; its git repository is recorded, if it is in one.
+        spec_folder: Where the spec is.
     """
     return {
         "uid": str(uuid.uuid4()),
@@ -32,7 +36,8 @@ def collect_provenance(directory: Path | None = None) -> dict[str, Any]:
         "platform": platform.platform(),
         "python": platform.python_version(),
         "packages": package_versions(),
-        "git": git_state(directory or Path.cwd()),
+        "git": source_revision(),
+        "spec_git": git_state(spec_folder) if spec_folder else None,
     }
 
 
@@ -50,6 +55,13 @@ def package_versions() -> dict[str, str]:
     names = {name[0] for line in requirements if (name := re.match(r"[\w.-]+", line))}
     versions = {name: _version(name) for name in sorted({"hil"} | names)}
     return {name: version for name, version in versions.items() if version}
+
+
+def source_revision() -> dict[str, Any] | None:
+    """`git_state` of the checkout hil runs from, None when it is installed from a wheel."""
+    # A virtual environment often lies in somebody else's repository: that one must track hil.
+    tracked = _git(_PACKAGE, "ls-files", "--error-unmatch", "__init__.py")
+    return git_state(_PACKAGE) if tracked else None
 
 
 def git_state(directory: Path) -> dict[str, Any] | None:
