@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.campaign.judging import hold_out
+from hil.campaign.parts import hold_out
 from hil.campaign.run import RunReport
 from hil.data.load import load_source
 from hil.errors import DataError
@@ -117,6 +117,31 @@ def test_a_model_that_misses_its_criteria_is_rejected(tmp_path: Path) -> None:
     assert [row["passed"] for row in verdict["rows"] if row["metric"] == "nrmse"] == [False]
 
 
+def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_path: Path) -> None:
+    text = (EXPERIMENTS / "ur5_fourier_loads.yaml").read_text("utf-8")
+    for old, new in (
+        ("trajectories: 12", "trajectories: 2"),
+        ("trajectories: 3,", "trajectories: 1,"),
+        ("duration_s: 60", "duration_s: 5"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    spec = tmp_path / "loads.yaml"
+    spec.write_text(text, "utf-8")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    assert report.error is None
+    assert (report.outcome, report.verdict) == ("completed", "passed")
+    document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
+    assert document["held_out"]["what"] == "load 1 and the last trajectory, both new"
+    assert len(document["held_out"]["series"]) == 1
+    assert [part["what"] for part in document["beside"]] == [
+        "new load, seen motion",
+        "new motion, seen load",
+    ]
+    page = (report.run / "report.html").read_text("utf-8")
+    assert "new loads and new motions apart" in page
+
+
 def test_a_run_that_trips_keeps_its_data_and_is_not_judged(tmp_path: Path) -> None:
     lock = "interlocks: [{kind: tracking_error, limit_rad: 0.0005}]"
     spec = changed_spec(tmp_path, "robot: ur5", f"robot: ur5\n{lock}")
@@ -130,7 +155,13 @@ def test_a_run_that_trips_keeps_its_data_and_is_not_judged(tmp_path: Path) -> No
 
 def test_the_mock_mounts_each_load_and_the_model_knows(tmp_path: Path) -> None:
     spec = changed_spec(tmp_path, "robot: ur5", "robot: ur5\nloads: [{mass_kg: 0}, {mass_kg: 2}]")
-    data = load_source(hil.run(hil.load(spec), runs=tmp_path).run).of_kind("dwell")
+    spec.write_text(spec.read_text("utf-8").replace("{poses_percent: 20}", "{loads: [1]}"), "utf-8")
+    report = hil.run(hil.load(spec), runs=tmp_path)
+    document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
+    assert report.error is None
+    assert document["held_out"]["what"] == "load 1, motions seen in training with other loads"
+    assert report.verdict == "passed"
+    data = load_source(report.run).of_kind("dwell")
     assert {(c.load, c.payload.mass) for c in data.conditions} == {(0, 0.0), (1, 2.0)}
     lift = {0: [], 1: []}  # type: dict[int, list[float]]
     for condition, rows in data.slices():

@@ -136,12 +136,52 @@ def test_without_criteria_the_model_is_not_called_good(fourier_page):
 
 def test_a_passed_verdict_names_what_was_passed(fourier, tmp_path):
     copy = shutil.copytree(fourier.path, tmp_path / "copy")
-    row = {"estimator": "", "metric": "gaps_percent", "what": "recording", "value": 0.0}
-    document = {"passed": True, "rows": [{**row, "max": 0.1, "unit": "%", "passed": True}]}
+    row = {"estimator": "rigid-wls", "metric": "rmse_raw", "what": "mean", "value": 0.1}
+    document = {"passed": True, "rows": [{**row, "max": 0.2, "unit": "A", "passed": True}]}
     (copy / "verdict.json").write_text(json.dumps(document))
     page = Page(render_report(copy).read_text())
     assert badge_of(page) == "PASSED"
-    assert "The criterion is met: missing samples ≤ 0.1 %." in page.text
+    assert "The criterion is met: RMSE raw ≤ 0.2 A." in page.text
+
+
+def test_the_part_above_the_cut_off_is_named_by_its_frequency_and_bounds_nothing(
+    fourier_page, dwell_page
+):
+    assert "part above 12.5 Hz" in fourier_page.text
+    assert "scatter within dwells" in dwell_page.text
+    for page in (fourier_page, dwell_page):
+        assert "noise floor" not in page.text
+        assert "no model can" not in page.text
+
+
+def test_gravity_and_stick_friction_are_told_apart(dwells, dwell_page):
+    rows = table_of(dwell_page, "gravity and stick friction apart")
+    measured = rows[-7:-1]
+    assert len(measured) == 6
+    for row in measured:
+        # The made-up effort holds ±0.1 A by approach, and noise that averages to little.
+        assert float(row[2]) == pytest.approx(0.1, abs=0.01)
+    document = evaluation_of(dwells)["held_out"]["total"]
+    for row, whole in zip(measured, document["rmse_filtered"], strict=True):
+        apart = np.hypot(float(row[1]), float(row[3]))
+        assert apart == pytest.approx(whole, rel=0.02)
+
+
+def test_a_run_that_was_renamed_still_finds_what_was_held_out(dwells, tmp_path):
+    copy = shutil.copytree(dwells.path, tmp_path / "renamed")
+    page = Page(render_report(copy).read_text())
+    assert "left out" not in page.text
+    assert table_of(page, "gravity and stick friction apart")
+
+
+def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tmp_path):
+    copy = shutil.copytree(dwells.path, tmp_path / "copy")
+    file = next(copy.glob("fit/*/evaluation.json"))
+    document = json.loads(file.read_text())
+    document["held_out"]["series"] = document["held_out"]["series"][:2]
+    file.write_text(json.dumps(document))
+    page = Page(render_report(copy).read_text())
+    assert any("1 held-out poses from both sides" in caption for caption in page.tables)
 
 
 def test_dwells_are_plotted_as_they_were_measured_from_both_sides(dwell_page):
