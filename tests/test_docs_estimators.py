@@ -1,0 +1,60 @@
+"""The page about estimators names every parameter with its default."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil import plugins
+from hil.data.filters import FilterSettings
+from hil.identify import estimator
+from hil.identify.base import GROUP, HONEST
+from hil.identify.static import PAPER_PROTOCOL
+from hil.spec.yaml_values import scalar
+
+PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "estimators.md").read_text("utf-8")
+OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]
+
+
+def defaults_on_page(title: str) -> dict[str, str]:
+    section = re.split(r"\n#", PAGE.split(f"\n{title}\n")[1])[0]
+    rows = re.findall(r"^\| `(\w+)` \| (.+?) \| .{10}", section, re.MULTILINE)
+    return {name: default.strip("`") for name, default in rows}
+
+
+def as_shown(default: Any) -> Any:
+    return default if default is not None else "none"
+
+
+def test_our_estimators_are_registered() -> None:
+    assert {"static-wls", "rigid-wls"} <= set(OURS)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_parameter_of_an_estimator_has_a_row_with_its_default(name: str) -> None:
+    parameters = inspect.signature(plugins.load(GROUP, name)).parameters
+    shown = defaults_on_page(f"## `{name}`")
+    assert list(shown) == list(parameters)
+    for key, parameter in parameters.items():
+        if parameter.default is not None:
+            assert scalar(shown[key]) == parameter.default
+
+
+def test_every_filter_setting_has_a_row_with_its_default() -> None:
+    shown = defaults_on_page("### `filters`")
+    fields = {name: as_shown(field.default) for name, field in FilterSettings.model_fields.items()}
+    assert {name: scalar(text) for name, text in shown.items()} == fields
+
+
+def test_protocol_labels_are_those_of_the_models() -> None:
+    section = PAGE.split("\n## Protocols")[1]
+    assert re.findall(r"^\| `(.+?)` \|", section, re.MULTILINE) == [HONEST, PAPER_PROTOCOL]
+
+
+def test_parameters_shown_in_the_example_are_accepted() -> None:
+    made = estimator("rigid-wls", sign_width=0.02, filters={"velocity": 0.1})
+    assert made.get_params()["filters"].velocity == 0.1
