@@ -102,10 +102,11 @@ def test_model_and_recording_pass_together(tmp_path: Path) -> None:
     assert words(run) == ("passed", "passed", "passed")
 
 
-def test_a_recording_is_judged_without_any_fit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("judge", [judge_run, judge_recording])
+def test_a_recording_is_judged_without_any_fit(tmp_path: Path, judge: Any) -> None:
     run = run_with(tmp_path, accept=GAPS)
     spec = load_spec(run.path / "spec.yaml", {"fit": "[]"})
-    assert judge_recording(run, spec, COUNTS | {"missing": 5}) is False
+    assert judge(run, spec, COUNTS | {"missing": 5}) is False
     assert words(run) == ("rejected", "rejected", "not judged")
 
 

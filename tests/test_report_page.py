@@ -10,8 +10,12 @@ from report_html import Page, array_of
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 
 from hil.campaign.judging import judge_run
-from hil.errors import DataError
+from hil.data.load import load_source
+from hil.errors import DataError, RecordingError
 from hil.report import render_fit_report, render_report
+from hil.report.facts import read_facts
+from hil.report.measured import measured
+from hil.report.recording import read_recording
 from hil.spec.load import load_spec
 
 HOSTILE = "\"><script>alert('x')</script><img src=http://evil.example/x onerror=alert(1)>"
@@ -174,6 +178,22 @@ def test_a_run_that_was_renamed_still_finds_what_was_held_out(dwells, tmp_path):
     assert table_of(page, "gravity and stick friction apart")
 
 
+def test_a_dwell_that_was_repeated_is_shown_as_it_was_judged(tmp_path):
+    plan = dwell_plan()
+    rows = rows_of_plan(plan)
+    again = rows[rows["segment"] >= len(plan) - 2].copy()  # the last dwell and the move there
+    again["effort"] += 5.0
+    again["device_time"] += rows["device_time"][-1] - again["device_time"][0] + 0.008
+    run = write_run(tmp_path, plan, rows=np.concatenate([rows, again]))
+    problems = []
+    facts = read_facts(run.path)
+    here = measured(facts, read_recording(facts, problems))
+    there = load_source(run.path).of_kind("dwell")
+    assert problems == []
+    assert [c.id for c in here.conditions] == [c.id for c in there.conditions]
+    np.testing.assert_array_equal(here["effort"], there["effort"])
+
+
 def test_the_plots_show_the_series_the_evaluation_names_and_no_others(dwells, tmp_path):
     copy = shutil.copytree(dwells.path, tmp_path / "copy")
     file = next(copy.glob("fit/*/evaluation.json"))
@@ -193,7 +213,6 @@ def test_dwells_are_plotted_as_they_were_measured_from_both_sides(dwell_page):
 
 def evaluation_of_rows():
     """Mean effort of J1 over the last ten rows of every held-out dwell from below."""
-    from hil.data.load import load_source  # the other way to the same samples
     from hil.data.splits import split
 
     plan, out = dwell_plan(), []
@@ -348,10 +367,10 @@ def test_the_page_is_a_function_of_the_directory_alone(dwells, monkeypatch):
 def test_a_report_that_cannot_be_made_leaves_the_older_one(dwells, monkeypatch):
     older = render_report(dwells.path).read_bytes()
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(RecordingError, match="disk full"):
         render_report(dwells.path)
     assert (dwells.path / "report.html").read_bytes() == older
-    assert not list(dwells.path.glob(".*partial"))
+    assert not list(dwells.path.glob(".*draft"))
 
 
 def test_a_full_size_run_stays_below_nine_megabytes(tmp_path):
@@ -377,7 +396,6 @@ def test_a_run_of_a_newer_hil_is_refused_and_gets_no_page(tmp_path):
 
 
 def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
-    from hil.data.load import load_source
     from hil.fitting import fit_sources
 
     found = fit_sources([fourier.path], estimator="rigid-wls", validate=[], out=tmp_path / "models")

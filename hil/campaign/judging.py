@@ -59,9 +59,11 @@ def judge_run(
         DataError, FitError: At least one model is missing; the message says of each why. The
             verdict on everything else has been written.
     """
+    if not spec.fit:
+        return judge_recording(directory, spec, counts)
     judged: list[Judged] = []
     problems: list[FailedFit] = []
-    data = _loaded(directory, problems) if spec.fit else None
+    data = _loaded(directory, problems)
     for fit in spec.fit if data is not None else ():
         assert data is not None
         try:

@@ -1,7 +1,7 @@
 """The measuring series of a run as a dataset, cut from rows that have been read already.
 
 `hil.data.load.load_source` gives the same series and all moves between them. For a long dwell
-program the moves are nearly all rows, and reading and cutting them again would take longer than
+program the moves are nearly all rows, and reading and assembling them again would take longer than
 the rest of the report.
 """
 
@@ -17,7 +17,7 @@ from hil.errors import DataError
 from hil.payload import Payload
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
-from hil.report.recording import Recording, rows_of_steps
+from hil.report.recording import Recording
 
 MEASURED = ("dwell", "trajectory")
 
@@ -33,7 +33,7 @@ def measured(facts: RunFacts, recording: Recording) -> Dataset:
     notes = {i: _note(facts.steps[i], loads, settled=i not in unsettled) for i in steps}
     latest: dict[int, list[Series]] = {}
     for attempt, rows in enumerate(recording.attempts):
-        pieces = cut(rows_of_steps(rows, steps), notes, attempt)
+        pieces = cut(rows, notes, attempt)
         # A later attempt replaces what an earlier one recorded of the same step.
         latest |= {piece.step: [] for piece in pieces}
         for piece in pieces:
