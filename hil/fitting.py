@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +17,25 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.data.dataset import Dataset
-from hil.data.load import load_source, with_payload
+from hil.data.load import load_source, serial_of, with_payload
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, SpecError
-from hil.evaluate import Evaluation, evaluate
+from hil.evaluate import evaluate
 from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
-from hil.identify.model_file import json_bytes, load_model_file, model_files, write_whole
+from hil.identify.model_file import load_model_file, model_files, write_whole
+from hil.identify.training import Training
 from hil.payload import Payload
 from hil.typing import FloatArray
+from hil.validation import (
+    EVALUATION_FILE,
+    Validation,
+    keep,
+    motion_notes,
+    require_unseen,
+    serial_notes,
+)
 
 DIGEST_LENGTH = 12
 
@@ -54,11 +63,11 @@ class FitReport:
 
     Attributes:
         fitted: The model.
-        validation: One evaluation per held-out source.
+        validation: One per held-out source.
     """
 
     fitted: Fitted
-    validation: tuple[tuple[str, Evaluation], ...]
+    validation: tuple[Validation, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil fit --json`."""
@@ -66,7 +75,7 @@ class FitReport:
             "model": str(self.fitted.folder),
             "estimator": self.fitted.model.estimator,
             "seconds": self.fitted.seconds,
-            "validation": [_entry(source, found) for source, found in self.validation],
+            "validation": [one.to_dict() for one in self.validation],
         }
 
 
@@ -93,21 +102,21 @@ def fit_sources(
 
     Raises:
         DataError: A source cannot be read, or is given for training and validation alike.
-        FitError: The data do not allow the fit, or are of different robots.
+        FitError: The data do not allow the fit, or are of different robots or individuals.
         PluginError, SpecError: No such estimator, parameter or robot.
     """
     model = make_estimator(estimator, **params)
     train = _pooled([load_source(source) for source in sources])
     if payload is not None:
         train = with_payload(train, payload)
-    held_out = [(str(source), load_source(source)) for source in validate]
+    serial = _one_serial(sources)
+    held_out = [(source, load_source(source)) for source in validate]
     for _, data in held_out:
         _require_same_effort(train, data)
         assert_disjoint(train, data)
-    fitted = _fit(model, train, load_model(robot or train.robot), out)
-    judged = tuple((name, _judged(fitted, data)) for name, data in held_out)
-    document = {"validation": [{"source": name, **found.to_dict()} for name, found in judged]}
-    write_whole(fitted.folder / "evaluation.json", json_bytes(document))
+    fitted = _fit(model, train, load_model(robot or train.robot), out, serial)
+    judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
+    keep(fitted.folder / EVALUATION_FILE, judged)
     return FitReport(fitted, judged)
 
 
@@ -120,20 +129,28 @@ def fit_dataset(
         FitError: The data do not allow it.
         PluginError, SpecError: No such estimator or parameter.
     """
-    return _fit(make_estimator(estimator, **params), dataset, robot, out)
+    sources = dict.fromkeys(condition.source for condition in dataset.conditions)
+    serial = _one_serial([Path(source) for source in sources if source and Path(source).exists()])
+    return _fit(make_estimator(estimator, **params), dataset, robot, out, serial)
 
 
 def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any]]:
     """Judge a stored model; one entry per source, with the keys of `FitReport.to_dict`.
 
     Raises:
-        DataError: The model or a source cannot be read, or they do not belong together.
+        DataError: The model or a source cannot be read, they do not belong together, or the
+            source was among the model's training data.
     """
     stored = load_model_file(model)
-    return [
-        _entry(str(source), evaluate(stored, usable_part(load_source(source), stored)))
-        for source in sources
-    ]
+    trained = stored.training_
+    found = []
+    for source in sources:
+        data = usable_part(load_source(source), stored)
+        require_unseen(stored, source, data)
+        errors = evaluate(stored, data, trained.effort_std if trained else None)
+        notes = serial_notes(trained.serial if trained else "", source)
+        found.append(Validation(str(source), errors, tuple(notes)).to_dict())
+    return found
 
 
 def usable_part(dataset: Dataset, model: RobotEstimator) -> Dataset:
@@ -173,15 +190,18 @@ def parse_payload(text: str) -> Payload:
     return Payload(numbers[0], (x, y, z))
 
 
-def _fit(model: RobotEstimator, dataset: Dataset, robot: RobotModel, out: Path) -> Fitted:
+def _fit(
+    model: RobotEstimator, dataset: Dataset, robot: RobotModel, out: Path, serial: str
+) -> Fitted:
     train = usable_part(dataset, model)
     begin = time.perf_counter()
     # The matrices are tall and thin: more BLAS threads only spin (measured: 20× slower).
     with threadpool_limits(1):
         model.fit(train, robot)
     seconds = time.perf_counter() - begin
-    std = np.asarray(np.std(train["effort"], axis=0))
-    return Fitted(model, _store(model, out), seconds, std)
+    training = replace(Training.of(train), serial=serial)
+    model.training_ = training
+    return Fitted(model, _store(model, out), seconds, training.effort_std)
 
 
 def _store(model: RobotEstimator, out: Path) -> Path:
@@ -196,8 +216,25 @@ def _store(model: RobotEstimator, out: Path) -> Path:
     return folder
 
 
-def _judged(fitted: Fitted, data: Dataset) -> Evaluation:
-    return evaluate(fitted.model, usable_part(data, fitted.model), fitted.train_std)
+def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> Validation:
+    model = fitted.model
+    judged = usable_part(data, model)
+    errors = evaluate(model, judged, fitted.train_std)
+    serial = model.training_.serial if model.training_ else ""
+    notes = (*serial_notes(serial, source), *motion_notes(usable_part(train, model), judged))
+    return Validation(str(source), errors, notes)
+
+
+def _one_serial(sources: Sequence[Path]) -> str:
+    """Serial number of the robot all sources were recorded on; empty when nobody said."""
+    serials = {serial: source for source in sources if (serial := serial_of(source))}
+    if len(serials) > 1:
+        listed = ", ".join(f"{serial} ({source.name})" for serial, source in serials.items())
+        raise FitError(
+            f"the training data are of {len(serials)} different robots, by serial number: {listed}",
+            hint="fit each robot by itself; judge its model on the others with --validate",
+        )
+    return next(iter(serials), "")
 
 
 def _pooled(parts: Sequence[Dataset]) -> Dataset:
@@ -214,9 +251,3 @@ def _require_same_effort(train: Dataset, test: Dataset) -> None:
             f"data a {test.effort_kind} [{test.effort_unit}]",
             hint="fit and validate on recordings of the same quantity",
         )
-
-
-def _entry(source: str, found: Evaluation) -> dict[str, Any]:
-    total = found.total.to_dict()
-    keys = ("rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered", "noise_floor", "nrmse")
-    return {"source": source, "unit": found.unit, **{key: total[key] for key in keys}}

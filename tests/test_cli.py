@@ -140,7 +140,10 @@ def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path
     assert fitted.returncode == 0, fitted.stderr
     model = json.loads(fitted.stdout)
     assert model["validation"] == []
-    judged = hil("evaluate", model["model"], run, "--json")
+    spec = tmp_path / "other_poses.yaml"
+    spec.write_text(DWELL.read_text("utf-8").replace("seed: 7", "seed: 8"), "utf-8")
+    other = json.loads(hil("run", spec, "--runs", tmp_path, "--json").stdout)["run"]
+    judged = hil("evaluate", model["model"], other, "--json")
     assert judged.returncode == 0, judged.stderr
     (row,) = json.loads(judged.stdout)["validation"]
     assert {"source", "unit", "rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered"} <= set(row)
@@ -152,6 +155,18 @@ def test_validating_on_the_training_data_is_refused(done_run: dict[str, Any]) ->
     done = hil("fit", run, "-e", "static-wls", "--validate", run, "--json")
     assert done.returncode == 8
     assert "both training and test" in json.loads(done.stdout)["error"]["message"]
+
+
+def test_evaluating_on_the_training_data_is_refused(
+    done_run: dict[str, Any], tmp_path: Path
+) -> None:
+    run = done_run["run"]
+    model = json.loads(hil("fit", run, "-e", "static-wls", "-o", tmp_path, "--json").stdout)
+    done = hil("evaluate", model["model"], run, "--json")
+    assert done.returncode == 8
+    error = json.loads(done.stdout)["error"]
+    assert "among those the model was fitted to" in error["message"]
+    assert "has not seen" in error["hint"]
 
 
 def test_unknown_estimators_are_guessed() -> None:

@@ -1,6 +1,8 @@
 """The rigid-body estimator on a UR5 whose torques are known exactly."""
 
+import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,9 +21,10 @@ from synthetic_motion import (
 )
 
 from hil.data import Dataset
-from hil.data.filters import FilterSettings
+from hil.data.filters import FilterSettings, zero_phase
 from hil.dynamics import base_parameters
 from hil.errors import DataError, FitError, SpecError
+from hil.identify import estimator, load_model_file
 from hil.identify.rigid import RigidWls
 from hil.payload import Payload
 
@@ -35,11 +38,8 @@ def fitted():
 
 
 def test_true_parameters_are_found_within_their_standard_errors(fitted) -> None:
-    base = base_parameters(nominal(), rotor=True)
-    friction = np.column_stack([COULOMB, VISCOUS, OFFSET]).ravel()
-    truth = np.concatenate([base.combine(plant().parameters(rotor=True)), friction])
-    deviation = (fitted.coefficients_ - truth) / fitted.std_error_
-    assert len(truth) == len(fitted.parameter_names_)
+    deviation = (fitted.coefficients_ - truth()) / fitted.std_error_
+    assert len(deviation) == len(fitted.parameter_names_)
     assert np.max(np.abs(deviation)) < 4.5
     assert np.sqrt(np.mean(deviation**2)) == pytest.approx(1.0, abs=0.3)
 
@@ -184,7 +184,57 @@ def test_unfitted_model_says_so() -> None:
         RigidWls().predict(moving(9))
 
 
-@pytest.mark.parametrize("value", [-0.1, float("nan")])
-def test_sign_width_must_be_a_speed(value) -> None:
-    with pytest.raises(SpecError, match="sign_width"):
-        RigidWls(sign_width=value)
+IMPOSSIBLE = [
+    ("sign_width", -0.1, "sign_width is -0.1, but must be a number at least 0"),
+    ("sign_width", float("nan"), "sign_width is nan"),
+    ("sign_width", "abc", "sign_width is 'abc', but must be a number"),
+    ("sign_width", True, "sign_width is True"),
+    ("sign_width", [0.1], r"sign_width is \[0.1\]"),
+    ("weighted", "abc", "weighted is 'abc', but must be true or false"),
+    ("filters", {"velocity": -1}, r"filters\.velocity: .*greater than 0"),
+    ("filters", {"speed": 1}, r"filters\.speed"),
+    ("filters", 3, "filters: "),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "message"), IMPOSSIBLE)
+def test_values_that_cannot_be_are_refused_by_name_however_they_come(name, value, message) -> None:
+    model = RigidWls(sign_width=0.02)
+    for attempt in (RigidWls, model.set_params, partial(estimator, "rigid-wls")):
+        with pytest.raises(SpecError, match=message):
+            attempt(**{name: value})
+    assert model.get_params() == RigidWls(sign_width=0.02).get_params()
+
+
+def coloured(data: Dataset, seed: int) -> Dataset:
+    """The noise a filtered current has: neighbouring samples share it."""
+    random = np.random.default_rng(seed)
+    noise = [zero_phase(random.normal(size=(600, 6)), 0.2) for _ in data.conditions]
+    return data.with_columns(effort_f=data["effort"] + NOISE_A * np.concatenate(noise))
+
+
+def truth() -> np.ndarray:
+    base = base_parameters(nominal(), rotor=True)
+    friction = np.column_stack([COULOMB, VISCOUS, OFFSET]).ravel()
+    return np.concatenate([base.combine(plant().parameters(rotor=True)), friction])
+
+
+def test_standard_errors_hold_though_neighbouring_samples_share_their_noise() -> None:
+    clean, deviations, naive = moving(*TRAIN), [], []
+    for seed in range(6):
+        model = RigidWls().fit(coloured(clean, seed), nominal())
+        error = model.coefficients_ - truth()
+        deviations.append(error / model.std_error_)
+        naive.append(error / (model.std_error_ / np.sqrt(np.mean(model.correlated_samples_))))
+    assert np.sqrt(np.mean(np.square(naive))) > 1.7
+    assert np.sqrt(np.mean(np.square(deviations))) == pytest.approx(1.0, abs=0.2)
+
+
+def test_model_file_says_what_its_standard_errors_take_for_granted(fitted, tmp_path) -> None:
+    folder = fitted.save(tmp_path / "model")
+    document = json.loads((folder / "model.json").read_text("utf-8"))
+    said = document["fitted"]["std_error"]
+    assert "given exact drive gains" in "given " + said["given"]
+    assert "noise in the regressor" in said["leaves_out"]
+    assert said["correlated_samples"] == pytest.approx([1.0] * 6, abs=0.3)
+    assert load_model_file(folder).correlated_samples_.tolist() == said["correlated_samples"]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 
+import hil
 from hil.data.importing import ImportMap, import_file
+from hil.data.load import load_source
 from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.fitting import evaluate_sources, fit_sources, parse_payload
 from hil.payload import Payload
@@ -33,8 +35,9 @@ def layout(**changes):
     )
 
 
-def recording(folder, seed, *, load=None, name="", **changes):
+def recording(folder, seed, *, load=None, name="", late_s=0.0, **changes):
     t, q, qd, qdd = fourier(seed, 1000)
+    t = t + late_s
     current = true_torque(q, qd, qdd, load) / GAINS
     if changes.get("effort_kind") == "torque":
         columns = layout().columns.model_dump()
@@ -82,7 +85,100 @@ def test_stored_model_is_judged_again_to_the_same_numbers(sources, tmp_path) -> 
         sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path
     ).to_dict()
     (again,) = evaluate_sources(tmp_path / report["model"], sources[2:])
-    assert again["rmse_raw"] == report["validation"][0]["rmse_raw"]
+    (first,) = report["validation"]
+    assert again["rmse_raw"] == first["rmse_raw"]
+    assert again["nrmse"] == first["nrmse"]
+    effort = np.concatenate([load_source(path)["effort"] for path in sources[:2]])
+    assert again["nrmse"] == pytest.approx(again["rmse_raw"] / np.std(effort, axis=0))
+
+
+def test_judging_a_model_on_its_training_data_is_refused(sources, tmp_path) -> None:
+    report = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path)
+    copy = recording(tmp_path, 1, name="copy", late_s=100.0)
+    for source in (sources[1], copy):
+        with pytest.raises(DataError, match="about 100 % of its samples are among those") as caught:
+            evaluate_sources(report.fitted.folder, [sources[2], source])
+        assert "1.mcap, 2.mcap" in caught.value.message
+        assert "has not seen" in caught.value.hint
+
+
+def test_models_of_an_older_hil_are_judged_though_they_do_not_know_their_training(
+    sources, tmp_path
+) -> None:
+    folder = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
+    document = json.loads((folder / "model.json").read_text("utf-8"))
+    del document["training"], document["fitted"]["std_error"]
+    (folder / "model.json").write_text(json.dumps(document), "utf-8")
+    assert len(evaluate_sources(folder, sources)) == 3
+
+
+def test_copy_with_its_clock_shifted_is_found(sources, tmp_path) -> None:
+    copy = recording(tmp_path, 1, name="later", late_s=17.0)
+    with pytest.raises(DataError, match="samples of the test data are also in the training"):
+        fit_sources(sources, estimator="rigid-wls", validate=[copy], out=tmp_path / "models")
+
+
+def test_evaluations_of_a_model_are_kept(sources, tmp_path) -> None:
+    def fit(*validate):
+        report = fit_sources(sources[:2], estimator="rigid-wls", validate=validate, out=tmp_path)
+        path = report.fitted.folder / "evaluation.json"
+        return json.loads(path.read_text("utf-8"))["validation"] if path.exists() else None
+
+    other = recording(tmp_path, 10, name="other")
+    assert fit() is None
+    (first,) = fit(sources[2])
+    assert fit() == [first]
+    both = fit(other)
+    assert both[0] == first
+    assert [entry["source"] for entry in both] == [str(sources[2]), str(other)]
+    assert sorted(map(str, fit(sources[2]))) == sorted(map(str, both))
+
+
+def test_damaged_evaluation_is_refused_rather_than_lost(sources, tmp_path) -> None:
+    folder = fit_sources(sources[:2], estimator="rigid-wls", out=tmp_path).fitted.folder
+    (folder / "evaluation.json").write_text("[1]")
+    with pytest.raises(DataError, match="is no evaluation"):
+        fit_sources(sources[:2], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
+    assert (folder / "evaluation.json").read_text() == "[1]"
+
+
+def test_two_individuals_of_a_robot_are_not_pooled(sources, tmp_path) -> None:
+    a, b = (recording(tmp_path, seed, serial=f"SN{seed}") for seed in (11, 12))
+    with pytest.raises(
+        FitError, match=r"2 different robots, by serial number: SN11 \(11.mcap\)"
+    ) as no:
+        fit_sources([a, b], estimator="rigid-wls", out=tmp_path / "models")
+    assert "--validate" in no.value.hint
+    fit_sources([a, sources[0]], estimator="rigid-wls", out=tmp_path / "models")
+
+
+def test_judging_on_another_individual_is_noted(tmp_path) -> None:
+    a, b = (recording(tmp_path, seed, serial=f"SN{seed}") for seed in (11, 12))
+    report = fit_sources([a], estimator="rigid-wls", validate=[b], out=tmp_path / "models")
+    (note,) = report.validation[0].notes
+    assert note == "recorded on another robot (serial SN12) than the training data (SN11)"
+    (entry,) = evaluate_sources(report.fitted.folder, [b])
+    assert entry["notes"] == [note]
+
+
+def test_same_program_on_another_arm_is_noted_but_judged(sources, tmp_path) -> None:
+    again = recording(tmp_path, 1, name="again", load=LOAD)
+    report = fit_sources(
+        sources[:2], estimator="rigid-wls", validate=[again, sources[2]], out=tmp_path / "models"
+    )
+    same, new = report.validation
+    (note,) = same.notes
+    assert "1 of 1 series lead through poses of the training data again" in note
+    assert new.notes == ()
+
+
+def test_python_api_takes_one_path_or_several(sources, tmp_path) -> None:
+    one = hil.fit(
+        str(sources[0]), estimator="rigid-wls", validate=str(sources[2]), out=tmp_path
+    ).to_dict()
+    several = hil.fit(sources[:1], estimator="rigid-wls", validate=sources[2:], out=tmp_path)
+    assert one["validation"] == several.to_dict()["validation"]
+    assert hil.evaluate(one["model"], sources[2]) == hil.evaluate(one["model"], sources[2:])
 
 
 def test_equal_fits_share_a_folder_and_different_ones_do_not(sources, tmp_path) -> None:

@@ -114,3 +114,5 @@ def _print_validation(rows: list[dict[str, Any]]) -> None:
                 for label, key in (("raw", "raw"), ("filtered", "filtered"))
             ],
         )
+        for note in row["notes"]:
+            typer.echo(f"  note: {note}")

@@ -17,6 +17,7 @@ from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.parameters import Parametrised, require_known
+from hil.identify.training import Training
 from hil.payload import Payload
 from hil.typing import FloatArray
 
@@ -42,6 +43,7 @@ class RobotEstimator(Parametrised):
         gains_source_: Where the drive gains come from.
         sigma_: (n,) standard deviation of the training residual, in effort units.
         samples_: Rows (or dwells) the fit used.
+        training_: What the model remembers of its training data; None in older model files.
     """
 
     estimator: ClassVar[str] = ""
@@ -54,6 +56,7 @@ class RobotEstimator(Parametrised):
     gains_source_: str
     sigma_: FloatArray
     samples_: int
+    training_: Training | None = None
 
     @property
     def protocol(self) -> str:
@@ -105,6 +108,7 @@ class RobotEstimator(Parametrised):
         self.effort_kind_ = dataset.effort_kind
         self.torque_scale_ = scale
         self.gains_source_ = dataset.drive_gains_source
+        self.training_ = Training.of(dataset)
 
     def _restore_common(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         self.joint_names_ = tuple(facts["joint_names"])

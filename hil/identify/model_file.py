@@ -18,6 +18,7 @@ import numpy as np
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.robot_file import URDF_FILE, restore_robot, store_robot
+from hil.identify.training import ROWS_ARRAY, Training
 from hil.typing import FloatArray
 
 MODEL_FORMAT = 1
@@ -50,7 +51,10 @@ def model_files(model: RobotEstimator) -> dict[str, bytes]:
     """The files of a model folder by name, `model.json` last; equal models give equal bytes."""
     from safetensors.numpy import save
 
-    arrays = save({k: np.ascontiguousarray(v) for k, v in model.fitted_arrays().items()})
+    fitted: dict[str, Any] = dict(model.fitted_arrays())
+    if model.training_ is not None:
+        fitted[ROWS_ARRAY] = model.training_.rows.smallest
+    arrays = save({name: np.ascontiguousarray(values) for name, values in fitted.items()})
     robot, urdf = store_robot(model.robot_)
     document = {
         "hil_model": MODEL_FORMAT,
@@ -58,6 +62,7 @@ def model_files(model: RobotEstimator) -> dict[str, bytes]:
         "parameters": model.get_params(),
         "robot": robot,
         "fitted": model.fitted_facts(),
+        "training": model.training_ and model.training_.facts(),
         "arrays_sha256": hashlib.sha256(arrays).hexdigest(),
     }
     files = {ARRAYS_FILE: arrays} | ({URDF_FILE: urdf} if urdf is not None else {})
@@ -77,6 +82,9 @@ def load_model_file(folder: Path) -> RobotEstimator:
         model = estimator(document["estimator"], **document["parameters"])
         model.robot_ = restore_robot(document["robot"], folder)
         model.restore(arrays, document["fitted"])
+        # Models of an older hil do not say what they were trained on.
+        if document.get("training"):
+            model.training_ = Training.restored(document["training"], arrays)
     except (KeyError, TypeError, ValueError, SpecError) as error:
         raise DataError(
             f"{folder / MODEL_FILE} lacks or garbles {error}", hint="fit the model again"

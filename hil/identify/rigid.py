@@ -13,6 +13,7 @@ current; on 30s12h alone tanh gives .1485 and the hard sign .1642.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -29,7 +30,6 @@ from hil.identify.checks import (
     require_samples,
     torque_scale,
 )
-from hil.identify.compress import JointwiseQR
 from hil.identify.parameters import flag, number, settings
 from hil.identify.wls import WlsEstimator
 from hil.typing import FloatArray
@@ -81,7 +81,7 @@ class RigidWls(WlsEstimator):
         require_motion(dataset)
         data = prepared(dataset, self.filters)
         self.samples_ = len(data)
-        self._solve(self._observe(data), weighted=self.weighted)
+        self._solve(data, weighted=self.weighted)
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
@@ -99,17 +99,15 @@ class RigidWls(WlsEstimator):
         friction = (f"{joint}.{term}" for joint in self.joint_names_ for term in TERMS)
         self.parameter_names_ = (*self._base.names, *friction)
 
-    def _observe(self, data: Dataset) -> JointwiseQR:
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         motion = tuple(data[name] for name in MOTION)
         load = payload_torque(self.robot_, data, *motion)
         target = data["effort_f"] * self.torque_scale_ - load
-        observed = JointwiseQR(data.n_joints)
         for rows in chunks(data):
             q, qd, qdd = (values[rows] for values in motion)
             W = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=True))
             friction = coulomb_viscous_columns(qd, self.sign_width)
-            observed.add(np.hstack([W, friction]), target[rows])
-        return observed
+            yield rows, np.hstack([W, friction]), target[rows]
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         rigid, friction = np.split(self.coefficients_, [-len(TERMS) * q.shape[1]])

@@ -18,6 +18,7 @@ all ten would be three times too small.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -29,7 +30,6 @@ from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError, SpecError
 from hil.identify.base import HONEST, load_of, payload_torque
 from hil.identify.checks import require_clean, require_robot, require_samples, torque_scale
-from hil.identify.compress import JointwiseQR
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.parameters import choice, flag, number
 from hil.identify.wls import WlsEstimator
@@ -99,7 +99,7 @@ class StaticWls(WlsEstimator):
         dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
         self.samples_ = len(dwells.conditions)
         require_samples(self.samples_, len(self.parameter_names_), "dwells")
-        self._solve(self._observe(_one_row_each(dwells)), weighted=self.weighted)
+        self._solve(_one_row_each(dwells), weighted=self.weighted)
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
@@ -172,15 +172,13 @@ class StaticWls(WlsEstimator):
         own = (f"{joint}.{term}" for joint in self.joint_names_ for term in terms)
         self.parameter_names_ = (*self._form.names, *own)
 
-    def _observe(self, dwells: Dataset) -> JointwiseQR:
-        q, still = dwells["q"], np.zeros_like(dwells["q"])
-        load = payload_torque(self.robot_, dwells, q, still, still)
-        observed = JointwiseQR(dwells.n_joints)
-        own = {"current": signed_square(dwells["effort"])} if self.current_term else {}
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        q, still = data["q"], np.zeros_like(data["q"])
+        load = payload_torque(self.robot_, data, q, still, still)
+        own = {"current": signed_square(data["effort"])} if self.current_term else {}
         columns = joint_columns(own | {"offset": np.ones_like(q)})
         W = np.hstack([self._form.columns(q), columns])
-        observed.add(W, dwells["effort"] * self.torque_scale_ - load)
-        return observed
+        yield slice(0, len(data)), W, data["effort"] * self.torque_scale_ - load
 
     def _own_coefficients(self) -> FloatArray:
         """(n, k) of the k terms that every joint has for itself, the offset last."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,20 @@ from hil.data.prediction import Prediction, Stream
 from hil.identify.base import RobotEstimator, chunks, payload_torque
 from hil.identify.checks import require_rank
 from hil.identify.compress import JointwiseQR
+from hil.identify.correlation import correlated_samples
 from hil.identify.stream import MemorylessStream
 from hil.payload import Payload
 from hil.typing import FloatArray
+
+STD_ERROR_GIVEN = (
+    "exact drive gains, declared loads, kinematics and form of the model; the residual's "
+    "autocorrelation within a series is accounted for"
+)
+STD_ERROR_LEAVES_OUT = (
+    "errors of the gains (they scale a joint's parameters as a whole), loads and kinematics; "
+    "friction of another form; noise in the regressor (bias); what all series have in common, "
+    "such as temperature; correlation between joints"
+)
 
 
 class WlsEstimator(RobotEstimator):
@@ -23,19 +35,25 @@ class WlsEstimator(RobotEstimator):
     Attributes:
         parameter_names_: Length p.
         coefficients_: (p,) in SI.
-        std_error_: (p,) standard errors from the variance of the residual. Errors of neighbouring
-            samples are correlated, so with trajectories the true ones are larger.
+        std_error_: (p,) standard errors, see `STD_ERROR_GIVEN` and `STD_ERROR_LEAVES_OUT`.
+        correlated_samples_: (n,) how many successive samples of a joint count as one in
+            `std_error_`, 1 for independent ones; see `hil.identify.correlation`.
         condition_: Condition number of the column-scaled, weighted regressor.
     """
 
     parameter_names_: tuple[str, ...]
     coefficients_: FloatArray
     std_error_: FloatArray
+    correlated_samples_: FloatArray
     condition_: float
 
     @abstractmethod
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         """Named parts of the effort without payload, each (N, n)."""
+
+    @abstractmethod
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Rows of the data, W (N·n, p) sample-major and the target torque (N, n), in order."""
 
     @abstractmethod
     def _open(self) -> None:
@@ -55,9 +73,16 @@ class WlsEstimator(RobotEstimator):
         }
 
     def fitted_facts(self) -> dict[str, Any]:
-        """Parameter names and how well they were excited."""
-        names, condition = list(self.parameter_names_), self.condition_
-        return super().fitted_facts() | {"parameter_names": names, "condition": condition}
+        """Parameter names, how well they were excited, and what their errors mean."""
+        return super().fitted_facts() | {
+            "parameter_names": list(self.parameter_names_),
+            "condition": self.condition_,
+            "std_error": {
+                "given": STD_ERROR_GIVEN,
+                "leaves_out": STD_ERROR_LEAVES_OUT,
+                "correlated_samples": self.correlated_samples_,
+            },
+        }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
@@ -66,24 +91,41 @@ class WlsEstimator(RobotEstimator):
         self.coefficients_, self.std_error_ = arrays["coefficients"], arrays["std_error"]
         self.parameter_names_ = tuple(facts["parameter_names"])
         self.condition_ = float(facts["condition"])
+        # Older model files took every sample for independent.
+        counted = facts.get("std_error", {}).get("correlated_samples", [1.0] * len(self.sigma_))
+        self.correlated_samples_ = np.array(counted, dtype=np.float64)
 
-    def _solve(self, observed: JointwiseQR, *, weighted: bool) -> None:
+    def _solve(self, data: Dataset, *, weighted: bool) -> None:
         """Fit to the observations, whose target is a torque; sets the fitted attributes."""
         from hil.identify.linear import WeightedLeastSquares
 
+        observed = JointwiseQR(data.n_joints)
+        for _, W, target in self._observations(data):
+            observed.add(W, target)
         X, y, joint = observed.system()
-        solver = WeightedLeastSquares().fit(X, y)
+        solver, weight = WeightedLeastSquares().fit(X, y), np.ones(data.n_joints)
         sigma = observed.residual_std(solver.coef_)
         if weighted:
             # Noise-free data would weight by 1/0.
             floor = 1e-12 * float(np.max(np.abs(y)))
-            solver.fit(X, y, sample_weight=1.0 / np.maximum(sigma, floor)[joint] ** 2)
+            weight = 1.0 / np.maximum(sigma, floor) ** 2
+            solver.fit(X, y, sample_weight=weight[joint])
             sigma = observed.residual_std(solver.coef_)
         require_rank(solver.rank_, solver.condition_, self.parameter_names_, X)
         self.coefficients_, self.condition_ = solver.coef_, float(solver.condition_)
         self.sigma_ = sigma / self.torque_scale_
-        variance = 1.0 if weighted else float(np.mean(sigma**2))
-        self.std_error_ = np.sqrt(variance * np.diag(solver.unscaled_covariance_))
+        residual = self._residual(data, solver.coef_)
+        self.correlated_samples_ = correlated_samples(residual, data.offsets)
+        # (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹ with V the variance of a joint times its correlation time.
+        score = X * (weight * sigma * np.sqrt(self.correlated_samples_))[joint, None]
+        self.std_error_ = np.linalg.norm(score @ solver.unscaled_covariance_, axis=0)
+
+    def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
+        """(N, n) target less regressor times coefficients (p,)."""
+        residual = np.empty_like(data["q"])
+        for rows, W, target in self._observations(data):
+            residual[rows] = target - (W @ coefficients).reshape(target.shape)
+        return residual
 
     def _predict(
         self, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray

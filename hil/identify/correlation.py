@@ -1,0 +1,50 @@
+"""How many independent samples a residual is worth."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from hil.typing import FloatArray, IntArray
+
+WINDOW = 5.0
+"""Lags are summed up to so many correlation times (Sokal's automatic windowing)."""
+
+
+def correlated_samples(residual: FloatArray, offsets: IntArray) -> FloatArray:
+    """(n,) how many successive samples count as one, at least 1.
+
+    The integrated autocorrelation time τ = 1 + 2 Σ ρ(k) of each joint's residual, with the
+    autocovariances of all series pooled and the sum cut where k ≥ 5 τ(k) (Sokal, 'Monte Carlo
+    methods in statistical mechanics', 1997, §3). The variance of a sum of N such samples is τ
+    times that of independent ones. Correlation between series is not seen.
+
+    Args:
+        residual: (N, n), all series behind each other.
+        offsets: (S + 1,) row at which each series begins.
+    """
+    lengths = np.diff(offsets)
+    longest = int(lengths.max(initial=0))
+    if longest < 2:
+        return np.ones(residual.shape[1])
+    pooled = np.zeros((longest, residual.shape[1]))
+    for start, stop in pairwise(offsets.tolist()):
+        pooled[: stop - start] += _autocovariance(residual[start:stop])
+    variance = pooled[0]
+    rho = pooled / np.where(variance > 0, variance, 1.0)
+    times = 2.0 * np.cumsum(rho, axis=0) - rho[0]
+    lags = np.arange(longest)[:, None]
+    enough = lags >= WINDOW * times
+    enough[-1] = True
+    cut = np.argmax(enough, axis=0)
+    found: FloatArray = np.maximum(times[cut, np.arange(times.shape[1])], 1.0)
+    return found
+
+
+def _autocovariance(values: FloatArray) -> FloatArray:
+    """(N, n) sums of products at lags 0…N − 1, by FFT."""
+    size = 1 << (2 * len(values) - 1).bit_length() if len(values) else 1
+    spectrum = np.fft.rfft(values, size, axis=0)
+    sums: FloatArray = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[: len(values)]
+    return sums

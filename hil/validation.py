@@ -1,0 +1,114 @@
+"""What judging a model on recordings comes to: its errors, and what to know before believing them.
+
+A model is not judged on what it was fitted to. Where that cannot be refused, because every sample
+is new and yet nothing else is, a note says so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.data.dataset import Dataset
+from hil.data.fingerprints import revisited
+from hil.data.load import serial_of
+from hil.data.splits import SAME_SHARE
+from hil.errors import DataError
+from hil.evaluate import Evaluation
+from hil.identify.base import RobotEstimator
+from hil.identify.model_file import json_bytes, write_whole
+
+EVALUATION_FILE = "evaluation.json"
+
+SAME_MOTION_SHARE = 0.5
+"""Share of a held-out series' poses in the training data above which it is no new motion."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """A model's errors on one source.
+
+    Attributes:
+        source: Run directory or file.
+        errors: The evaluation.
+        notes: What to know before believing it, for people.
+    """
+
+    source: str
+    errors: Evaluation
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil fit --json` and `hil evaluate --json`."""
+        total = self.errors.total.to_dict()
+        keys = ("rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered", "noise_floor", "nrmse")
+        named = {"source": self.source, "unit": self.errors.unit}
+        return named | {key: total[key] for key in keys} | {"notes": list(self.notes)}
+
+
+def serial_notes(serial: str, source: Path) -> Iterator[str]:
+    """A note when a source is of another individual than the training data."""
+    other = serial_of(source)
+    if serial and other and serial != other:
+        yield f"recorded on another robot (serial {other}) than the training data ({serial})"
+
+
+def motion_notes(train: Dataset, test: Dataset) -> Iterator[str]:
+    """A note when the test data repeat motions: no sample is shared, yet nothing is new."""
+    shares = revisited(train, test)
+    known = [share for share in shares.values() if share > SAME_MOTION_SHARE]
+    if known:
+        yield (
+            f"{len(known)} of {len(shares)} series lead through poses of the training data again "
+            "(the same program?): errors on them say little about new motions"
+        )
+
+
+def keep(path: Path, judged: Sequence[Validation]) -> None:
+    """Add evaluations to a model's file; what it says about other sources stays.
+
+    Raises:
+        DataError: The file is there and is no evaluation.
+    """
+    if not judged:
+        return
+    document = _evaluations(path)
+    fresh = [
+        {"source": one.source, **one.errors.to_dict(), "notes": list(one.notes)} for one in judged
+    ]
+    again = {one.source for one in judged}
+    kept = [entry for entry in document.get("validation", ()) if entry["source"] not in again]
+    content = json_bytes(document | {"validation": [*kept, *fresh]})
+    if not path.exists() or path.read_bytes() != content:
+        write_whole(path, content)
+
+
+def _evaluations(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        document: dict[str, Any] = json.loads(path.read_bytes())
+        _ = [entry["source"] for entry in document.get("validation", ())]
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise DataError(
+            f"{path} is no evaluation: {error}", hint="move it away, then fit again"
+        ) from error
+    return document
+
+
+def require_unseen(model: RobotEstimator, source: Path, data: Dataset) -> None:
+    """Refuse to judge a model on its own training data.
+
+    Raises:
+        DataError: They are among the data; older model files cannot tell.
+    """
+    share = model.training_.rows.share_known(data) if model.training_ else 0.0
+    if model.training_ and share > SAME_SHARE:
+        raise DataError(
+            f"{source}: about {100 * share:.0f} % of its samples are among those the model was "
+            f"fitted to ({', '.join(model.training_.sources) or 'its training data'})",
+            hint="judge the model on a recording it has not seen",
+        )
