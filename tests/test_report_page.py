@@ -180,7 +180,7 @@ def test_a_run_that_was_renamed_still_finds_what_was_held_out(dwells, tmp_path):
 
 def test_a_dwell_that_was_repeated_is_shown_as_it_was_judged(tmp_path):
     plan = dwell_plan()
-    rows = rows_of_plan(plan)
+    rows = rows_of_plan(plan, dwell_rows=30)
     again = rows[rows["segment"] >= len(plan) - 2].copy()  # the last dwell and the move there
     again["effort"] += 5.0
     again["device_time"] += rows["device_time"][-1] - again["device_time"][0] + 0.008
