@@ -11,17 +11,22 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 LOCK = Path(__file__).with_name("proof.lock")
-INPUTS = (
-    "hil/**/*.py", "hil/arms/*.yaml", "mock_robot/**/*.py", "mock_robot/**/*.yaml",
-    "drivers/**/*.py", "benchmarks/*.py", "experiments/*.yaml", "constraints.txt",
-    "tests/test_proof.py",
-)  # fmt: skip
+FOLDERS = ("hil", "mock_robot", "drivers", "benchmarks", "experiments")
+FILES = ("pyproject.toml", "constraints.txt", "tests/test_proof.py")
+
+
+def inputs() -> list[Path]:
+    """Everything in the folders of the code, and what the tests and their environment are."""
+    found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*")]
+    helpers = [path for path in (ROOT / "tests").glob("*.py") if not path.match("test_*")]
+    found += [*helpers, *(ROOT / name for name in FILES)]
+    return sorted(path for path in found if path.is_file() and "__pycache__" not in path.parts)
 
 
 def inputs_hash() -> str:
     """SHA-256 over the names and contents of the inputs."""
     digest = hashlib.sha256()
-    for path in sorted({path for pattern in INPUTS for path in ROOT.glob(pattern)}):
+    for path in inputs():
         digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
