@@ -1,0 +1,40 @@
+"""What the page about load sweeps shows can be run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hil.errors import SpecError
+from hil.spec.load import load_spec
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "how-to" / "load-sweep.md").read_text("utf-8")
+SHIPPED = (ROOT / "experiments" / "ur5_fourier_loads.yaml").read_text("utf-8")
+(LOADS,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+HOLD_OUTS = re.findall(r"^\| `(\{.+?\})` \|", PAGE, re.MULTILINE)
+
+
+def spec_with(hold_out: str, tmp_path: Path) -> Path:
+    text = re.sub(r"(?ms)^loads:.*?\n\n", LOADS + "\n", SHIPPED)
+    text = re.sub(r"hold_out: \{.*?\}", f"hold_out: {hold_out}", text)
+    path = tmp_path / "sweep.yaml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("hold_out", HOLD_OUTS)
+def test_every_way_to_hold_out_shown_is_accepted(hold_out: str, tmp_path: Path) -> None:
+    spec = load_spec(spec_with(hold_out, tmp_path))
+    assert [load.mass_kg for load in spec.loads] == [0, 1.5, 3]
+
+
+def test_loads_are_counted_from_zero(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="there is no load 3"):
+        load_spec(spec_with("{loads: [3]}", tmp_path))
+
+
+def test_three_ways_are_shown() -> None:
+    assert len(HOLD_OUTS) == 3
