@@ -17,7 +17,7 @@ import pytest
 import hil
 from hil.campaign import operator, recording
 from hil.engine import Engine
-from hil.errors import PreflightFailed, RecordingError
+from hil.errors import PreflightFailed, RecordingError, SpecError
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 
@@ -148,3 +148,12 @@ def test_while_the_operator_thinks_the_robot_is_read(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(sys, "stdin", Console())
     assert operator.ask_operator("Mount 3 kg", meanwhile) == "operator"
     assert len(reads) == 3
+
+
+def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    spec = tmp_path / "unit.yaml"
+    text = DWELL.read_text("utf-8")
+    spec.write_text(text[: text.index("accept:")] + "accept: {rmse: {max: 1, unit: Nm}}\n", "utf-8")
+    with pytest.raises(SpecError, match="measures a current"):
+        hil.run(hil.load(spec), runs=tmp_path)
+    assert not list(tmp_path.glob("*/*/*"))

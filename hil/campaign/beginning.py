@@ -34,7 +34,7 @@ def write_beginning(
     directory.write_text("spec.yaml", experiment.spec_text)
     directory.write_text("station.yaml", experiment.station_text)
     directory.write_json("plan.json", plan.to_dict())
-    provenance = collect_provenance(experiment.folder)
+    provenance = collect_provenance(spec_folder=experiment.folder)
     if operator:
         provenance["operator"] = operator
     directory.write_start(

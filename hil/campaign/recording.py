@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hil import plugins
 from hil.campaign.beginning import open_recorder, write_beginning
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import mock_mounts
@@ -22,6 +23,7 @@ from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 from hil.record.topic import STATE_TOPIC
 from hil.robot import Robot
+from hil.spec.judgeable import require_judgeable
 from hil.typing import StructArray
 
 NO_WAIVERS: Mapping[str, str] = {}
@@ -99,6 +101,7 @@ def record(
         RecordingError: The run directory cannot be made.
     """
     with connected(experiment.spec.robot, experiment.robot) as robot:
+        _require_usable(experiment, robot)
         observers.publish({"kind": "stage", "stage": "planning"})
         plan = plan_for(experiment, robot)
         directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
@@ -122,6 +125,13 @@ def record(
         with signals.guard(engine, robot):
             result = engine.run(_preflight(directory, plan, robot, experiment, tuple(waivers)))
             return _finish(directory, result, recorder, sink, observers)
+
+
+def _require_usable(experiment: Experiment, robot: Robot) -> None:
+    """What would only fail after hours of motion is refused before it: units and plug-ins."""
+    require_judgeable(experiment.spec, robot.capabilities.effort_kind)
+    for fit in experiment.spec.fit:
+        plugins.load("hil.estimators", fit.estimator)
 
 
 def _preflight(
