@@ -124,7 +124,7 @@ def test_a_sound_situation_passes_every_check(tmp_path: Path) -> None:
         ("limits", {"qd_max": np.full(6, 0.5)}, "velocity [rad/s]"),
         ("load", {"payload_max_kg": 1.5}, "2.000 kg, the robot is rated for 1.500 kg"),
         ("payload", {"reads_back": Payload()}, "reads back 0.000 kg"),
-        ("payload", {"reads_back": Payload(2.0, (0.01, 0, 0.05))}, "(0.01, 0, 0.05)"),
+        ("payload", {"reads_back": Payload(2.0, (0.01, 0, 0.05))}, "(0.010, 0.000, 0.050)"),
         ("payload", {"refuses": True}, "local mode"),
         ("clock", {"clock": "wall"}, "s off"),
     ],
@@ -270,3 +270,11 @@ def test_the_context_of_a_station_knows_its_surroundings(tmp_path: Path) -> None
 def test_what_would_be_dangerous_cannot_be_waived(tmp_path: Path, check: str) -> None:
     with pytest.raises(PreflightFailed, match="cannot be waived"):
         preflight(small_plan(), ScriptedRobot(), context(tmp_path, waivers=(check,)))
+
+
+def test_a_load_the_operator_has_yet_to_mount_is_not_declared_before(tmp_path: Path) -> None:
+    robot = ScriptedRobot()
+    plan = replace(small_plan(), loads=(LoadStep(Payload(2.0), "Mount 2 kg"),))
+    before = robot.calls.count("set_payload")
+    preflight(plan, robot, context(tmp_path))
+    assert robot.calls.count("set_payload") == before
