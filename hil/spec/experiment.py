@@ -180,7 +180,7 @@ class GapsLimit(Strict):
 
 
 class Accept(Strict):
-    """Criteria for the verdict; without any for models it is `not judged`, or `rejected` by gaps."""
+    """Criteria for the verdict; without any for models: `not judged`, or `rejected` by gaps."""
 
     rmse: RmseLimit | None = Field(None, description="On the held-out data, in the robot's unit.")
     nrmse: NrmseLimit | None = Field(None, description="On the held-out data, without unit.")
