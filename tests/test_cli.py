@@ -146,6 +146,9 @@ def test_fit_and_evaluate_keep_their_contract(done_run: dict[str, Any], tmp_path
     judged = hil("evaluate", model["model"], other, "--json")
     assert judged.returncode == 0, judged.stderr
     (row,) = json.loads(judged.stdout)["validation"]
+    # Both runs begin with the very same warm-up, which is not what is judged.
+    at_once = hil("fit", run, "-e", "static-wls", "-o", tmp_path, "--validate", other, "--json")
+    assert json.loads(at_once.stdout)["validation"] == [row]
     assert {"source", "unit", "rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered"} <= set(row)
     assert len(row["rmse_raw"]) == 6
 
@@ -225,6 +228,32 @@ def test_a_signal_stops_the_run_and_keeps_its_data(tmp_path: Path, number: int) 
     assert document["samples"] > 0
     assert (Path(document["run"]) / "stop.json").is_file()
     assert "Traceback" not in err
+
+
+def test_an_interrupted_plan_prints_one_document(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, "plan", str(DWELL), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    ) as planning:
+        out, err = planning.communicate(timeout=60)
+    assert planning.returncode == 130, err
+    assert json.loads(out)["error"] == {
+        "kind": "Stopped", "message": "interrupted", "hint": "", "exit_code": 130,
+    }  # fmt: skip
+    assert err == "Stopped: interrupted\n"
+
+
+INTERRUPTED = """
+import os, signal
+import hil.campaign.experiment as experiment
+from hil.cli import main
+
+experiment.resolve_robot = lambda *_: os.kill(os.getpid(), signal.SIGINT)
+main()
+"""
 
 
 def _running(runs: Path) -> bool:

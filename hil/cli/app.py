@@ -13,7 +13,7 @@ import typer
 
 from hil.cli import bench, data, models, runs, specs, system
 from hil.cli.streams import Stream, guard_streams
-from hil.errors import HilError, RecordingError, RobotConnectionError, exit_code_of
+from hil.errors import HilError, RecordingError, RobotConnectionError, Stopped, exit_code_of
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "
@@ -79,16 +79,13 @@ def _ended(ending: SystemExit, out: Stream | None) -> int:
         return _tell(_named(cause), out)
     if not isinstance(code, int):
         return int(code is not None)
+    interrupted = Stopped("interrupted", by_signal=True)
+    if code == exit_code_of(interrupted) and not (out and out.used):
+        return _tell(interrupted, out)
     if code:
-        told = _told(cause) or ("interrupted" if code == exit_code_of(KeyboardInterrupt()) else "")
-        _print_error(out, type(cause).__name__, told, "hil COMMAND --help", code)
+        tell: Any = getattr(cause, "format_message", str)  # a mistake in the command line itself
+        _print_error(out, type(cause).__name__, str(tell()), "hil COMMAND --help", code)
     return code
-
-
-def _told(cause: BaseException | None) -> str:
-    """The text of a mistake in the command line itself."""
-    tell: Any = getattr(cause, "format_message", str)
-    return str(tell()) if cause is not None else ""
 
 
 def _print_error(out: Stream | None, kind: str, message: str, hint: str, code: int) -> None:
