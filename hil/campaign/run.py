@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from hil.campaign.experiment import Experiment
+from hil.campaign.verdict import VerdictWord
+from hil.campaign.view import verdict_word
 from hil.engine import Observer, Observers, Outcome
 from hil.errors import HilError, Stopped
 
 if TYPE_CHECKING:
     from hil.campaign.recording import Recorded
     from hil.engine.signals import SignalWatch
-
-VerdictWord = Literal["passed", "rejected", "not judged"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +89,7 @@ def run_experiment(
                 signals=signals,
                 waivers=waivers or {},
             )
-            error, verdict = _judge(experiment, recorded, signals, watching)
+            error = _judge(experiment, recorded, signals, watching)
             watching.publish({"kind": "stage", "stage": "writing the report"})
             page, problem = _report(recorded.directory.path)
     finally:
@@ -98,7 +98,7 @@ def run_experiment(
         run=recorded.directory.path,
         uid=str(recorded.directory.start["uid"]),
         outcome=str(recorded.result.outcome),
-        verdict=_word(verdict),
+        verdict=verdict_word(recorded.directory.path),
         samples=recorded.counts["samples"],
         gaps=recorded.counts["gaps"],
         duplicates=recorded.counts["duplicates"],
@@ -109,22 +109,22 @@ def run_experiment(
 
 def _judge(
     experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
-) -> tuple[HilError | None, bool | None]:
-    """What ended the run or the fit early, and the verdict of a run that may be judged."""
+) -> HilError | None:
+    """Fit and judge a completed run; returns what ended the run or the fit early."""
     from hil.campaign.judging import judge_run
 
     result = recorded.result
     if result.outcome is not Outcome.COMPLETED:
-        return result.error, None
+        return result.error
     if signals.seen:
-        return Stopped("stopped after the motion, before the fit", by_signal=True), None
+        return Stopped("stopped after the motion, before the fit", by_signal=True)
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
-        passed = judge_run(recorded.directory, experiment.spec, recorded.counts)
+        judge_run(recorded.directory, experiment.spec, recorded.counts)
     except HilError as error:
-        return error, None
-    return None, passed
+        return error
+    return None
 
 
 def _report(run: Path) -> tuple[Path | None, HilError | None]:
@@ -134,9 +134,3 @@ def _report(run: Path) -> tuple[Path | None, HilError | None]:
         return render_report(run), None
     except HilError as error:
         return None, error
-
-
-def _word(passed: bool | None) -> VerdictWord:
-    if passed is None:
-        return "not judged"
-    return "passed" if passed else "rejected"
