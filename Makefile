@@ -51,7 +51,7 @@ lint: $(VENV)/.dev ## ruff: style, docstrings, formatting
 types: $(VENV)/.dev ## mypy --strict
 	$(BIN)/mypy
 
-walls: $(VENV)/.dev ## import-linter contracts of ARCHITECTURE.md §5
+walls: $(VENV)/.dev ## import contracts: what may not import what (docs/explanation/architecture.md)
 	$(BIN)/lint-imports
 
 proof: $(VENV)/.dev ## the long must-show runs

@@ -1,7 +1,7 @@
 """Aligned arrays with units and conditions.
 
 Importing `hil.data` pulls in no recorder: reading run directories lives in `hil.data.load`,
-which only the callers above the identification import (ARCHITECTURE.md §5).
+which only the callers above the identification import (docs/explanation/architecture.md).
 """
 
 from hil.data.dataset import Conditions, Dataset, rows_of

@@ -1,7 +1,7 @@
 """Datasets from run directories and MCAP files.
 
 The only module of `hil.data`, beside `hil.data.importing`, that reads recordings; `hil.data` itself
-never imports it, so that estimators stay clear of the recorder (ARCHITECTURE.md §5).
+never imports it, so that estimators stay clear of the recorder (docs/explanation/architecture.md).
 """
 
 from __future__ import annotations

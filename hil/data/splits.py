@@ -140,8 +140,8 @@ def paper_sample_split(
     """Random split by *sample*, as in both papers: for reproducing their numbers only.
 
     Samples of the same pose or instant land on both sides, so errors measured this way say
-    nothing about new poses or motions (papers/README, errata 3 and 4). Series end up with holes,
-    which rules out filtering afterwards: prepare first.
+    nothing about new poses or motions (docs/explanation/honest-protocols.md). Series end up with
+    holes, which rules out filtering afterwards: prepare first.
     """
     kinds = np.random.default_rng(seed).choice(3, size=len(dataset), p=np.asarray(shares))
     first, second, third = (rows_of(dataset, kinds == part) for part in range(3))

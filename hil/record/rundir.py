@@ -1,4 +1,4 @@
-"""The run directory: the file format of a run (ARCHITECTURE.md §6).
+"""The run directory: the file format of a run (described in docs/reference/files.md).
 
 ::
 
