@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from hil.plan.concerns import concerns
 from hil.plan.plan import Plan, number_or_none
 from hil.robot import state_dtype
 
@@ -30,6 +31,7 @@ class PlanPreview:
         hash: The plan's identity.
         steps: Number of steps of each kind, in the order in which they first occur.
         samples: State rows to be recorded.
+        warnings: What is allowed and still worth a second look, a sentence each.
     """
 
     waypoints: int
@@ -40,6 +42,7 @@ class PlanPreview:
     hash: str
     steps: dict[str, int]
     samples: int
+    warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -52,20 +55,23 @@ class PlanPreview:
             "hash": self.hash,
             "steps": dict(self.steps),
             "samples": self.samples,
+            "warnings": list(self.warnings),
         }
 
 
 def preview(plan: Plan) -> PlanPreview:
     """What `plan` amounts to."""
+    size = recording_bytes(plan)
     return PlanPreview(
         waypoints=plan.waypoints,
         duration_s=plan.duration_s,
-        recording_bytes=recording_bytes(plan),
+        recording_bytes=size,
         margins=dict(plan.margins),
         condition_number=plan.condition_number,
         hash=plan.hash,
         steps=dict(Counter(step.kind for step in plan)),
         samples=_samples(plan),
+        warnings=tuple(concerns(plan.condition_number, plan.duration_s, size)),
     )
 
 
