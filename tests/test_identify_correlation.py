@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hil.data.filters import zero_phase
 from hil.identify.correlation import correlated_samples
 
 
@@ -36,3 +37,10 @@ def test_single_samples_are_independent(samples) -> None:
 
 def test_alternating_noise_never_counts_for_more_than_it_is() -> None:
     assert correlated_samples(np.tile([[1.0], [-1.0]], (50, 1)), np.array([0, 100])) == [1.0]
+
+
+def test_slow_part_taken_out_by_a_fit_does_not_make_a_filtered_signal_white() -> None:
+    noise = zero_phase(np.random.default_rng(1).normal(size=(4000, 1)), 0.2)
+    slow = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 4000), 300)
+    residual = noise - slow @ np.linalg.lstsq(slow, noise, rcond=None)[0]
+    assert correlated_samples(residual, np.array([0, 4000]))[0] > 2.0

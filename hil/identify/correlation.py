@@ -18,7 +18,9 @@ def correlated_samples(residual: FloatArray, offsets: IntArray) -> FloatArray:
     The integrated autocorrelation time τ = 1 + 2 Σ ρ(k) of each joint's residual, with the
     autocovariances of all series pooled and the sum cut where k ≥ 5 τ(k) (Sokal, 'Monte Carlo
     methods in statistical mechanics', 1997, §3). The variance of a sum of N such samples is τ
-    times that of independent ones. Correlation between series is not seen.
+    times that of independent ones. The largest partial sum counts: a fit takes the slow part out
+    of its residual, and what is left would otherwise cancel itself (a filtered signal came out as
+    if it were white). Correlation between series is not seen.
 
     Args:
         residual: (N, n), all series behind each other.
@@ -37,9 +39,8 @@ def correlated_samples(residual: FloatArray, offsets: IntArray) -> FloatArray:
     lags = np.arange(longest)[:, None]
     enough = lags >= WINDOW * times
     enough[-1] = True
-    cut = np.argmax(enough, axis=0)
-    found: FloatArray = np.maximum(times[cut, np.arange(times.shape[1])], 1.0)
-    return found
+    beyond = np.arange(longest)[:, None] > np.argmax(enough, axis=0)
+    return np.asarray(np.max(np.where(beyond, 1.0, times), axis=0, initial=1.0))
 
 
 def _autocovariance(values: FloatArray) -> FloatArray:

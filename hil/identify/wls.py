@@ -24,8 +24,8 @@ STD_ERROR_GIVEN = (
 )
 STD_ERROR_LEAVES_OUT = (
     "errors of the gains (they scale a joint's parameters as a whole), loads and kinematics; "
-    "friction of another form; noise in the regressor (bias); what all series have in common, "
-    "such as temperature; correlation between joints"
+    "friction of another form; bias by noise in the regressor and by filters, which smear "
+    "reversals; what all series have in common, such as temperature; correlation between joints"
 )
 
 
