@@ -11,11 +11,11 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord
 from hil.campaign.view import verdict_word
 from hil.engine import Observer, Observers, Outcome
+from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
 
 if TYPE_CHECKING:
     from hil.campaign.recording import Recorded
-    from hil.engine.signals import SignalWatch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,6 @@ def run_experiment(
     """
     from hil.campaign.operator import ask_operator
     from hil.campaign.recording import record
-    from hil.engine.signals import SignalWatch
 
     watching = Observers(tuple(observers))
     try:
@@ -92,6 +91,8 @@ def run_experiment(
             error = _judge(experiment, recorded, signals, watching)
             watching.publish({"kind": "stage", "stage": "writing the report"})
             page, problem = _report(recorded.directory.path)
+    except StopSignal as signal:
+        raise signal.stopped() from None
     finally:
         watching.close()
     return RunReport(
@@ -122,6 +123,8 @@ def _judge(
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
         judge_run(recorded.directory, experiment.spec, recorded.counts)
+    except StopSignal as signal:
+        return signal.stopped()
     except HilError as error:
         return error
     return None
@@ -132,5 +135,7 @@ def _report(run: Path) -> tuple[Path | None, HilError | None]:
 
     try:
         return render_report(run), None
+    except StopSignal as signal:
+        return None, signal.stopped()
     except HilError as error:
         return None, error

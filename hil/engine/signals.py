@@ -1,6 +1,6 @@
 """Ctrl-C, SIGTERM and a lost terminal become stop requests, not exceptions in a command.
 
-While nothing moves (planning, fitting, reporting) a signal ends the work with `Stopped`. While an
+While nothing moves (planning, fitting, reporting) a signal raises `StopSignal`. While an
 engine is guarded, the first and second signal ask it for a controlled stop, which nothing can
 interrupt any more; the third tells the robot to stop directly and ends the process.
 """
@@ -24,6 +24,17 @@ WATCHED = tuple(
 )
 LAST_RESORT_AT = 3
 EXIT_CODE = 130
+
+
+class StopSignal(KeyboardInterrupt):
+    """A watched signal came while nothing moved.
+
+    No `Exception`, so that no library between here and there takes it for an error of its own.
+    """
+
+    def stopped(self) -> Stopped:
+        """The same as an error of the tree."""
+        return Stopped(str(self), by_signal=True)
 
 
 class SignalWatch:
@@ -61,7 +72,7 @@ class SignalWatch:
         self.seen += 1
         reason = f"stopped by {signal.Signals(number).name}"
         if self._guarded is None:
-            raise Stopped(reason, by_signal=True)
+            raise StopSignal(reason)
         engine, robot = self._guarded
         engine.request_stop(reason, by_signal=True)
         if self.seen >= LAST_RESORT_AT:
