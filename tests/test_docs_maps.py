@@ -14,7 +14,7 @@ from hil.data.load import load_source
 from hil.spec.model_tree import Model, keys_of, tree
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "maps.md").read_text("utf-8")
-MODELS = {model for _, model in tree(ImportMap)}
+MODELS = list(dict.fromkeys(model for _, model in tree(ImportMap)))
 TITLES = {
     "ImportMap": "## Top of the file",
     "Columns": "## `columns`",
@@ -37,11 +37,7 @@ def rows_of(model: Model) -> dict[str, list[str]]:
 
 
 def defaults() -> list[tuple[str, str, Model]]:
-    return [
-        (model.__name__, key, model)
-        for model in sorted(MODELS, key=lambda m: m.__name__)
-        for key in keys_of(model)
-    ]
+    return [(model.__name__, key, model) for model in MODELS for key in keys_of(model)]
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
