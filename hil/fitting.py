@@ -115,7 +115,8 @@ def fit_sources(
         _require_same_effort(train, data)
         # What is not learned from may be shared: warm-ups of two runs on a mock are the same.
         assert_disjoint(usable_part(train, model), usable_part(data, model))
-    fitted = _fit(model, train, load_model(robot or train.robot), out, serial)
+    arm = load_model(robot or train.robot, gravity=train.gravity)
+    fitted = _fit(model, train, arm, out, serial)
     judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
     keep(fitted.folder / EVALUATION_FILE, judged)
     return FitReport(fitted, judged)

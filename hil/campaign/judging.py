@@ -10,7 +10,7 @@ from typing import Any
 from hil.campaign.parts import Parts, hold_out
 from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.data.dataset import Dataset
-from hil.data.load import gravity_of, load_source
+from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.errors import DataError, FitError, HilError
 from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
@@ -117,7 +117,7 @@ def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | Non
 def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
     usable = usable_part(data, estimator(fit.estimator, **fit.parameters))
     parts = hold_out(usable, spec.validation.hold_out)
-    robot = load_model(data.robot, gravity=gravity_of(directory.path))
+    robot = load_model(data.robot, gravity=data.gravity)
     fitted = fit_dataset(
         parts.train, fit.estimator, robot, out=directory.path / "fit", **fit.parameters
     )

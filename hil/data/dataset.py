@@ -17,6 +17,9 @@ from hil.errors import DataError
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray, IntArray
 
+UPRIGHT = (0.0, 0.0, -9.81)
+"""Gravity in the base frame of an arm that stands on a level table [m/s²]."""
+
 SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]
 
 
@@ -65,6 +68,7 @@ class Dataset:
         conditions: One per series, length S.
         drive_gains: Torque per current [N·m/A], (n,), or None when unknown.
         drive_gains_source: Where the gains come from.
+        gravity: In the robot's base frame [m/s²]; says how the arm was mounted.
     """
 
     robot: str
@@ -75,6 +79,7 @@ class Dataset:
     conditions: tuple[Conditions, ...]
     drive_gains: FloatArray | None = None
     drive_gains_source: str = ""
+    gravity: tuple[float, float, float] = UPRIGHT
 
     def __post_init__(self) -> None:
         rows = {name: len(values) for name, values in self.columns.items()}
@@ -175,7 +180,7 @@ def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
 
 
 def _require_compatible(a: Dataset, b: Dataset) -> None:
-    for what in ("robot", "joint_names", "effort_kind"):
+    for what in ("robot", "joint_names", "effort_kind", "gravity"):
         if getattr(a, what) != getattr(b, what):
             raise DataError(
                 f"cannot pool data: {what} is {getattr(a, what)!r} in one source "

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.data.dataset import Dataset, SeriesKind
+from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import Origin, Series, StepNote, assemble, cut
 from hil.errors import DataError
@@ -23,9 +23,6 @@ from hil.record.files import read_json
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
-
-UPRIGHT = (0.0, 0.0, -9.81)
-"""Gravity in the base frame of an arm that stands on the floor [m/s²]."""
 
 WINDOW_PAYLOAD = "payload of window {}"
 """Metadata record of an imported file: the load of one window, where it has its own."""
@@ -52,21 +49,16 @@ def load_source(path: str | Path, kinds: Collection[SeriesKind] | None = None) -
     """
     source, wanted = Path(path), MEASURED_KINDS if kinds is None else tuple(kinds)
     if source.is_dir():
-        return _from_run(source, wanted)
+        return replace(_from_run(source, wanted), gravity=gravity_of(source))
     if not source.exists():
         raise DataError(
             f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
         )
-    return _from_file(source, wanted)
+    return replace(_from_file(source, wanted), gravity=gravity_of(source))
 
 
-def gravity_of(path: str | Path) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] under which a source was recorded; upright unless it says.
-
-    Raises:
-        DataError: The source is missing, damaged or from a newer hil.
-    """
-    source = Path(path)
+def gravity_of(source: Path) -> tuple[float, float, float]:
+    """Gravity in the base frame [m/s²] of a source; upright unless it says."""
     given = _robot_of(source).get("gravity_m_s2", UPRIGHT)
     try:
         x, y, z = (float(value) for value in given)

@@ -132,6 +132,12 @@ class RobotEstimator(Parametrised):
                 f"the model predicts a {self.effort_kind_}, the data hold a {dataset.effort_kind}",
                 hint="fit and judge on recordings of the same quantity",
             )
+        if not np.allclose(dataset.gravity, self.robot_.gravity_vector, atol=0.05):
+            raise DataError(
+                f"the model is for gravity {self.robot_.gravity_vector.tolist()} in the base "
+                f"frame, the data were recorded under {list(dataset.gravity)} m/s²",
+                hint="a model of an arm mounted differently needs a fit of its own",
+            )
 
 
 def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:

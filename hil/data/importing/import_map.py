@@ -6,7 +6,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 
 from hil.data.importing.units import QUANTITY_DIMENSIONS, unit_named, units_of
 from hil.payload import Payload
@@ -34,12 +41,39 @@ def _expanded(value: Any) -> Any:
     return [value]
 
 
+def _counted_from_one(addresses: tuple[Address, ...]) -> tuple[Address, ...]:
+    # Column 0 would be the last one without anybody noticing.
+    if any(isinstance(address, int) and address < 1 for address in addresses):
+        raise mistake("columns are counted from 1")
+    return addresses
+
+
 def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
 
-Addresses = Annotated[tuple[Address, ...], BeforeValidator(_expanded), Field(min_length=1)]
-PerJoint = Annotated[tuple[Finite, ...], BeforeValidator(_as_list), Field(min_length=1)]
+# The JSON Schema is of what stands in the file, before a single value becomes a list.
+_ONE_ADDRESS: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
+_ONE_NUMBER: dict[str, Any] = {"type": "number"}
+
+
+def _one_or_list(one: dict[str, Any]) -> WithJsonSchema:
+    return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]})
+
+
+Addresses = Annotated[
+    tuple[Address, ...],
+    BeforeValidator(_expanded),
+    AfterValidator(_counted_from_one),
+    Field(min_length=1),
+    _one_or_list(_ONE_ADDRESS),
+]
+PerJoint = Annotated[
+    tuple[Finite, ...],
+    BeforeValidator(_as_list),
+    Field(min_length=1),
+    _one_or_list(_ONE_NUMBER),
+]
 
 
 class Quantity(Strict):

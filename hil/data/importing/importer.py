@@ -19,7 +19,7 @@ from hil.data.importing.mat import read_mat
 from hil.data.importing.raw import Raw
 from hil.data.importing.recording import segments_of, write_recording
 from hil.data.importing.text import read_text
-from hil.errors import DataError, SpecError
+from hil.errors import DataError, RecordingError, SpecError
 from hil.payload import Payload
 from hil.suggest import did_you_mean
 
@@ -92,13 +92,14 @@ def import_file(
     Raises:
         SpecError: The map is not valid.
         DataError: The file cannot be read, or rows make no sense.
-        RecordingError: The output exists already or cannot be written.
+        RecordingError: The output exists already, its folder does not, or it cannot be written.
     """
     layout = map_ if isinstance(map_, ImportMap) else load_map(map_)
     layout = _with_format(layout, format_)
     layout = layout if payload is None else layout.with_payload(payload)
     if not path.exists():
         raise DataError(f"{path} does not exist")
+    _require_place(out)
     whole = READERS[layout.format](path, layout)
     numbered = np.arange(1, len(whole) + 1)
     chosen = whole.window(rows) if rows else whole
@@ -115,6 +116,17 @@ def import_file(
     if rows is None:
         notes += _window_notes(path.name, layout, windows, int(np.sum(segments >= 0)))
     return ImportReport(out, path, len(good), tuple(dropped), samples.place, tuple(notes))
+
+
+def _require_place(out: Path) -> None:
+    """Before a long file is read: the output can be made there and hides nothing."""
+    if out.exists():
+        raise RecordingError(f"{out} exists already", hint="choose another -o, or remove that file")
+    if not out.parent.is_dir():
+        raise RecordingError(
+            f"{out} cannot be made: there is no folder {out.parent}",
+            hint=f"make it first: mkdir -p {out.parent}",
+        )
 
 
 def _with_format(layout: ImportMap, format_: str | None) -> ImportMap:

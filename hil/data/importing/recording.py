@@ -65,7 +65,6 @@ def write_recording(
     Raises:
         RecordingError: The file exists already or cannot be written.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
     unit = "A" if layout.effort_kind == "current" else "N·m"
     rate = sample_rate(samples.columns["t"])
     topic = state_topic(layout.n_joints, rate, clock="file", effort_unit=unit)
