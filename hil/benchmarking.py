@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 from difflib import get_close_matches
 from pathlib import Path
@@ -24,6 +25,16 @@ def names() -> list[str]:
             hint="clone the repository and run `hil bench` there",
         )
     return sorted(f.stem for f in FOLDER.glob("*.py") if not f.stem.startswith("_"))
+
+
+def describe() -> dict[str, str]:
+    """What each benchmark measures, in one line: the first of its file. Nothing is imported."""
+    return {name: _first_line(FOLDER / f"{name}.py") for name in names()}
+
+
+def _first_line(file: Path) -> str:
+    told = ast.get_docstring(ast.parse(file.read_text("utf-8"))) or ""
+    return told.partition("\n")[0]
 
 
 def measure(name: str, *, quick: bool = False) -> dict[str, Any]:

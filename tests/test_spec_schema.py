@@ -28,6 +28,7 @@ TYPES: dict[str, tuple[type, ...]] = {
     "number": (int, float),
     "integer": (int,),
     "null": (type(None),),
+    "boolean": (bool,),
 }
 
 
@@ -58,7 +59,9 @@ def faults(value: Any, schema: dict[str, Any], root: dict[str, Any], at: str = "
 def _has_type(value: Any, schema: dict[str, Any]) -> bool:
     if "type" not in schema:
         return True
-    return isinstance(value, TYPES[schema["type"]]) and not isinstance(value, bool)
+    if isinstance(value, bool):  # a subclass of int in Python, and no number in JSON
+        return schema["type"] == "boolean"
+    return isinstance(value, TYPES[schema["type"]])
 
 
 def _object_faults(

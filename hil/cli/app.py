@@ -7,10 +7,11 @@ import errno
 import json
 import os
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
+import hil
 from hil.cli import bench, data, models, runs, specs, system
 from hil.cli.streams import Stream, guard_streams
 from hil.errors import HilError, RecordingError, RobotConnectionError, Stopped, exit_code_of
@@ -22,7 +23,6 @@ EXIT_CODES = (
 
 app = typer.Typer(
     name="hil",
-    help="From one YAML file to a validated robot model.",
     epilog=EXIT_CODES,
     no_args_is_help=True,
     add_completion=True,
@@ -31,6 +31,22 @@ app = typer.Typer(
 )
 for group in (specs, runs, models, data, system, bench):
     group.register(app)
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"hil {hil.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_tell_version, is_eager=True, help="Say which hil."),
+    ] = False,
+) -> None:
+    """From one YAML file to a validated robot model."""
 
 
 def main() -> None:

@@ -23,8 +23,7 @@ def bench(
     from hil import benchmarking
 
     if name == "list":
-        for known in benchmarking.names():
-            typer.echo(known)
+        _list(benchmarking.describe(), json)
         return
     chosen = benchmarking.names() if name == "all" else [name]
     documents = [benchmarking.measure(one, quick=quick) for one in chosen]
@@ -33,6 +32,13 @@ def bench(
     else:
         for document in documents:
             _print(document)
+
+
+def _list(known: dict[str, str], json: bool) -> None:
+    if json:
+        print_json([{"name": name, "description": told} for name, told in known.items()])
+    else:
+        print_table(("benchmark", "what"), list(known.items()))
 
 
 def _print(document: dict[str, Any]) -> None:

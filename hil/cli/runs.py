@@ -19,7 +19,10 @@ from hil.cli.output import (
 )
 from hil.errors import DataError, HilError, PreflightFailed, Rejected, exit_code_of
 
-RunArgument = Annotated[Path, typer.Argument(help="Run directory.", show_default=False)]
+RunArgument = Annotated[
+    str,
+    typer.Argument(help="Run directory, or the number or name of a run.", show_default=False),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -118,6 +121,7 @@ def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
 
 def show(
     run: RunArgument,
+    runs: RunsOption = Path("runs"),
     verify: Annotated[
         bool, typer.Option("--verify", help="Also compare every file with its checksum.")
     ] = False,
@@ -125,15 +129,17 @@ def show(
 ) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
     from hil import api
+    from hil.record.catalogue import find_run
     from hil.record.rundir import RunDirectory
 
-    problems = RunDirectory.open(run).verify() if verify else []
+    path = find_run(run, runs)
+    problems = RunDirectory.open(path).verify() if verify else []
     if json:
-        print_json(api.describe_run(run) | ({"problems": problems} if verify else {}))
+        print_json(api.describe_run(path) | ({"problems": problems} if verify else {}))
     else:
-        _tell(run)
+        _tell(path)
     if problems:
         hint = "take the run from a copy that is whole, or use what is left of it with care"
-        _fail(DataError(f"{run}: {'; '.join(problems)}", hint=hint), json)
+        _fail(DataError(f"{path}: {'; '.join(problems)}", hint=hint), json)
     if verify and not json:
         typer.echo("every file is as the run left it")

@@ -16,6 +16,7 @@ from hil.cli.output import (
     print_table,
     size,
 )
+from hil.errors import SpecError
 
 
 def register(app: typer.Typer) -> None:
@@ -59,6 +60,7 @@ def plan(
     json: JsonFlag = False,
 ) -> None:
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
+    _require_svg(picture)
     from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.plan.picture import plan_picture
@@ -87,6 +89,17 @@ def plan(
         ("plan hash", shown["hash"][:12]),
     ]
     print_table(("", ""), rows)
+    for warning in shown["warnings"]:
+        typer.echo(f"warning: {warning}")
+
+
+def _require_svg(picture: Path | None) -> None:
+    """Refuse other formats before the plan is made, which may take a minute."""
+    if picture is not None and picture.suffix.lower() != ".svg":
+        raise SpecError(
+            f"--picture {picture}: the picture of a plan is an SVG file",
+            hint=f"--picture {picture.with_suffix('.svg')}",
+        )
 
 
 def _figure(value: float | None) -> str:
@@ -95,9 +108,14 @@ def _figure(value: float | None) -> str:
 
 
 def schema(
-    kind: Annotated[Literal["experiment", "station"], typer.Argument()] = "experiment",
+    kind: Annotated[Literal["experiment", "station", "map"], typer.Argument()] = "experiment",
 ) -> None:
-    """Print the JSON Schema of a spec or station file, for editors."""
+    """Print the JSON Schema of a spec, station file or import map, for editors."""
+    if kind == "map":
+        from hil.data.importing.map_schema import map_schema
+
+        print_json(map_schema())
+        return
     from hil.spec.schema import experiment_schema, station_schema
 
     print_json(experiment_schema() if kind == "experiment" else station_schema())

@@ -9,6 +9,8 @@ from typing import Literal
 from hil.errors import DataError
 from hil.record.numbering import number_of, run_folders
 from hil.record.rundir import RunDirectory, RunStatus
+from hil.record.writer import PARTIAL_SUFFIX
+from hil.suggest import closest
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,42 @@ def list_runs(runs_root: Path) -> list[RunListing]:
         if number_of(path) or (path / "start.json").exists()
     ]
     return sorted(listings, key=lambda run: (run.number, run.path))
+
+
+def find_run(named: str, runs_root: Path) -> Path:
+    """The run directory somebody means by a path, a directory's name, or a number (`42`).
+
+    Raises:
+        DataError: It is a recording instead of a run, or no run under `runs_root` is called so.
+    """
+    path = Path(named)
+    if path.is_dir():
+        return path
+    if path.is_file():
+        raise _no_run(path)
+    folders = run_folders(runs_root)
+    number = int(named) if named.isdecimal() else 0
+    found = [run for run in folders if run.name == named or (number and number_of(run) == number)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        listed = ", ".join(str(run) for run in found)
+        raise DataError(f"{len(found)} runs are called {named}: {listed}", hint="give the path")
+    guess = None if number else closest(named, [run.name for run in folders])
+    hint = f"did you mean {guess!r}?" if guess else f"list them with: hil runs --runs {runs_root}"
+    raise DataError(f"there is no run {named}, here or under {runs_root}", hint=hint)
+
+
+def _no_run(file: Path) -> DataError:
+    """What to do with a file that was given where a run directory is needed."""
+    if not file.name.endswith((".mcap", f".mcap{PARTIAL_SUFFIX}")):
+        return DataError(f"{file} is a file, not a run directory", hint="list them with: hil runs")
+    run = file.resolve().parent.parent
+    if (run / "start.json").is_file():
+        hint = f"its run: hil show {run}"
+    else:
+        hint = f"it is data, not a run; fit it: hil fit {file} --estimator NAME"
+    return DataError(f"{file} is a recording, not a run directory", hint=hint)
 
 
 def _listing(path: Path) -> RunListing:
