@@ -54,7 +54,10 @@ class Surroundings(Strict):
 class StationRobot(Strict):
     """One robot of the bench."""
 
-    driver: str = Field(description="Name under `hil.drivers`, e.g. `mock`, `ur`.")
+    driver: str = Field(
+        description="Name under `hil.drivers`: `mock`, or what `hil plugins` lists; `ur` arrives "
+        "later."
+    )
     model: str = Field(
         description="A built-in arm (`ur5`) or a path to a URDF; a relative path starts at the "
         "folder of the station."
