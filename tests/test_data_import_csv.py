@@ -401,3 +401,21 @@ def test_command_line_declares_the_load_and_says_so(tmp_path) -> None:
     assert result.exit_code == 0, result.output
     assert "declared load: 2.805 kg" in result.output
     assert load_source(out).conditions[0].payload == Payload(2.805, (0, 0, 0.1))
+
+
+def test_degrees_declared_as_radians_are_noticed_on_a_known_arm(tmp_path) -> None:
+    rows = np.arange(30)
+    q_deg = np.full((30, 6), 40.0)
+    values = np.column_stack([rows * 0.01, q_deg, np.ones((30, 6))])
+    map_ = layout(
+        robot="ur5",
+        joint_names=[f"j{i}" for i in range(1, 7)],
+        drive_gains_nm_a=[10.0] * 6,
+        columns={
+            "t": {"columns": 1},
+            "q": {"columns": "2:7", "unit": "rad"},
+            "effort": {"columns": "8:13", "unit": "A"},
+        },
+    )
+    with pytest.raises(DataError, match="more than a ur5 can turn"):
+        imported(written(tmp_path / "run.csv", values), map_, tmp_path)

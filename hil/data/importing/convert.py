@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.arms import arm_names, load_arm
 from hil.data.importing.checks import check_jumps, check_time, check_values
 from hil.data.importing.import_map import ImportMap, Quantity
 from hil.data.importing.raw import Raw
 from hil.data.importing.units import SI_SYMBOL, unit_named
 from hil.errors import DataError
 from hil.typing import FloatArray
+
+RANGE_MARGIN = 1.1
 
 
 def convert(raw: Raw, layout: ImportMap) -> Raw:
@@ -25,12 +28,23 @@ def convert(raw: Raw, layout: ImportMap) -> Raw:
     for name, quantity in layout.quantities().items():
         if name in raw.columns:
             out.columns[name] = _to_si(out, name, quantity, raw.columns[name])
+    _check_range(out, layout.robot)
     check_time(out, t)
     fastest = layout.columns.qd and layout.columns.qd.limit
     if fastest and layout.columns.qd is not None:
         limit = np.array(fastest) * _factor(layout.columns.qd.unit)[0]
         check_jumps(out, t, out.columns["q"], limit)
     return out
+
+
+def _check_range(out: Raw, robot: str) -> None:
+    """Positions far outside a known arm's range are degrees that were declared as radians."""
+    if robot not in arm_names() or "q" not in out.columns:
+        return
+    arm = load_arm(robot)
+    reach = RANGE_MARGIN * np.maximum(np.abs(arm.q_min), np.abs(arm.q_max))
+    if out.columns["q"].shape[1] == arm.n_joints:
+        check_values(out, "q", out.columns["q"], reach, f"rad, more than a {robot} can turn")
 
 
 def _to_si(out: Raw, name: str, quantity: Quantity, values: FloatArray) -> FloatArray:
