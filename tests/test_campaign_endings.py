@@ -17,7 +17,8 @@ import pytest
 import hil
 from hil.campaign import operator, recording
 from hil.engine import Engine
-from hil.errors import PreflightFailed, RecordingError, SpecError
+from hil.engine.signals import SignalWatch
+from hil.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 
@@ -157,3 +158,72 @@ def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path
     with pytest.raises(SpecError, match="measures a current"):
         hil.run(hil.load(spec), runs=tmp_path)
     assert not list(tmp_path.glob("*/*/*"))
+
+
+@pytest.mark.parametrize("step", ["write_beginning", "open_recorder"])
+def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    original = getattr(recording, step)
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        done = original(*arguments, **options)
+        os.kill(os.getpid(), signal.SIGTERM)
+        return done
+
+    monkeypatch.setattr(recording, step, interrupted)
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    assert report.outcome == "stopped"
+    assert not list(report.run.glob("recording/*.partial"))
+
+
+def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: Any, **options: Any) -> Any:
+        raise RecordingError("no space left on device")
+
+    monkeypatch.setattr(recording, "open_recorder", full)
+    with pytest.raises(RecordingError):
+        hil.run(hil.load(DWELL), runs=tmp_path)
+    (run,) = tmp_path.glob("*/*/*")
+    assert RunDirectory.open(run).status == "failed"
+
+
+def test_a_robot_that_cannot_be_closed_takes_no_finished_run_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil_mock_robot.driver import MockRobot
+
+    def broken(self: MockRobot) -> None:
+        raise OSError("socket gone")
+
+    monkeypatch.setattr(MockRobot, "close", broken)
+    report = hil.run(hil.load(DWELL), runs=tmp_path)
+    assert (report.outcome, report.verdict) == ("completed", "passed")
+    stop = RunDirectory.open(report.run).stop
+    assert stop is not None
+    assert any("socket gone" in problem for problem in stop["problems"])
+
+
+def test_a_signal_that_was_ignored_from_the_start_stays_ignored(tmp_path: Path) -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with SignalWatch():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_what_a_library_makes_of_an_interruption_is_still_a_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        except BaseException:
+            raise ImportError("initialization failed") from None
+
+    monkeypatch.setattr(recording, "plan_for", interrupted)
+    with pytest.raises(Stopped, match="SIGTERM"):
+        hil.run(hil.load(DWELL), runs=tmp_path)

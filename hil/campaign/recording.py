@@ -12,7 +12,7 @@ from hil import plugins
 from hil.campaign.beginning import open_recorder, write_beginning
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import mock_mounts
-from hil.campaign.robots import connected, plan_for
+from hil.campaign.robots import close_robot, connected, plan_for
 from hil.engine import Engine, Observers, Outcome, Prompt, RunResult
 from hil.engine.interlocks import from_spec
 from hil.engine.signals import SignalWatch
@@ -104,27 +104,37 @@ def record(
         _require_usable(experiment, robot)
         observers.publish({"kind": "stage", "stage": "planning"})
         plan = plan_for(experiment, robot)
-        directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-        try:
-            write_beginning(directory, experiment, robot, plan, operator, waivers)
-            recorder = open_recorder(directory, robot, experiment)
-        except HilError as error:
-            with contextlib.suppress(HilError):
-                directory.write_stop("failed", error.message)
-            raise
-        observers.publish({"kind": "stage", "stage": f"running {plan.name} → {directory.path}"})
-        sink = RunSink(directory, recorder)
-        engine = Engine(
-            plan,
-            robot,
-            sink,
-            interlocks=from_spec(experiment.spec.interlocks),
-            observers=observers,
-            prompt=mock_mounts if robot.capabilities.clock == "virtual" else prompt,
-        )
-        with signals.guard(engine, robot):
+        with signals.guard():
+            directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
+            open_files = contextlib.ExitStack()
+            try:
+                write_beginning(directory, experiment, robot, plan, operator, waivers)
+                recorder = open_recorder(directory, robot, experiment)
+                open_files.callback(_quietly, recorder.close)
+                sink = RunSink(directory, recorder)
+            except BaseException as error:
+                open_files.close()
+                with contextlib.suppress(HilError):
+                    directory.write_stop("failed", str(error) or type(error).__name__)
+                raise
+            observers.publish({"kind": "stage", "stage": f"running {plan.name} → {directory.path}"})
+            engine = Engine(
+                plan,
+                robot,
+                sink,
+                interlocks=from_spec(experiment.spec.interlocks),
+                observers=observers,
+                prompt=mock_mounts if robot.capabilities.clock == "virtual" else prompt,
+            )
+            signals.bind(engine, robot)
             result = engine.run(_preflight(directory, plan, robot, experiment, tuple(waivers)))
+            result = replace(result, notes=(*result.notes, *close_robot(robot)))
             return _finish(directory, result, recorder, sink, observers)
+
+
+def _quietly(close: Callable[[], object]) -> None:
+    with contextlib.suppress(HilError):
+        close()
 
 
 def _require_usable(experiment: Experiment, robot: Robot) -> None:

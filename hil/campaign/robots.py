@@ -43,13 +43,26 @@ def open_robot(name: str, station_robot: StationRobot) -> Robot:
 
 @contextlib.contextmanager
 def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
-    """The robot, connected while inside and closed on every way out."""
+    """The robot, connected while inside and closed on every way out.
+
+    What goes wrong in closing is not raised: it would hide what happened before, or take a
+    finished run back. `close_robot` says what it was.
+    """
     robot = open_robot(name, station_robot)
     try:
         robot.connect()
         yield robot
     finally:
+        close_robot(robot)
+
+
+def close_robot(robot: Robot) -> list[str]:
+    """Close a robot (again, if need be); returns what went wrong."""
+    try:
         robot.close()
+    except Exception as error:  # a driver may fail in any way it likes
+        return [f"closing the robot: {error}"]
+    return []
 
 
 def plan_for(experiment: Experiment, robot: Robot) -> Plan:

@@ -76,23 +76,28 @@ def run_experiment(
     from hil.campaign.operator import ask_operator
     from hil.campaign.recording import record
 
-    watching = Observers(tuple(observers))
+    watching, signals = Observers(tuple(observers)), SignalWatch()
     try:
-        with SignalWatch() as signals:
-            recorded = record(
-                experiment,
-                runs=runs,
-                operator=operator,
-                observers=watching,
-                prompt=ask_operator,
-                signals=signals,
-                waivers=waivers or {},
-            )
+        with signals:
+            try:
+                recorded = record(
+                    experiment,
+                    runs=runs,
+                    operator=operator,
+                    observers=watching,
+                    prompt=ask_operator,
+                    signals=signals,
+                    waivers=waivers or {},
+                )
+            except (Exception, StopSignal):
+                # A library that was interrupted may raise an error of its own instead.
+                if signals.seen:
+                    raise signals.stopped() from None
+                raise
             error = _judge(experiment, recorded, signals, watching)
             watching.publish({"kind": "stage", "stage": "writing the report"})
-            page, problem = _report(recorded.directory.path)
-    except StopSignal as signal:
-        raise signal.stopped() from None
+            with signals.guard():
+                page, problem = _report(recorded.directory.path)
     finally:
         watching.close()
     return RunReport(
@@ -123,10 +128,12 @@ def _judge(
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
         judge_run(recorded.directory, experiment.spec, recorded.counts)
-    except StopSignal as signal:
-        return signal.stopped()
-    except HilError as error:
-        return error
+    except (Exception, StopSignal) as error:
+        if signals.seen:
+            return signals.stopped()
+        if isinstance(error, HilError):
+            return error
+        raise
     return None
 
 
@@ -135,7 +142,5 @@ def _report(run: Path) -> tuple[Path | None, HilError | None]:
 
     try:
         return render_report(run), None
-    except StopSignal as signal:
-        return None, signal.stopped()
     except HilError as error:
         return None, error

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import json
 import os
+import signal
 import sys
 from typing import Annotated, Any
 
@@ -52,6 +53,7 @@ def _options(
 def main() -> None:
     """Entry point of the `hil` script."""
     _one_blas_thread()
+    _end_like_ctrl_c()
     out = guard_streams()
     try:
         app(prog_name="hil")
@@ -61,6 +63,14 @@ def main() -> None:
         sys.exit(_tell(_named(error), out))
     except SystemExit as ending:
         sys.exit(_ended(ending, out))
+
+
+def _end_like_ctrl_c() -> None:
+    """SIGTERM and a lost terminal end a command as Ctrl-C does: with words and exit code 130."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
 
 
 def _one_blas_thread() -> None:

@@ -49,6 +49,7 @@ def run(
     from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.cli.progress import ProgressLines
+    from hil.engine.signals import ignore_from_now_on
 
     experiment = api.load(spec, station)
     check_driver(experiment)
@@ -61,6 +62,7 @@ def run(
         observers=(ProgressLines(),),
         waivers=_waivers(waive or ()),
     )
+    ignore_from_now_on()
     if json:
         print_json(report.to_dict())
     else:

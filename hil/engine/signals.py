@@ -1,8 +1,9 @@
 """Ctrl-C, SIGTERM and a lost terminal become stop requests, not exceptions in a command.
 
-While nothing moves (planning, fitting, reporting) a signal raises `StopSignal`. While an
-engine is guarded, the first and second signal ask it for a controlled stop, which nothing can
-interrupt any more; the third tells the robot to stop directly and ends the process.
+While nothing moves (planning, fitting) a signal raises `StopSignal`. While a run is guarded, from
+the making of its directory to its stop document, signals interrupt nothing: the first and second
+ask the engine for a controlled stop, the third stops the robot directly and ends the process. A
+signal that was ignored when the program started (`nohup`) stays ignored.
 """
 
 from __future__ import annotations
@@ -32,22 +33,21 @@ class StopSignal(KeyboardInterrupt):
     No `Exception`, so that no library between here and there takes it for an error of its own.
     """
 
-    def stopped(self) -> Stopped:
-        """The same as an error of the tree."""
-        return Stopped(str(self), by_signal=True)
-
 
 class SignalWatch:
     """Handles the watched signals while it is open; does nothing outside the main thread."""
 
     def __init__(self) -> None:
         self.seen = 0
-        self._guarded: tuple[Engine, Robot] | None = None
+        self.reason = ""
+        self._guarding = False
+        self._bound: tuple[Engine, Robot] | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> SignalWatch:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._handle) for number in WATCHED}
+            heard = [n for n in WATCHED if signal.getsignal(n) is not signal.SIG_IGN]
+            self._before = {number: signal.signal(number, self._handle) for number in heard}
         return self
 
     def __exit__(
@@ -59,24 +59,43 @@ class SignalWatch:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def stopped(self) -> Stopped:
+        """What has been seen, as an error of the tree."""
+        return Stopped(self.reason, by_signal=True)
+
     @contextlib.contextmanager
-    def guard(self, engine: Engine, robot: Robot) -> Iterator[None]:
-        """While inside, signals go to the engine, and raise nothing anywhere."""
-        self._guarded = (engine, robot)
+    def guard(self) -> Iterator[None]:
+        """While inside, signals are noted, passed on to a bound engine, and raise nothing."""
+        self._guarding = True
         try:
             yield
         finally:
-            self._guarded = None
+            self._guarding, self._bound = False, None
+
+    def bind(self, engine: Engine, robot: Robot) -> None:
+        """Pass signals on to this engine; one that has come already, too."""
+        self._bound = (engine, robot)
+        if self.seen:
+            engine.request_stop(self.reason, by_signal=True)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.seen += 1
-        reason = f"stopped by {signal.Signals(number).name}"
-        if self._guarded is None:
-            raise StopSignal(reason)
-        engine, robot = self._guarded
-        engine.request_stop(reason, by_signal=True)
+        self.reason = f"stopped by {signal.Signals(number).name}"
+        if not self._guarding:
+            raise StopSignal(self.reason)
+        if self._bound is None:
+            return
+        engine, robot = self._bound
+        engine.request_stop(self.reason, by_signal=True)
         if self.seen >= LAST_RESORT_AT:
             _last_resort(robot)
+
+
+def ignore_from_now_on() -> None:
+    """The work is done and is about to be told: a late signal must not spoil the telling."""
+    if threading.current_thread() is threading.main_thread():
+        for number in WATCHED:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _last_resort(robot: Robot) -> None:
