@@ -123,7 +123,7 @@ def motion_plots(fit: FitFacts, motions: Motions) -> list[Plots]:
         )
 
     which = _name_of(motions.worst)
-    several = f"{which}: the worst of {motions.count} held-out trajectories."
+    several = f"{which}: of {motions.count} held out, the worst relative to each joint's signal."
     panels = _Panels(fit, residual)
     return [
         panels.plots(
