@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
@@ -17,7 +17,8 @@ def test_workers_are_spawned_processes_with_one_blas_thread_each(
         monkeypatch.setenv(variable, "7")
     with processes(1) as executor:
         assert executor.submit(os.getpid).result() != os.getpid()
-        assert executor.submit(multiprocessing.get_start_method).result() == "spawn"
+        assert isinstance(executor, ProcessPoolExecutor)
+        assert executor._mp_context.get_start_method() == "spawn"
         threads = [executor.submit(os.getenv, name).result() for name in BLAS_VARIABLES]
     assert threads == ["1"] * len(BLAS_VARIABLES)
 
