@@ -67,9 +67,11 @@ def fsync_directory(directory: Path) -> None:
         os.close(descriptor)
 
 
-def sha256_of(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's content."""
+def sha256_of(path: Path, length: int | None = None) -> str:
+    """Hexadecimal SHA-256 of a file's content, or of its first `length` bytes."""
     with path.open("rb") as file:
+        if length is not None:
+            return hashlib.sha256(file.read(length)).hexdigest()
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -5,11 +5,13 @@
     runs/2026-11-21/ur5/0042-fourier-p3kg/   the name is for people; identity is start.json:uid
       start.json      who, what, when, with which versions
       spec.yaml  station.yaml  plan.json  preflight.json
-      recording/00.mcap …                    one file per attempt, NN.mcap.partial while open
-      events.jsonl    state changes, checkpoints, prompts and answers, trips
+      recording/00.mcap …                    one file per attempt, NN.mcap.partial while open;
+                                             long ones go on in 00.001.mcap, 00.002.mcap, …
+      events.jsonl    state changes, checkpoints, prompts and answers, trips; only appended to
       stop.json       outcome, reason, counts, SHA-256 per file; written last
+      resume-01.json  preflight-01.json  stop-01.json    the same of the first resumption, …
 
-No `stop.json` means *interrupted*. No file is ever rewritten.
+An attempt without stop document means *interrupted*. No file is ever rewritten.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ from hil.record.files import (
     write_once,
 )
 from hil.record.numbering import claim, name_for_path, number_of
+from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now
-from hil.record.writer import PARTIAL_SUFFIX
 
 RUN_FORMAT_VERSION = 1
 
@@ -41,7 +43,8 @@ Outcome = Literal["completed", "stopped", "tripped", "failed"]
 RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-_RECORDING = re.compile(rf"(\d\d+)\.mcap({re.escape(PARTIAL_SUFFIX)})?")
+_EVENTS = "events.jsonl"
+_RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
 
 @dataclass(frozen=True)
@@ -111,9 +114,23 @@ class RunDirectory:
         return read_json(self.path / "start.json")
 
     @property
+    def attempts(self) -> int:
+        """How many attempts have begun: 1, and one more for every resumption."""
+        resumed = [int(m[1]) for p in self.path.glob("resume-*.json") if (m := _RESUME(p.name))]
+        return 1 + max(resumed, default=0)
+
+    @property
     def stop(self) -> dict[str, Any] | None:
-        """The stop document, None for an interrupted run. Raises `DataError` when damaged."""
-        path = self.path / "stop.json"
+        """The stop document of the last attempt, None if it was interrupted.
+
+        Raises:
+            DataError: It is damaged.
+        """
+        return self.stop_of(self.attempts - 1)
+
+    def stop_of(self, attempt: int) -> dict[str, Any] | None:
+        """The stop document of one attempt, None if there is none. Raises `DataError`."""
+        path = self.path / name_of_attempt("stop.json", attempt)
         return read_json(path) if path.exists() else None
 
     @property
@@ -125,25 +142,35 @@ class RunDirectory:
         for outcome in _OUTCOMES:
             if stop.get("outcome") == outcome:
                 return outcome
-        raise DataError(f"{self.path / 'stop.json'} names no known outcome")
+        raise DataError(
+            f"{self.path / name_of_attempt('stop.json', self.attempts - 1)} names no known outcome"
+        )
 
     @property
     def recordings(self) -> tuple[Path, ...]:
-        """The recordings in the order of the attempts, unfinished ones included."""
+        """The recordings in order of attempts and their parts, unfinished ones included."""
         folder = self.path / "recording"
-        files = folder.iterdir() if folder.is_dir() else ()
-        found = [(int(match[1]), path) for path in files if (match := _recording(path))]
-        return tuple(path for _, path in sorted(found))
+        return recordings_in(folder) if folder.is_dir() else ()
 
     @property
     def events_path(self) -> Path:
         """Where the event log is."""
-        return self.path / "events.jsonl"
+        return self.path / _EVENTS
+
+    def next_attempt(self) -> int:
+        """The number that an attempt which begins now gets: no file of an older one has it."""
+        recorded = [attempt_of(path) + 1 for path in self.recordings]
+        begun = self.attempts if (self.path / "start.json").exists() else 0
+        return max([begun, *recorded])
 
     def next_recording(self) -> Path:
         """The path of the next attempt's recording."""
-        taken = [int(match[1]) for path in self.recordings if (match := _recording(path))]
-        return self.path / "recording" / f"{max(taken, default=-1) + 1:02d}.mcap"
+        recorded = [attempt_of(path) for path in self.recordings]
+        return self.part_path(max(recorded, default=-1) + 1)
+
+    def part_path(self, attempt: int, part: int = 0) -> Path:
+        """Where a part of an attempt's recording belongs; part 0 is its beginning."""
+        return self.path / "recording" / part_name(attempt, part)
 
     def event_log(self) -> EventLog:
         """Open the event log for appending."""
@@ -165,49 +192,71 @@ class RunDirectory:
         """Store the start document; `collect_provenance` gives most of it, `uid` included."""
         self.write_json("start.json", {"hil_run": RUN_FORMAT_VERSION, **document})
 
+    def write_resume(self, attempt: int, document: Mapping[str, Any]) -> None:
+        """Store how an attempt after the first begins. Raises `RecordingError`."""
+        name = name_of_attempt("resume.json", attempt)
+        self.write_json(name, {"hil_run": RUN_FORMAT_VERSION, "attempt": attempt, **document})
+
     def write_stop(
-        self, outcome: Outcome, reason: str, document: Mapping[str, Any] | None = None
+        self,
+        outcome: Outcome,
+        reason: str,
+        document: Mapping[str, Any] | None = None,
+        *,
+        attempt: int = 0,
     ) -> None:
-        """Store the stop document with the SHA-256 of every file; the last thing a run does.
+        """Store the stop document with the SHA-256 of every file; the last thing an attempt does.
 
         Args:
             outcome: How the run ended.
             reason: Why, in words for people.
             document: Counts, gaps, duplicates, overruns, … of the whole run.
+            attempt: Which attempt ended, 0 for the first.
         """
         self.write_json(
-            "stop.json",
+            name_of_attempt("stop.json", attempt),
             {
                 "hil_run": RUN_FORMAT_VERSION,
+                "attempt": attempt,
                 "outcome": outcome,
                 "reason": reason,
                 "stopped": utc_now(),
                 **(document or {}),
-                "sha256": self._checksums(),
+                **self._checksums(),
             },
         )
 
     def verify(self) -> list[str]:
-        """What differs from the checksums of the stop document, one line per file."""
-        recorded = (self.stop or {}).get("sha256", {})
+        """What differs from the checksums of the newest stop document, one line per file.
+
+        The event log may have grown since: what it held then must be there still.
+        """
+        ends = (self.stop_of(attempt) for attempt in reversed(range(self.attempts)))
+        stop = next((end for end in ends if end is not None), {})
+        recorded = stop.get("sha256", {})
         if not isinstance(recorded, dict):
             return ["stop.json holds no checksums"]
-        problems = []
-        for name, digest in recorded.items():
-            path = self.path / name
-            if not path.is_file():
-                problems.append(f"{name} is missing")
-            elif sha256_of(path) != digest:
-                problems.append(f"{name} has changed since the run ended")
-        return problems
+        lengths = {_EVENTS: stop.get("events_bytes")}
+        return [
+            problem
+            for name, digest in recorded.items()
+            if (problem := _changed(self.path / name, name, digest, lengths.get(name)))
+        ]
 
-    def _checksums(self) -> dict[str, str]:
-        paths = sorted(path for path in self.path.rglob("*") if path.is_file())
+    def _checksums(self) -> dict[str, Any]:
+        inside = (path for path in self.path.rglob("*") if path.is_file())
+        names = {path.relative_to(self.path): path for path in sorted(inside)}
+        kept = {n: p for n, p in names.items() if not any(x.startswith(".") for x in n.parts)}
         try:
-            return {path.relative_to(self.path).as_posix(): sha256_of(path) for path in paths}
+            sums = {name.as_posix(): sha256_of(path) for name, path in kept.items()}
+            log = self.events_path
+            return {"sha256": sums, "events_bytes": log.stat().st_size if log.exists() else 0}
         except OSError as error:
             raise RecordingError(f"cannot read {self.path} back: {error}") from error
 
 
-def _recording(path: Path) -> re.Match[str] | None:
-    return _RECORDING.fullmatch(path.name)
+def _changed(path: Path, name: str, digest: object, length: object) -> str:
+    if not path.is_file():
+        return f"{name} is missing"
+    known = length if isinstance(length, int) else None
+    return "" if sha256_of(path, known) == digest else f"{name} has changed since the run ended"
