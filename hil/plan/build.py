@@ -57,9 +57,9 @@ def build_plan(
     rate = rate_hz or arm.rate_hz
     if problems := excesses(spec, arm, rate):
         raise SpecError("\n".join(problems), hint="change these values, or take another robot")
-    workspace = _workspace(spec, station_robot, arm, rate)
-    roadmap = Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
-    start = roadmap.home if start_q is None else _checked_start(np.asarray(start_q), roadmap)
+    workspace = workspace_of(spec, station_robot, arm, rate)
+    roadmap = roadmap_of(workspace)
+    start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
     kind = plugins.load("hil.excitations", spec.excitation.kind)
     excitation: Excitation = kind(spec.excitation, folder or Path())
     program = excitation.program(roadmap)
@@ -105,9 +105,10 @@ def _arm(station_robot: StationRobot) -> ArmDescription:
     return load_arm(station_robot.model)
 
 
-def _workspace(
+def workspace_of(
     spec: ExperimentSpec, station_robot: StationRobot, arm: ArmDescription, rate_hz: float
 ) -> Workspace:
+    """Where the arm of an experiment may be and how fast, with the body of every load."""
     excitation = spec.excitation
     low, high = draw_range(excitation, arm)
     loads = [(load.payload(), load.size_m) for load in spec.loads]
@@ -128,7 +129,17 @@ def _workspace(
     )
 
 
-def _checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
+def roadmap_of(workspace: Workspace) -> Roadmap:
+    """How to get about in a workspace; the same one gives the same roadmap."""
+    return Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
+
+
+def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
+    """The pose (n,) [rad] the robot stands in, once it is known that it can leave it.
+
+    Raises:
+        PlanError: It is no pose, touches something, or no clear way leads away from it.
+    """
     workspace = roadmap.workspace
     if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
         raise PlanError(
