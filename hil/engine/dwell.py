@@ -20,6 +20,7 @@ class DwellWatch:
         self._since: float | None = None
         self._quiet: list[bool] = []
         self._last = 0.0
+        self._newest: list[StructArray] = []
 
     def feed(self, block: StructArray) -> bool:
         """Add samples of this dwell; True when it is over, settled or not."""
@@ -28,7 +29,13 @@ class DwellWatch:
         speed: FloatArray = np.abs(block["qd"]).max(axis=1)
         self._quiet.extend((speed < self._rule.settle_rad_s).tolist())
         self._last = float(block["device_time"][-1])
+        self._newest = [*self._newest[-self._rule.samples :], block]
         return self.settled or self.elapsed_s >= self._rule.timeout_s
+
+    @property
+    def rows(self) -> StructArray:
+        """The newest rows, as many as the rule asks for (fewer when there are fewer)."""
+        return np.concatenate(self._newest)[-self._rule.samples :]
 
     @property
     def elapsed_s(self) -> float:

@@ -2,51 +2,33 @@
 
 One loop on one thread: hand over a segment, read blocks until it is over. Whatever happens, the
 robot is stopped on the way out, is watched until it is at rest, and the run ends with an outcome.
+Every call on the way out may take only so long.
 """
 
 from __future__ import annotations
 
 import contextlib
-import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
+from hil.engine.bounded import bounded
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
-from hil.engine.reading import Reading, Sink, StopRequest
-from hil.engine.states import Outcome, RunState, StateMachine
-from hil.engine.steps import Prompt, Steps, nobody
+from hil.engine.pausing import GoOn, Pausing, nobody_goes_on
+from hil.engine.reading import REST_WITHIN_S, STOP_WITHIN_S, Reading, Sink
+from hil.engine.requests import Requests
+from hil.engine.result import RunResult, result_of
+from hil.engine.states import RunState, StateMachine
+from hil.engine.steps import Measured, Prompt, Steps, nobody
+from hil.engine.telling import Health, Telling
+from hil.engine.watchdog import Watchdog
 from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, Stopped
-from hil.plan.plan import Plan, Step
+from hil.plan.plan import Plan
 from hil.robot import Robot
+from hil.typing import StructArray
 
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """How a run ended.
-
-    Attributes:
-        outcome: `completed`, `stopped`, `tripped` or `failed`.
-        reason: In words, empty when completed.
-        error: What ended it early, None when completed.
-        steps_done: Plan steps that were executed to their end.
-        unsettled: Steps whose dwell ran into its time-out.
-        samples: State rows read.
-        device_s: Device time from the first to the last sample [s].
-        wall_s: Wall time of the run [s].
-        notes: What else went wrong on the way out.
-    """
-
-    outcome: Outcome
-    reason: str
-    error: HilError | None
-    steps_done: int
-    unsettled: tuple[int, ...]
-    samples: int
-    device_s: float
-    wall_s: float
-    notes: tuple[str, ...] = ()
+READ_WITHIN_S = 3.0
+"""What a driver may take for the last `read`, beside the time the arm needs to come to rest."""
 
 
 class Engine:
@@ -59,6 +41,11 @@ class Engine:
         interlocks: Judged on every sample.
         observers: Told about progress; they stay open, the caller closes them.
         prompt: Asks the operator to change the load.
+        go_on: Looks whether somebody at the robot ends a pause.
+        measured: Is given the settled rows of every dwell; may raise.
+        health: How the recording is doing, for progress events.
+        stale_after_s: How long the state may stand still [s]; None for the default.
+        steps: Of how many steps observers are told; those of the plan by default.
     """
 
     def __init__(
@@ -70,27 +57,59 @@ class Engine:
         interlocks: Sequence[Interlock] = (),
         observers: Observers | None = None,
         prompt: Prompt = nobody,
+        go_on: GoOn = nobody_goes_on,
+        measured: Measured = lambda step, rows: None,
+        health: Health = lambda: {},
+        stale_after_s: float | None = None,
+        steps: int | None = None,
     ) -> None:
         self._plan = plan
         self._robot = robot
         self._sink = sink
-        self._stop_request = StopRequest()
-        self._reading = Reading(robot, sink, interlocks, plan.joint_names, self._stop_request)
-        self._steps = Steps(plan, robot, self._reading, sink, prompt)
-        self._observers = observers or Observers()
+        self._ask = prompt
         self._machine = StateMachine()
+        self._requests = Requests()
+        self._telling = Telling(plan, observers or Observers(), health, steps)
+        self._watchdog = Watchdog(self._hung, on=robot.capabilities.clock == "wall")
+        self._reading = Reading(
+            robot,
+            sink,
+            interlocks,
+            plan.joint_names,
+            self._requests,
+            stale_after_s=stale_after_s,
+            told=self._block,
+        )
+        self._steps = Steps(plan, robot, self._reading, sink, self._prompt, measured)
+        self._pausing = Pausing(self._reading, self._steps, sink, self._enter, go_on)
         self._notes: list[str] = []
-        self._clock = time.monotonic()
 
     @property
     def state(self) -> RunState:
         """Where the run is."""
         return self._machine.state
 
+    @property
+    def pause_pending(self) -> bool:
+        """Whether somebody wants a pause, be it still to come or there already."""
+        return bool(self._requests.pause)
+
     def request_stop(self, reason: str, *, by_signal: bool = False) -> None:
         """Ask for a controlled stop; safe from any thread and from a signal handler."""
-        self._stop_request.by_signal = by_signal
-        self._stop_request.reason = reason
+        self._requests.by_signal = by_signal
+        self._requests.stop = reason
+
+    def request_pause(self, reason: str) -> None:
+        """Ask for a pause at the next checkpoint; safe from any thread and a signal handler."""
+        self._requests.pause = reason
+
+    def request_resume(self, by: str) -> None:
+        """End a pause that was requested, or take the request back; safe from any thread.
+
+        An interlock that holds the run keeps holding it until it is clear.
+        """
+        self._requests.resumed_by = by
+        self._requests.pause = ""
 
     def run(self, preflight: Callable[[], object] = lambda: None) -> RunResult:
         """Execute the plan to one of its ends.
@@ -101,7 +120,7 @@ class Engine:
         Returns:
             The result; errors of every kind end up in it and are not raised.
         """
-        self._clock = time.monotonic()
+        self._telling.begin(self._reading.progress)
         error: HilError | None = None
         try:
             self._execute_plan(preflight)
@@ -111,29 +130,58 @@ class Engine:
             error = Stopped("stopped by the keyboard", by_signal=True)
         except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
             error = self._unexpected(caught)
-        return self._result(self._halt(error))
+        error = self._halt(error)
+        self._machine.to(RunState.DONE)
+        result = result_of(error, self._reading.progress, self._telling.wall_s, tuple(self._notes))
+        self._telling.state(RunState.DONE, result.reason or result.outcome.value)
+        return result
 
     def _execute_plan(self, preflight: Callable[[], object]) -> None:
         self._enter(RunState.PREFLIGHT)
         preflight()
         self._enter(RunState.ARMED)
-        # The first block is judged before anything moves: what is violated already trips.
-        self._reading.block()
-        self._enter(RunState.RUNNING)
-        for step in self._plan:
-            self._steps.execute(step)
-            self._publish(step)
+        with self._watchdog:
+            # The first block is judged before anything moves: what is violated already trips.
+            self._reading.block()
+            self._enter(RunState.RUNNING)
+            for step in self._plan:
+                if step.checkpoint:
+                    self._pausing.pause_if_asked()
+                    self._sink.event("checkpoint", step=step.index)
+                self._telling.step(step)
+                self._steps.execute(step)
+        self._telling.progress()
 
-    def _enter(self, state: RunState) -> None:
-        self._stop_request.obey()
+    def _enter(self, state: RunState, reason: str = "") -> None:
+        self._requests.obey_stop()
         self._machine.to(state)
-        self._sink.event("state", state=str(state))
+        self._sink.event("state", state=str(state), **({"reason": reason} if reason else {}))
+        self._telling.state(state, reason)
+
+    def _block(self, rows: StructArray) -> None:
+        self._watchdog.feed()
+        self._telling.block(rows)
+
+    def _prompt(self, text: str, meanwhile: Callable[[], object]) -> str:
+        self._sink.event("asked", text=text)
+        self._telling.asking(text)
+        answered_by = self._ask(text, meanwhile)
+        self._telling.asking(text, answered_by or "nobody")
+        return answered_by
+
+    def _hung(self) -> None:
+        """On the watchdog's thread: the control thread has not come round for seconds."""
+        reason = "the driver did not return from a call for seconds; the watchdog stopped the robot"
+        self._notes.append(reason)
+        self.request_stop(reason)
+        bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
+        self._sink.event("hung", reason=reason)
 
     def _halt(self, error: HilError | None) -> HilError | None:
         """Stop the robot first, then tell others; nothing here may prevent the stop."""
         failure: HilError | None = None
         try:
-            self._robot.stop()
+            bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
         except HilError as caught:
             failure = caught
         except Exception as caught:
@@ -149,13 +197,18 @@ class Engine:
         return error
 
     def _note_end(self, error: HilError | None) -> None:
+        reason = error.message if error else ""
+        self._telling.state(RunState.STOPPING, reason)
         if isinstance(error, InterlockTripped):
-            self._sink.event("trip", reason=error.message)
-        self._sink.event("state", state=str(RunState.STOPPING))
+            self._sink.event("trip", reason=reason)
+        self._sink.event("state", state=str(RunState.STOPPING), reason=reason)
 
     def _come_to_rest(self) -> str:
+        within_s = REST_WITHIN_S + READ_WITHIN_S
         try:
-            return self._reading.to_rest()
+            return bounded(self._reading.to_rest, within_s, "watching the arm come to rest")
+        except HilError as caught:
+            return caught.message
         except Exception as caught:  # a broken driver or sink: the stop was commanded already
             return self._unexpected(caught).message
 
@@ -167,43 +220,3 @@ class Engine:
         )
         error.__cause__ = caught
         return error
-
-    def _publish(self, step: Step) -> None:
-        progress = self._reading.progress
-        self._observers.publish(
-            {
-                "kind": "progress",
-                "step": step.index,
-                "steps": len(self._plan),
-                "doing": step.kind,
-                "pose": step.pose,
-                "trajectory": step.trajectory,
-                "device_s": progress.last - progress.first,
-                "wall_s": time.monotonic() - self._clock,
-                "duration_s": self._plan.duration_s,
-                "samples": progress.samples,
-            }
-        )
-
-    def _result(self, error: HilError | None) -> RunResult:
-        self._machine.to(RunState.DONE)
-        progress = self._reading.progress
-        return RunResult(
-            outcome=_outcome_of(error),
-            reason=error.message if error else "",
-            error=error,
-            steps_done=progress.steps_done,
-            unsettled=tuple(progress.unsettled),
-            samples=progress.samples,
-            device_s=progress.last - progress.first if progress.samples else 0.0,
-            wall_s=time.monotonic() - self._clock,
-            notes=tuple(self._notes),
-        )
-
-
-def _outcome_of(error: HilError | None) -> Outcome:
-    if error is None:
-        return Outcome.COMPLETED
-    if isinstance(error, InterlockTripped):
-        return Outcome.TRIPPED
-    return Outcome.STOPPED if isinstance(error, Stopped) else Outcome.FAILED

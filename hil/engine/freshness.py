@@ -21,10 +21,14 @@ class Freshness:
     """Follows the device clock and raises when it stands still.
 
     Args:
+        after_s: Wall time without a newer sample that counts as stale [s]; None for the default.
         now: Monotonic clock [s].
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, after_s: float | None = None, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._after_s = STALE_AFTER_S if after_s is None else after_s
         self._now = now
         self._newest = -np.inf
         self._since = now()
@@ -47,7 +51,7 @@ class Freshness:
             return
         self._blocks += 1
         quiet = self._now() - self._since
-        if quiet > STALE_AFTER_S or self._blocks > STALE_AFTER_BLOCKS:
+        if quiet > self._after_s or self._blocks > STALE_AFTER_BLOCKS:
             raise StaleState(
                 f"the robot's clock stands still at {self._newest:.3f} s: "
                 f"{self._blocks} blocks in {quiet:.2f} s brought nothing new",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -28,12 +28,18 @@ class Trip:
     unit: str
     device_time: float
 
+    def text(self, joint_names: Sequence[str]) -> str:
+        """The trip in words."""
+        return (
+            f"interlock {self.interlock}: {joint_names[self.joint]} at "
+            f"{self.value:.4g} {self.unit}, limit {self.limit:.4g} {self.unit}, "
+            f"device time {self.device_time:.3f} s"
+        )
+
     def error(self, joint_names: Sequence[str]) -> InterlockTripped:
         """The trip as the error that ends the run."""
         return InterlockTripped(
-            f"interlock {self.interlock}: {joint_names[self.joint]} at "
-            f"{self.value:.4g} {self.unit}, limit {self.limit:.4g} {self.unit}, "
-            f"device time {self.device_time:.3f} s",
+            self.text(joint_names),
             hint="find the cause before running again; the data up to the trip is kept",
         )
 
@@ -45,8 +51,15 @@ class Interlock(Protocol):
     def name(self) -> str:
         """Shown when it trips."""
 
+    @property
+    def action(self) -> Literal["pause", "stop"]:
+        """What happens then."""
+
     def check(self, block: StructArray) -> Trip | None:
         """The first violation in the block, or None."""
+
+    def clear(self, block: StructArray) -> bool:
+        """Whether every row is well inside the limit again; asked while the run is paused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +81,11 @@ class Threshold:
     scale: float = 1.0
     minus: str = ""
     required: bool = True
+    action: Literal["pause", "stop"] = "stop"
+
+    def clear(self, block: StructArray) -> bool:
+        """See `Interlock.clear`."""
+        return self.check(block) is None
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
+from hil.engine.bounded import bounded
 from hil.engine.freshness import Deadline, Freshness
-from hil.engine.interlocks import Interlock
-from hil.errors import HilError, RobotFault, Stopped
+from hil.engine.interlocks import Interlock, Trip
+from hil.engine.requests import Requests
+from hil.errors import HilError, RecordingError, RobotFault
 from hil.robot import HasTopics, Robot, Status
 from hil.typing import StructArray
 
 REST_RAD_S = 0.01
 """All joints slower than this, and no motion commanded, is at rest."""
+
+STOP_WITHIN_S = 2.0
+"""A driver whose `stop` takes longer hangs; the contract allows 0.1 s."""
 
 REST_WITHIN_S = 5.0
 """An arm that still moves this long after it was stopped is reported as not at rest [s]."""
@@ -59,24 +65,6 @@ class Progress:
         self.last = float(block["device_time"][-1])
 
 
-@dataclass(slots=True)
-class StopRequest:
-    """Somebody wants the run to stop; set from any thread or a signal handler.
-
-    Attributes:
-        reason: Why, in words; empty while nobody does. Set last.
-        by_signal: Whether a signal asked.
-    """
-
-    reason: str = ""
-    by_signal: bool = False
-
-    def obey(self) -> None:
-        """Raise `Stopped` when a stop was requested."""
-        if self.reason:
-            raise Stopped(self.reason, by_signal=self.by_signal)
-
-
 class Reading:
     """Reads one robot for one run.
 
@@ -85,7 +73,9 @@ class Reading:
         sink: Receives everything.
         interlocks: Judged on every sample.
         joint_names: For messages.
-        stop_request: Looked at before every block.
+        requests: Looked at before every block.
+        stale_after_s: How long the state may stand still [s]; None for the default.
+        told: Called with every block after it was recorded and judged.
     """
 
     def __init__(
@@ -94,17 +84,22 @@ class Reading:
         sink: Sink,
         interlocks: Sequence[Interlock],
         joint_names: Sequence[str],
-        stop_request: StopRequest,
+        requests: Requests,
+        *,
+        stale_after_s: float | None = None,
+        told: Callable[[StructArray], object] = lambda block: None,
     ) -> None:
         self._robot = robot
         self._topics = robot if isinstance(robot, HasTopics) else None
         self._sink = sink
         self._interlocks = tuple(interlocks)
         self._joint_names = tuple(joint_names)
-        self._freshness = Freshness()
+        self._freshness = Freshness(stale_after_s)
+        self._told = told
         self.wall = robot.capabilities.clock == "wall"
-        self.stop_request = stop_request
+        self.requests = requests
         self.progress = Progress()
+        self.newest: np.void | None = None
 
     def block(self) -> StructArray:
         """The next block, recorded and judged.
@@ -115,16 +110,31 @@ class Reading:
             InterlockTripped: A sample violates an interlock; the robot was told to stop.
             RecordingError: The sink cannot keep the data.
         """
-        self.stop_request.obey()
+        self.requests.obey_stop()
         block = self._recorded()
         self._freshness.check(block)
         if (block["status"] & Status.FAULT).any():
             raise self._fault(block)
         for interlock in self._interlocks:
             if trip := interlock.check(block):
-                self._robot.stop()
-                raise trip.error(self._joint_names)
+                self._obey(interlock, trip)
+        self._told(block)
         return block
+
+    def clear(self, block: StructArray) -> bool:
+        """Whether no interlock that pauses is anywhere near its limit in a block."""
+        pausing = (i for i in self._interlocks if i.action == "pause")
+        return all(interlock.clear(block) for interlock in pausing)
+
+    def _obey(self, interlock: Interlock, trip: Trip) -> None:
+        if interlock.action == "pause":
+            # The first violation is the reason; those that follow only go on with it.
+            self.requests.held = self.requests.held or trip.text(self._joint_names)
+            return
+        # At once; the engine stops it again on the way out and says if that does not work.
+        with contextlib.suppress(Exception):
+            bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
+        raise trip.error(self._joint_names)
 
     def deadline(self, seconds: float) -> Deadline:
         """A time-out that begins now."""
@@ -135,7 +145,7 @@ class Reading:
         deadline = self.deadline(REST_WITHIN_S)
         try:
             while True:
-                block = self._recorded()
+                block = self._kept_if_possible()
                 if _at_rest(block):
                     return ""
                 self._freshness.check(block)
@@ -144,14 +154,26 @@ class Reading:
         except HilError as error:
             return f"nobody saw the arm come to rest: {error.message}"
 
+    def _kept_if_possible(self) -> StructArray:
+        """A block; a recorder that is dead or behind does not keep us from watching the arm."""
+        block = self._robot.read()
+        with contextlib.suppress(RecordingError):
+            self._keep(block)
+        self.progress.count(block)
+        return block
+
     def _recorded(self) -> StructArray:
         block = self._robot.read()
-        self._sink.put(block)
+        self._keep(block)
         self.progress.count(block)
+        self.newest = block[-1]
+        return block
+
+    def _keep(self, block: StructArray) -> None:
+        self._sink.put(block)
         if self._topics is not None:
             for topic, rows in self._topics.drain().items():
                 self._sink.put_topic(topic, rows)
-        return block
 
     def _fault(self, block: StructArray) -> HilError:
         """The driver's own words if the next read brings them, else the code."""

@@ -1,9 +1,11 @@
 """Ctrl-C, SIGTERM and a lost terminal become stop requests, not exceptions in a command.
 
 While nothing moves (planning, fitting) a signal raises `StopSignal`. While a run is guarded, from
-the making of its directory to its stop document, signals interrupt nothing: the first and second
-ask the engine for a controlled stop, the third stops the robot directly and ends the process. A
-signal that was ignored when the program started (`nohup`) stays ignored.
+the making of its directory to its stop document, signals interrupt nothing. The first Ctrl-C asks
+the engine to pause at the next checkpoint, the second for a controlled stop now, which is also what
+SIGTERM and a lost terminal mean, and Ctrl-C while the run is paused. The third of any stops the
+robot directly and ends the process. A signal that was ignored when the program started (`nohup`)
+stays ignored.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from hil.engine.engine import Engine
+from hil.engine.states import RunState
 from hil.errors import Stopped
 from hil.robot import Robot
 
@@ -79,16 +82,27 @@ class SignalWatch:
             engine.request_stop(self.reason, by_signal=True)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        name = signal.Signals(number).name
+        if self._bound is not None and self._pauses(number):
+            self._bound[0].request_pause(f"{name}: Enter goes on, Ctrl-C again stops")
+            return
         self.seen += 1
-        self.reason = f"stopped by {signal.Signals(number).name}"
+        self.reason = f"stopped by {name}"
         if not self._guarding:
             raise StopSignal(self.reason)
         if self._bound is None:
             return
         engine, robot = self._bound
         engine.request_stop(self.reason, by_signal=True)
-        if self.seen >= LAST_RESORT_AT:
+        if self.seen + engine.pause_pending >= LAST_RESORT_AT:
             _last_resort(robot)
+
+    def _pauses(self, number: int) -> bool:
+        """Whether a signal is the first Ctrl-C of a run that can still pause."""
+        assert self._bound is not None
+        engine = self._bound[0]
+        can = engine.state in (RunState.PREFLIGHT, RunState.ARMED, RunState.RUNNING)
+        return number == signal.SIGINT and can and not (self.seen or engine.pause_pending)
 
 
 def ignore_from_now_on() -> None:

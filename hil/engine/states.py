@@ -1,4 +1,4 @@
-"""The states of a run and the transitions between them, in one table."""
+"""The states of a run and the only transitions between them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ class RunState(StrEnum):
     PREFLIGHT = "preflight"
     ARMED = "armed"
     RUNNING = "running"
+    PAUSED = "paused"
     STOPPING = "stopping"
     DONE = "done"
 
 
 class Outcome(StrEnum):
-    """How a run ended. A run directory without `stop.json` is `interrupted`: nobody could say."""
+    """How a run ended. One without stop document is `interrupted`: nobody could say."""
 
     COMPLETED = "completed"
     STOPPED = "stopped"
@@ -29,11 +30,12 @@ TRANSITIONS: dict[RunState, frozenset[RunState]] = {
     RunState.IDLE: frozenset({RunState.PREFLIGHT, RunState.STOPPING}),
     RunState.PREFLIGHT: frozenset({RunState.ARMED, RunState.STOPPING}),
     RunState.ARMED: frozenset({RunState.RUNNING, RunState.STOPPING}),
-    RunState.RUNNING: frozenset({RunState.STOPPING}),
+    RunState.RUNNING: frozenset({RunState.PAUSED, RunState.STOPPING}),
+    RunState.PAUSED: frozenset({RunState.RUNNING, RunState.STOPPING}),
     RunState.STOPPING: frozenset({RunState.DONE}),
     RunState.DONE: frozenset(),
 }
-"""Every state but the last has an edge to STOPPING: a stop is possible from everywhere."""
+"""Every state but the last two has an edge to STOPPING: a stop is possible from everywhere."""
 
 
 class IllegalTransition(RuntimeError):

@@ -13,14 +13,22 @@ from hil.errors import CommandRefused, RobotTimeout, Stopped
 from hil.excite.motion import Motion
 from hil.plan.plan import Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
+from hil.typing import StructArray
 
 SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
     "warmup": "move",
     "move": "move",
     "dwell": "hold",
     "reference": "hold",
+    "weigh": "hold",
     "trajectory": "trajectory",
 }
+DWELLS = frozenset({"dwell", "reference", "weigh"})
+"""Kinds that stand still and measure until the arm has settled."""
+
+PARKED = -1
+"""Segment of samples that belong to no step: before the first one, while paused or asked."""
+
 DWELL_GRACE_S = 2.0
 """How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
 
@@ -30,6 +38,10 @@ Prompt = Callable[[str, Callable[[], object]], str]
 While it waits it calls its second argument again and again: that keeps reading the robot, and
 raises `Stopped` when somebody wants to stop.
 """
+
+
+Measured = Callable[[Step, StructArray], object]
+"""Is given the settled rows of every dwell; may raise when they say that something is wrong."""
 
 
 def nobody(text: str, meanwhile: Callable[[], object]) -> str:
@@ -46,30 +58,47 @@ class Steps:
         reading: Reads, records and judges while a step is executed.
         sink: Receives events.
         prompt: Asks the operator to change the load.
+        measured: Is given what every dwell measured.
     """
 
     def __init__(
-        self, plan: Plan, robot: Robot, reading: Reading, sink: Sink, prompt: Prompt
+        self,
+        plan: Plan,
+        robot: Robot,
+        reading: Reading,
+        sink: Sink,
+        prompt: Prompt,
+        measured: Measured,
     ) -> None:
         self._plan = plan
         self._robot = robot
         self._reading = reading
         self._sink = sink
         self._prompt = prompt
+        self._measured = measured
 
     def execute(self, step: Step) -> None:
         """Do one step to its end, or raise what ended it."""
-        self._reading.stop_request.obey()
-        if step.checkpoint:
-            self._sink.event("checkpoint", step=step.index)
+        self._reading.requests.obey_stop()
         if step.kind == "payload":
             self._change_load(step)
         elif step.motion is not None:
             self._move(step, step.motion)
         self._reading.progress.steps_done += 1
 
+    def park(self) -> None:
+        """Hold the set-point where it is; the samples from now on belong to no step."""
+        row = self._reading.newest
+        if row is None or int(row["segment"]) == PARKED:
+            return
+        q = np.where(np.isfinite(row["q_target"]), row["q_target"], row["q"])[None]
+        zeros = np.zeros_like(q)
+        self._robot.prepare(Segment(PARKED, "hold", q, zeros, zeros, 0.0, 0.0))
+        self._robot.start()
+
     def _change_load(self, step: Step) -> None:
         load = self._plan.loads[step.load]
+        self.park()
         if load.prompt:
             answered_by = self._prompt(load.prompt, self._reading.block)
             self._sink.event("prompt", text=load.prompt, answered_by=answered_by)
@@ -86,7 +115,7 @@ class Steps:
     def _move(self, step: Step, motion: Motion) -> None:
         self._robot.prepare(segment_of(step, motion, self._plan.rate_hz))
         self._robot.start()
-        if step.kind in ("dwell", "reference"):
+        if step.kind in DWELLS:
             self._dwell(step)
         else:
             self._follow(step, motion)
@@ -123,6 +152,7 @@ class Steps:
         self._sink.event(
             "dwell", step=step.index, settled=watch.settled, elapsed_s=round(watch.elapsed_s, 6)
         )
+        self._measured(step, watch.rows)
 
 
 def segment_of(step: Step, motion: Motion, rate_hz: float) -> Segment:

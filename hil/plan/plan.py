@@ -22,7 +22,7 @@ from hil.typing import FloatArray
 
 PLAN_FORMAT = 1
 
-StepKind = Literal["payload", "warmup", "move", "dwell", "trajectory", "reference"]
+StepKind = Literal["payload", "weigh", "warmup", "move", "dwell", "trajectory", "reference"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,85 @@
+"""Pausing at a checkpoint and going on: the arm holds, reading and judging go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hil.engine.reading import Reading, Sink
+from hil.engine.states import RunState
+from hil.engine.steps import Steps
+
+CLEAR_FOR_S = 5.0
+"""Device time an interlock that pauses must be clear before the run goes on by itself [s]."""
+
+GoOn = Callable[[], str]
+"""Looks, without waiting, whether somebody at the robot lets the run go on: who, or nothing."""
+
+
+def nobody_goes_on() -> str:
+    """There is no console: only a request lets the run go on."""
+    return ""
+
+
+class Pausing:
+    """Pauses a run when it was asked to.
+
+    Args:
+        reading: Reads, records and judges meanwhile.
+        steps: Parks the arm.
+        sink: Receives events.
+        enter: Brings the run into a state, with the reason.
+        go_on: Looks whether somebody at the robot lets the run go on.
+    """
+
+    def __init__(
+        self,
+        reading: Reading,
+        steps: Steps,
+        sink: Sink,
+        enter: Callable[[RunState, str], object],
+        go_on: GoOn = nobody_goes_on,
+    ) -> None:
+        self._reading = reading
+        self._requests = reading.requests
+        self._steps = steps
+        self._sink = sink
+        self._enter = enter
+        self._go_on = go_on
+
+    def pause_if_asked(self) -> None:
+        """Hold until nobody wants a pause any more; nothing happens when nobody does.
+
+        Raises:
+            HilError: What ended the run while it was paused: a stop, a trip, a fault.
+        """
+        if not self._requests.why_paused:
+            return
+        self._steps.park()
+        self._enter(RunState.PAUSED, self._requests.why_paused)
+        self._hold()
+        who = self._requests.resumed_by or "interlocks clear"
+        self._sink.event("resumed", by=who)
+        self._enter(RunState.RUNNING, f"resumed by {who}")
+
+    def _hold(self) -> None:
+        told = self._requests.why_paused
+        self._requests.resumed_by = ""
+        clear_since: float | None = None
+        while self._requests.why_paused:
+            block = self._reading.block()
+            if self._requests.pause and (who := self._go_on()):
+                self._requests.pause, self._requests.resumed_by = "", who
+            if self._requests.held:
+                clear_since = self._since(clear_since) if self._reading.clear(block) else None
+                if clear_since is not None and self._now - clear_since >= CLEAR_FOR_S:
+                    self._requests.held = ""
+            if (why := self._requests.why_paused) and why != told:
+                self._sink.event("paused", reason=why)
+                told = why
+
+    @property
+    def _now(self) -> float:
+        return self._reading.progress.last
+
+    def _since(self, since: float | None) -> float:
+        return self._now if since is None else since

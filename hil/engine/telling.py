@@ -1,0 +1,100 @@
+"""What observers are told: states, steps, progress now and then, and blocks for who wants them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+from hil.engine.observers import Observers
+from hil.engine.reading import Progress
+from hil.engine.states import RunState
+from hil.plan.plan import Plan, Step
+from hil.typing import StructArray
+
+EVERY_S = 0.2
+"""Wall time between two progress events [s]."""
+
+Health = Callable[[], Mapping[str, float]]
+"""Gaps, duplicates, … of the recording so far, and how far it is behind; cheap."""
+
+
+class Telling:
+    """Publishes what a run does.
+
+    Args:
+        plan: What is executed.
+        observers: Who is told.
+        health: How the recording is doing.
+        steps: Of how many steps to speak; those of the plan by default.
+    """
+
+    def __init__(
+        self, plan: Plan, observers: Observers, health: Health, steps: int | None = None
+    ) -> None:
+        self._plan = plan
+        self._observers = observers
+        self._health = health
+        self._steps = steps or len(plan)
+        self._step: Step | None = None
+        self._progress = Progress()
+        self._next = 0.0
+        self._begin = time.monotonic()
+        self._state = RunState.IDLE
+
+    def begin(self, progress: Progress) -> None:
+        """The run begins; `progress` is looked at whenever it is told about."""
+        self._progress = progress
+        self._begin = time.monotonic()
+
+    @property
+    def wall_s(self) -> float:
+        """Wall time since the beginning [s]."""
+        return time.monotonic() - self._begin
+
+    def state(self, state: RunState, reason: str = "") -> None:
+        """The run is in another state now."""
+        self._state = state
+        self._observers.publish({"kind": "state", "state": str(state), "reason": reason})
+
+    def step(self, step: Step) -> None:
+        """A step begins."""
+        self._step = step
+        self._observers.publish({"kind": "step", **self._where(step), "load": step.load})
+
+    def block(self, rows: StructArray) -> None:
+        """A block was recorded and judged."""
+        self._observers.publish_rows(rows)
+        if self._step is not None and time.monotonic() >= self._next:
+            self.progress()
+
+    def asking(self, text: str, answered_by: str = "") -> None:
+        """The operator is asked something, or has answered."""
+        self._observers.publish({"kind": "prompt", "text": text, "answered_by": answered_by})
+
+    def progress(self) -> None:
+        """How far the run is."""
+        if self._step is None:
+            return
+        self._next = time.monotonic() + EVERY_S
+        done = self._progress
+        self._observers.publish(
+            {
+                "kind": "progress",
+                **self._where(self._step),
+                "device_s": done.last - done.first,
+                "wall_s": self.wall_s,
+                "duration_s": self._plan.duration_s,
+                "samples": done.samples,
+                "state": str(self._state),
+                **self._health(),
+            }
+        )
+
+    def _where(self, step: Step) -> dict[str, object]:
+        return {
+            "step": step.index,
+            "steps": self._steps,
+            "doing": step.kind,
+            "pose": step.pose,
+            "trajectory": step.trajectory,
+        }
