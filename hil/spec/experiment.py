@@ -64,6 +64,9 @@ class Record(Strict):
     """What is recorded."""
 
     rate_hz: Positive | None = Field(None, description="State rate; by default the robot's own.")
+    rotate_mb: Annotated[float, Field(ge=1, allow_inf_nan=False), IS_NUMBER] = Field(
+        1024.0, description="A recording goes on in a new file beyond this size."
+    )
 
 
 class TrackingErrorInterlock(Strict):

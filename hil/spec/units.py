@@ -52,6 +52,8 @@ UNITS = {
     "a": Unit("A", "current"),
     "ma": Unit("mA", "current", 1e-3),
     "percent": Unit("%", "share", 1e-2),
+    "mb": Unit("MB", "information", 1e6),
+    "gb": Unit("GB", "information", 1e9),
 }
 """Unit by key suffix; the dimension tells which ones can stand for each other."""
 
