@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         import_recording,
         load,
         plan,
+        resume,
         run,
     )
 
@@ -34,6 +35,7 @@ __all__ = [
     "import_recording",
     "load",
     "plan",
+    "resume",
     "run",
 ]
 

@@ -13,8 +13,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment, load_experiment
-from hil.campaign.run import RunReport, run_experiment
+from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.campaign.view import describe_run, list_runs
 from hil.data.dataset import Dataset
 from hil.engine import Observer
@@ -34,6 +35,7 @@ __all__ = [
     "list_runs",
     "load",
     "plan",
+    "resume",
     "run",
 ]
 
@@ -68,6 +70,7 @@ def run(
     operator: str = "",
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
 ) -> RunReport:
     """Plan, run, record, fit, judge and report.
 
@@ -77,6 +80,7 @@ def run(
         operator: Who is at the robot; by default the user of this process.
         observers: Told about progress, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
 
     Returns:
         The report; a run that ended early says so in `outcome` and `error` and is not raised.
@@ -85,7 +89,42 @@ def run(
         HilError: What went wrong before there was a run directory.
     """
     return run_experiment(
-        experiment, runs=Path(runs), operator=operator, observers=observers, waivers=waivers
+        experiment,
+        runs=Path(runs),
+        operator=operator,
+        observers=observers,
+        waivers=waivers,
+        desk=desk,
+    )
+
+
+def resume(
+    run: AnyPath,
+    *,
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+) -> RunReport:
+    """Go on with a run that ended early: what is whole stays, the rest is measured and judged.
+
+    Args:
+        run: The run directory.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+
+    Returns:
+        The report over all attempts.
+
+    Raises:
+        DataError: The run has nothing left to do, or its plan or spec was changed.
+        PreflightFailed: It is another robot.
+        HilError: What else keeps the run from going on.
+    """
+    return resume_experiment(
+        Path(run), operator=operator, observers=observers, waivers=waivers, desk=desk
     )
 
 

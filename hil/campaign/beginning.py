@@ -8,6 +8,7 @@ from typing import Any
 
 from hil.campaign.experiment import Experiment
 from hil.plan.plan import Plan
+from hil.record.parts import name_of_attempt
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
@@ -45,7 +46,7 @@ def write_beginning(
             "spec_hash": spec_hash(experiment.spec),
             "station": experiment.station_source,
             "robot_name": experiment.spec.robot,
-            "robot": _describe(robot, experiment.robot),
+            "robot": describe_robot(robot, experiment.robot),
             "loads": [
                 {"mass_kg": load.payload.mass, "com_m": list(load.payload.com)}
                 for load in plan.loads
@@ -59,7 +60,8 @@ def write_beginning(
     )
 
 
-def _describe(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
+def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
+    """What the start document says about the robot."""
     can = robot.capabilities
     return {
         "model": station_robot.model,
@@ -74,7 +76,9 @@ def _describe(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
     }
 
 
-def open_recorder(directory: RunDirectory, robot: Robot, experiment: Experiment) -> Recorder:
+def open_recorder(
+    directory: RunDirectory, attempt: int, robot: Robot, experiment: Experiment
+) -> Recorder:
     """The recorder of a new attempt, with what explains the data at the start of the file.
 
     Raises:
@@ -83,12 +87,13 @@ def open_recorder(directory: RunDirectory, robot: Robot, experiment: Experiment)
     can = robot.capabilities
     unit = "A" if can.effort_kind == "current" else "N·m"
     topic = state_topic(len(can.joint_names), can.rate_hz, clock=can.clock, effort_unit=unit)
-    names = ("spec.yaml", "station.yaml", "plan.json", "start.json")
+    names = ["spec.yaml", "station.yaml", "plan.json", "start.json"]
+    names += [name_of_attempt("resume.json", attempt)] if attempt else []
     attachments = [
         Attachment(name, _media_type(name), (directory.path / name).read_bytes()) for name in names
     ]
     writer = McapWriter(
-        directory.next_recording(),
+        directory.part_path(attempt),
         [topic, *(robot.topics if isinstance(robot, HasTopics) else ())],
         metadata={"run": {"uid": str(directory.start["uid"]), "name": experiment.spec.name}},
         attachments=attachments,

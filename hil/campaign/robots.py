@@ -71,12 +71,12 @@ def plan_for(experiment: Experiment, robot: Robot) -> Plan:
     return build_plan(
         experiment.spec,
         experiment.robot,
-        start_q=_standing_at(newest),
+        start_q=standing_at(newest),
         rate_hz=robot.capabilities.rate_hz,
     )
 
 
-def _standing_at(row: np.void) -> FloatArray:
+def standing_at(row: np.void) -> FloatArray:
     """The set-point the robot holds, or where it is when it holds none that makes sense."""
     q, target = np.array(row["q"]), np.array(row["q_target"])
     holds = np.abs(q - target) < AT_SET_POINT_RAD

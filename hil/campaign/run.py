@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord
 from hil.campaign.view import verdict_word
@@ -15,7 +16,7 @@ from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
 
 if TYPE_CHECKING:
-    from hil.campaign.recording import Recorded
+    from hil.campaign.execute import Attendance, Recorded
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,27 +68,80 @@ def run_experiment(
     operator: str = "",
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
 ) -> RunReport:
     """Run an experiment to the end of what is possible.
+
+    Args:
+        experiment: What to do, and where.
+        runs: Where run directories are kept.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress.
+        waivers: Preflight check → why its failure is accepted.
+        desk: Where prompts are answered and pauses are ended; by default the console.
 
     Raises:
         HilError: What went wrong before there was a run directory; later errors are in the report.
     """
-    from hil.campaign.operator import ask_operator
     from hil.campaign.recording import record
 
-    watching, signals = Observers(tuple(observers)), SignalWatch()
+    def motion(attendance: Attendance) -> Recorded:
+        return record(experiment, runs=runs, attendance=attendance)
+
+    return _attended(experiment, motion, operator, observers, waivers or {}, desk)
+
+
+def resume_experiment(
+    run: Path,
+    *,
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+) -> RunReport:
+    """Go on with a run that ended early, from the last measurement that is whole.
+
+    A run in which everything was measured, but nothing judged, is judged.
+
+    Args:
+        run: The run directory.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress.
+        waivers: Preflight check → why its failure is accepted.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+
+    Raises:
+        HilError: What keeps the run from being resumed; later errors are in the report.
+    """
+    from hil.campaign.resuming import open_unfinished, recorded_before, resume_recording
+
+    unfinished = open_unfinished(run)
+
+    def motion(attendance: Attendance) -> Recorded:
+        if unfinished.complete.missing:
+            return resume_recording(unfinished, attendance)
+        return recorded_before(unfinished)
+
+    return _attended(unfinished.experiment, motion, operator, observers, waivers or {}, desk)
+
+
+def _attended(
+    experiment: Experiment,
+    motion: Callable[[Attendance], Recorded],
+    operator: str,
+    observers: Sequence[Observer],
+    waivers: Mapping[str, str],
+    desk: Desk | None,
+) -> RunReport:
+    """Motion, fit, verdict and report, with signals and observers looked after."""
+    from hil.campaign.execute import Attendance
+
+    watching, signals, at = Observers(tuple(observers)), SignalWatch(), desk or Desk()
     try:
         with signals:
             try:
-                recorded = record(
-                    experiment,
-                    runs=runs,
-                    operator=operator,
-                    observers=watching,
-                    prompt=ask_operator,
-                    signals=signals,
-                    waivers=waivers or {},
+                recorded = motion(
+                    Attendance(watching, signals, at.prompt, at.go_on, operator, waivers)
                 )
             except (Exception, StopSignal):
                 # A library that was interrupted may raise an error of its own instead.
@@ -100,6 +154,10 @@ def run_experiment(
                 page, problem = _report(recorded.directory.path)
     finally:
         watching.close()
+    return _told(recorded, page, error or problem)
+
+
+def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunReport:
     return RunReport(
         run=recorded.directory.path,
         uid=str(recorded.directory.start["uid"]),
@@ -109,7 +167,7 @@ def run_experiment(
         gaps=recorded.counts["gaps"],
         duplicates=recorded.counts["duplicates"],
         report=page,
-        error=error or problem,
+        error=error,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,15 +19,25 @@ from hil.cli.output import (
 )
 from hil.errors import DataError, HilError, PreflightFailed, Rejected, exit_code_of
 
+if TYPE_CHECKING:
+    from hil.campaign.run import RunReport
+
 RunArgument = Annotated[
     str,
     typer.Argument(help="Run directory, or the number or name of a run.", show_default=False),
+]
+WaiveOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--waive", metavar="NAME=REASON", help="Accept a failed preflight check; recorded."
+    ),
 ]
 
 
 def register(app: typer.Typer) -> None:
     """Add this group's verbs."""
     app.command()(run)
+    app.command()(resume)
     app.command()(runs)
     app.command()(show)
 
@@ -37,12 +47,7 @@ def run(
     station: StationOption = None,
     runs: RunsOption = Path("runs"),
     operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
-    waive: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--waive", metavar="NAME=REASON", help="Accept a failed preflight check; recorded."
-        ),
-    ] = None,
+    waive: WaiveOption = None,
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
@@ -63,6 +68,31 @@ def run(
         waivers=_waivers(waive or ()),
     )
     ignore_from_now_on()
+    _tell_report(report, json)
+
+
+def resume(
+    run: RunArgument,
+    runs: RunsOption = Path("runs"),
+    operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
+    waive: WaiveOption = None,
+    json: JsonFlag = False,
+) -> None:
+    """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
+    from hil import api
+    from hil.cli.progress import ProgressLines
+    from hil.engine.signals import ignore_from_now_on
+    from hil.record.catalogue import find_run
+
+    path = find_run(run, runs)
+    report = api.resume(
+        path, operator=operator, observers=(ProgressLines(),), waivers=_waivers(waive or ())
+    )
+    ignore_from_now_on()
+    _tell_report(report, json)
+
+
+def _tell_report(report: RunReport, json: bool) -> None:
     if json:
         print_json(report.to_dict())
     else:

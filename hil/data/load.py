@@ -9,20 +9,25 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hil.data.completeness import dwell_is_over
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import Origin, Series, StepNote, assemble, cut
 from hil.errors import DataError
 from hil.payload import Payload
+from hil.plan.plan import DwellRule
 from hil.record.files import read_json
+from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
+from hil.typing import StructArray
 
 WINDOW_PAYLOAD = "payload of window {}"
 """Metadata record of an imported file: the load of one window, where it has its own."""
@@ -92,20 +97,45 @@ def _robot_of(source: Path) -> Mapping[str, Any]:
 def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     run = RunDirectory.open(path)
     start, plan = run.start, read_json(path / "plan.json")
-    steps = _steps(plan, path / "plan.json", (run.stop or {}).get("unsettled", ()), kinds)
+    steps = _steps(plan, path / "plan.json", _unsettled(run), kinds)
     origin = _origin_of_run(start, str(path))
     if not run.recordings:
         raise DataError(f"{path} holds no recording")
     found: dict[int, list[Series]] = {}
-    for attempt, file in enumerate(run.recordings):
-        rows = read_topic(file, salvage=file.name.endswith(PARTIAL_SUFFIX))
+    for attempt, files in groupby(run.recordings, attempt_of):
+        parts = [read_topic(f, salvage=f.name.endswith(PARTIAL_SUFFIX)) for f in files]
+        rows = np.concatenate(parts)
         pieces = cut(rows, steps, attempt)
+        if (run.stop_of(attempt) or {}).get("outcome") != "completed":
+            pieces = _without_torn_dwell(pieces, rows, plan.get("dwell", {}))
         # A later attempt replaces what an earlier one recorded of the same step.
         found |= {piece.step: [] for piece in pieces}
         for piece in pieces:
             found[piece.step].append(piece)
     ordered = [piece for step in sorted(found) for piece in found[step]]
     return assemble(ordered, origin, _dwell_samples(plan))
+
+
+def _unsettled(run: RunDirectory) -> set[int]:
+    """Dwells that ran into their time-out, of every attempt: the log outlives what was killed."""
+    events = (event for event in run.events() if event.get("kind") == "dwell")
+    logged = {int(event.get("step", -1)): event.get("settled") for event in events}
+    told = (run.stop or {}).get("unsettled", ())
+    return {step for step, settled in logged.items() if settled is False} | set(told)
+
+
+def _without_torn_dwell(
+    pieces: list[Series], rows: StructArray, rule: Mapping[str, Any]
+) -> list[Series]:
+    """Without the dwell that a stop or a kill cut short: it may not have come to rest at all."""
+    last = int(rows["segment"][-1]) if len(rows) else -1
+    return [
+        piece
+        for piece in pieces
+        if piece.step != last
+        or piece.note.kind not in ("dwell", "reference")
+        or dwell_is_over(piece.rows, DwellRule(**rule))
+    ]
 
 
 def _from_file(path: Path, kinds: Collection[SeriesKind]) -> Dataset:

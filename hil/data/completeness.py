@@ -1,0 +1,148 @@
+"""Which steps of a plan were measured to their end? Judged by the recording, not by what was said.
+
+A kill loses the newest samples, and with them dwells that the event log calls done; a resumed run
+therefore asks the data. A dwell is complete when its rows alone satisfy the plan's rule, a
+trajectory when its rows reach its end without a hole.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.plan.plan import DwellRule, Plan, Step
+from hil.record.parts import attempt_of
+from hil.record.reader import read_topic
+from hil.record.writer import PARTIAL_SUFFIX
+from hil.robot.state import Status
+from hil.typing import BoolArray, FloatArray, StructArray
+
+LONGEST_HOLE_S = 0.25
+"""A trajectory with a longer hole than this has to be measured again [s]."""
+
+
+@dataclass(frozen=True)
+class Completeness:
+    """What of a plan was measured.
+
+    Attributes:
+        done: Measuring steps that are complete.
+        unsettled: Dwells among them that ran into their time-out.
+        expected: Measuring steps of the plan.
+    """
+
+    done: frozenset[int]
+    unsettled: frozenset[int]
+    expected: tuple[Step, ...] = field(repr=False)
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """Measuring steps that are not complete, in order."""
+        return tuple(step.index for step in self.expected if step.index not in self.done)
+
+    def to_dict(self) -> dict[str, dict[str, int]]:
+        """Per kind of step, how many are done of how many."""
+        total = Counter(step.kind for step in self.expected)
+        done = Counter(step.kind for step in self.expected if step.index in self.done)
+        return {kind: {"done": done[kind], "of": n} for kind, n in sorted(total.items())}
+
+    def __str__(self) -> str:
+        """`650/650 dwells, 14/14 references`."""
+        plural = {"trajectory": "trajectories", "weigh": "weighings"}
+        return ", ".join(
+            f"{n['done']}/{n['of']} {plural.get(kind, kind + 's')}"
+            for kind, n in self.to_dict().items()
+        )
+
+
+def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
+    """Judge recordings of a run; torn and damaged ones are read as far as they are whole.
+
+    Args:
+        plan: What was to be measured.
+        recordings: `RunDirectory.recordings`.
+
+    Raises:
+        DataError: A recording is no MCAP file at all, or of a newer hil.
+    """
+    expected = {step.index: step for step in plan if step.measures}
+    done: set[int] = set()
+    unsettled: set[int] = set()
+    for _, files in groupby(recordings, attempt_of):
+        for index, rows in _steps_in(files):
+            step = expected.get(index)
+            if step is None or not step_is_complete(step, rows, plan):
+                continue
+            done.add(index)
+            unsettled.discard(index)
+            if step.kind != "trajectory" and not dwell_settles(rows, plan.dwell):
+                unsettled.add(index)
+    return Completeness(frozenset(done), frozenset(unsettled), tuple(expected.values()))
+
+
+def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
+    """Whether the rows of one step, of one attempt and in order, are all that it needs."""
+    if step.kind == "trajectory":
+        return _trajectory_is_whole(rows, plan.step_duration_s(step), 1 / plan.rate_hz)
+    return dwell_is_over(rows, plan.dwell)
+
+
+def dwell_is_over(rows: StructArray, rule: DwellRule) -> bool:
+    """Whether a dwell has settled, or taken as long as it may."""
+    elapsed = rows["device_time"][-1] - rows["device_time"][0]
+    return dwell_settles(rows, rule) or bool(elapsed >= rule.timeout_s)
+
+
+def dwell_settles(rows: StructArray, rule: DwellRule) -> bool:
+    """Whether the arm was at rest for long enough at some moment; the engine's own rule."""
+    quiet = np.abs(rows["qd"]).max(axis=1) < rule.settle_rad_s
+    late = rows["device_time"] - rows["device_time"][0] >= rule.dwell_s
+    return bool((_run_lengths(quiet) >= rule.samples)[late].any())
+
+
+def _run_lengths(true: BoolArray) -> FloatArray:
+    """(N,) how many values in a row, up to and with each one, are true."""
+    index = np.arange(1, len(true) + 1)
+    last_false = np.maximum.accumulate(np.where(true, 0, index))
+    return np.asarray(index - last_false, dtype=np.float64)
+
+
+def _trajectory_is_whole(rows: StructArray, duration_s: float, period_s: float) -> bool:
+    time = rows["device_time"]
+    moving = (rows["status"] & int(Status.MOVING)) != 0
+    if not moving.any() or np.diff(time).max(initial=0.0) > LONGEST_HOLE_S:
+        return False
+    # Its beginning may hide in the hole before the first row: length decides, not the last row.
+    return bool(np.ptp(time[moving]) >= duration_s - 3 * period_s)
+
+
+def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
+    """(step, its rows) of one attempt, in order; a step may go on in the next part."""
+    held: StructArray | None = None
+    for file in files:
+        rows = _rows_of(file)
+        if rows is None:
+            continue
+        if held is not None:
+            rows = np.concatenate((held, rows))
+        edges = np.flatnonzero(np.diff(rows["segment"])) + 1
+        *whole, held = np.split(rows, edges)
+        yield from ((int(piece["segment"][0]), piece) for piece in whole)
+    if held is not None and len(held):
+        yield int(held["segment"][0]), held
+
+
+def _rows_of(file: Path) -> StructArray | None:
+    try:
+        return read_topic(file, salvage=True)
+    except DataError:
+        # A part that was torn before its first whole chunk has no rows and is no reason to stop.
+        if file.name.endswith(PARTIAL_SUFFIX):
+            return None
+        raise

@@ -1,0 +1,59 @@
+"""The way back to a plan from wherever the arm stands; for resuming a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.arms import load_arm
+from hil.errors import PlanError
+from hil.excite.motion import Line
+from hil.plan.build import checked_start, roadmap_of, workspace_of
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.station import StationRobot
+from hil.typing import FloatArray
+
+
+class Approach:
+    """Finds ways in the workspace of an experiment, within its speeds and clearances.
+
+    Args:
+        spec: The experiment.
+        station_robot: Its robot and what stands around it.
+        rate_hz: The plan's rate.
+        here: (n,) where the arm stands [rad].
+
+    Raises:
+        PlanError: The arm cannot leave that pose safely.
+    """
+
+    def __init__(
+        self,
+        spec: ExperimentSpec,
+        station_robot: StationRobot,
+        *,
+        rate_hz: float,
+        here: FloatArray,
+    ) -> None:
+        arm = load_arm(station_robot.model)
+        self._roadmap = roadmap_of(workspace_of(spec, station_robot, arm, rate_hz))
+        checked_start(here, self._roadmap)
+
+    def way(self, here: FloatArray, target: FloatArray) -> Sequence[Line]:
+        """Clear lines from one joint position (n,) to another [rad].
+
+        Raises:
+            PlanError: There are none.
+        """
+        lines = self._roadmap.way(here, target)
+        if lines is None:
+            raise PlanError(
+                f"no clear way leads from {_degrees(here)} to {_degrees(target)}",
+                hint="jog the robot to a pose with more room around it and resume from there",
+            )
+        return lines
+
+
+def _degrees(q: FloatArray) -> str:
+    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q))})°"
