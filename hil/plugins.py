@@ -35,6 +35,7 @@ EXTRA_OF_MODULE = {
     "torch": "learn",
     "distributed": "fleet",
     "rosbags": "bags",
+    "foxglove": "live",
 }
 """The extra of this distribution that brings an optional top-level module."""
 
@@ -71,13 +72,21 @@ def load(group: str, name: str) -> Any:
         PluginError: No plug-in has that name, two distributions claim it, or its import fails
             (the cause is in the message and in `__cause__`).
     """
-    point = find(group, name)
+    return load_point(find(group, name))
+
+
+def load_point(point: EntryPoint) -> Any:
+    """Import what an entry point names.
+
+    Raises:
+        PluginError: Its import fails; the cause is in the message and in `__cause__`.
+    """
     try:
         return point.load()
     # A plug-in that calls sys.exit while it is imported must not end the whole program.
     except (Exception, SystemExit) as error:
-        kind = _kind(group)
-        message = f"the {kind} {name!r} ({point.value}) does not load: {_cause(error)}"
+        kind = _kind(point.group)
+        message = f"the {kind} {point.name!r} ({point.value}) does not load: {_cause(error)}"
         raise PluginError(message, hint=_remedy(error, point)) from error
 
 

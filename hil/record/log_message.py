@@ -29,13 +29,26 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-_INFO = 20
+INFO = 20
+"""Level of an ordinary event; 10 debug, 30 warning, 40 error."""
 
 
 def encode_event(event: Mapping[str, Any]) -> bytes:
     """The CDR message of one event; it has `t` (Unix time [s]) and `kind`."""
-    stamp = max(0.0, float(event["t"]))
-    body = struct.pack("<iIB3x", int(stamp), int(stamp % 1.0 * 1e9), _INFO)
-    for text in (str(event["kind"]), json_line(event), "", ""):
-        body += cdr_string(text)
+    return encode_log(float(event["t"]), INFO, str(event["kind"]), json_line(event))
+
+
+def encode_log(t: float, level: int, name: str, text: str) -> bytes:
+    """The CDR message of one log line.
+
+    Args:
+        t: Unix time [s].
+        level: 10 debug, 20 info, 30 warning, 40 error.
+        name: Of the logger.
+        text: The line.
+    """
+    stamp = max(0.0, t)
+    body = struct.pack("<iIB3x", int(stamp), int(stamp % 1.0 * 1e9), level)
+    for part in (name, text, "", ""):
+        body += cdr_string(part)
     return CDR_HEADER + body + struct.pack("<I", 0)
