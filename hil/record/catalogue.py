@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 from hil.errors import DataError
+from hil.record.lock import is_live
 from hil.record.numbering import number_of, run_folders
 from hil.record.rundir import RunDirectory, RunStatus
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.suggest import closest
+
+ListedStatus = RunStatus | Literal["running", "damaged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +25,8 @@ class RunListing:
         number: Its running number, 0 when somebody has renamed it.
         date: Folder of the day it was started, ISO 8601.
         robot: Folder of the robot.
-        status: How it ended, or `damaged`.
-        uid: Identity from the start document, empty when damaged.
+        status: How it ended, `running` while a process holds it, or `damaged`.
+        uid: Identity from the start document, empty when damaged or not written yet.
         problem: Why it is damaged, else empty.
     """
 
@@ -31,7 +34,7 @@ class RunListing:
     number: int
     date: str
     robot: str
-    status: RunStatus | Literal["damaged"]
+    status: ListedStatus
     uid: str = ""
     problem: str = ""
 
@@ -104,11 +107,13 @@ def _listing(path: Path) -> RunListing:
     )
 
 
-def _state_of(path: Path) -> tuple[RunStatus | Literal["damaged"], str, str]:
+def _state_of(path: Path) -> tuple[ListedStatus, str, str]:
+    live = is_live(path)
     try:
         run = RunDirectory.open(path)
-        return run.status, str(run.start.get("uid", "")), ""
+        return "running" if live else run.status, str(run.start.get("uid", "")), ""
     except DataError as error:
-        return "damaged", "", error.message
+        # A run that has just begun has not written its start document yet.
+        return ("running", "", "") if live else ("damaged", "", error.message)
     except OSError as error:
         return "damaged", "", str(error)

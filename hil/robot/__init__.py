@@ -1,12 +1,21 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
 from hil.payload import Payload
-from hil.robot.protocol import Capabilities, HasTopics, Identity, Limits, Robot, Segment
+from hil.robot.protocol import (
+    Capabilities,
+    HasResource,
+    HasTopics,
+    Identity,
+    Limits,
+    Robot,
+    Segment,
+)
 from hil.robot.state import STATE_SCHEMA_VERSION, Status, state_dtype
 
 __all__ = [
     "STATE_SCHEMA_VERSION",
     "Capabilities",
+    "HasResource",
     "HasTopics",
     "Identity",
     "Limits",

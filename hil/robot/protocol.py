@@ -151,3 +151,15 @@ class HasTopics(Protocol):
 
     def drain(self) -> Mapping[str, StructArray]:
         """Rows per topic name since the last call, in order; topics without news are left out."""
+
+
+@runtime_checkable
+class HasResource(Protocol):
+    """What a robot also offers when its address says which robot it is, whatever it is called.
+
+    Two processes may not drive one resource at once (`hil.robot.lease`).
+    """
+
+    @property
+    def resource(self) -> str:
+        """Such as `ur://192.168.0.5`; known before `connect`, the same from every station file."""
