@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from hil.campaign.experiment import Experiment
 from hil.errors import SpecError
+from hil.robot import Capabilities
 
 
-def check_driver(experiment: Experiment) -> None:
+def check_driver(experiment: Experiment) -> Capabilities:
     """Construct the robot's driver, and nothing more: no connection, no motion.
+
+    Returns:
+        What the robot offers.
 
     Raises:
         SpecError: The driver refuses its options; the message names the station's file and robot.
@@ -18,7 +22,7 @@ def check_driver(experiment: Experiment) -> None:
     name = experiment.spec.robot
     place = f"{experiment.station_source}: robots.{name}"
     try:
-        open_robot(name, experiment.robot)
+        return open_robot(name, experiment.robot).capabilities
     except SpecError as error:
         raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
     except (TypeError, ValueError) as error:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hil.cli.live import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
 from hil.cli.output import (
     JsonFlag,
     RunsOption,
@@ -48,6 +49,9 @@ def run(
     runs: RunsOption = Path("runs"),
     operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
     waive: WaiveOption = None,
+    live: LiveFlag = False,
+    live_port: LivePort = None,
+    live_host: LiveHost = None,
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
@@ -57,16 +61,17 @@ def run(
     from hil.engine.signals import ignore_from_now_on
 
     experiment = api.load(spec, station)
-    check_driver(experiment)
+    robot = check_driver(experiment)
     if not json:
         typer.echo(experiment.title, err=True)
-    report = api.run(
-        experiment,
-        runs=runs,
-        operator=operator,
-        observers=(ProgressLines(),),
-        waivers=_waivers(waive or ()),
-    )
+    with live_view(lambda: robot, live, live_port, live_host) as views:
+        report = api.run(
+            experiment,
+            runs=runs,
+            operator=operator,
+            observers=(ProgressLines(), *views),
+            waivers=_waivers(waive or ()),
+        )
     ignore_from_now_on()
     _tell_report(report, json)
 
@@ -76,6 +81,9 @@ def resume(
     runs: RunsOption = Path("runs"),
     operator: Annotated[str, typer.Option(help="Who is at the robot; recorded.")] = "",
     waive: WaiveOption = None,
+    live: LiveFlag = False,
+    live_port: LivePort = None,
+    live_host: LiveHost = None,
     json: JsonFlag = False,
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
@@ -85,9 +93,13 @@ def resume(
     from hil.record.catalogue import find_run
 
     path = find_run(run, runs)
-    report = api.resume(
-        path, operator=operator, observers=(ProgressLines(),), waivers=_waivers(waive or ())
-    )
+    with live_view(lambda: recorded_capabilities(path), live, live_port, live_host) as views:
+        report = api.resume(
+            path,
+            operator=operator,
+            observers=(ProgressLines(), *views),
+            waivers=_waivers(waive or ()),
+        )
     ignore_from_now_on()
     _tell_report(report, json)
 
