@@ -63,14 +63,14 @@ def plan(
     _require_svg(picture)
     from hil import api
     from hil.campaign.driver_check import check_driver
+    from hil.campaign.preview import preview_experiment
     from hil.plan.picture import plan_picture
-    from hil.plan.preview import preview
     from hil.record.files import json_document, write_replacing
 
     experiment = api.load(spec, station)
     check_driver(experiment)
-    made = api.plan(experiment)
-    shown = preview(made).to_dict()
+    made, facts = preview_experiment(experiment)
+    shown = facts.to_dict()
     drawn = plan_picture(made, picture or Path(f"{experiment.spec.name}.plan.svg"))
     if out:
         write_replacing(out, json_document(made.to_dict()))
@@ -85,12 +85,20 @@ def plan(
         ("recording", size(shown["recording_bytes"])),
         ("condition number", _figure(shown["condition_number"])),
         *((f"margin: {key}", f"{value:.4g}") for key, value in shown["margins"].items()),
+        *((f"interlock: {one['name']}", _watch(one)) for one in shown["interlocks"]),
         ("picture", str(drawn)),
         ("plan hash", shown["hash"][:12]),
     ]
     print_table(("", ""), rows)
     for warning in shown["warnings"]:
         typer.echo(f"warning: {warning}")
+
+
+def _watch(interlock: dict[str, str]) -> str:
+    """Limit and action, or why it does not watch."""
+    if interlock["action"] == "off":
+        return f"off: {interlock['why']}"
+    return f"{interlock['limit']} → {interlock['action']}"
 
 
 def _require_svg(picture: Path | None) -> None:

@@ -66,6 +66,9 @@ class CollisionModel:
 
     Attributes:
         pairs: (P, 2) indices of the capsules that are checked against each other.
+        names: (R,) between which two bodies each distance is: the pairs, then every capsule and
+            what stands around it.
+        reach: (R, n) metres that a distance can change per radian of each joint, at most.
 
     Raises:
         SpecError: The arm has no capsules.
@@ -91,11 +94,11 @@ class CollisionModel:
         self._obstacles = self._around(environment or Environment(), arm, links)
         # One row per pair of capsules, then one per capsule and obstacle.
         near = [(obstacle.name, body) for obstacle in self._obstacles for body in obstacle.bodies]
-        self._names = [(names[i], names[j]) for i, j in self.pairs]
-        self._names += [(names[body], name) for name, body in near]
+        self.names: list[tuple[str, str]] = [(names[i], names[j]) for i, j in self.pairs]
+        self.names += [(names[body], name) for name, body in near]
         reach = [self._chain.reach(links[i], j) for i, j in self.pairs]
         reach += [self._chain.reach(0, body) for _, body in near]
-        self._reach = np.array(reach).reshape(-1, arm.n_joints)
+        self.reach = np.array(reach).reshape(-1, arm.n_joints)
 
     @classmethod
     def for_model(
@@ -118,13 +121,13 @@ class CollisionModel:
 
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] over everything checked, for `q` (N, n); negative inside."""
-        return np.asarray(self._distances(q).min(axis=0, initial=np.inf))
+        return np.asarray(self.distances(q).min(axis=0, initial=np.inf))
 
     def closest(self, q: FloatArray) -> tuple[float, tuple[str, str]]:
         """The smallest distance [m] at `q` (n,) and between which two bodies."""
-        distances = self._distances(np.atleast_2d(q))[:, 0]
+        distances = self.distances(np.atleast_2d(q))[:, 0]
         row = int(distances.argmin())
-        return float(distances[row]), self._names[row]
+        return float(distances[row]), self.names[row]
 
     def path_clearance(self, q: FloatArray) -> tuple[float, int]:
         """The smallest distance [m] over all samples of a path `q` (N, n), and that sample's index.
@@ -137,11 +140,11 @@ class CollisionModel:
         """
         if len(q) == 0:
             raise DataError("a path without samples has no clearance")
-        return least_along(q, self._distances, self._reach)
+        return least_along(q, self.distances, self.reach)
 
-    def _distances(self, q: FloatArray) -> FloatArray:
-        """(rows, N) distance of every pair and obstacle at every sample [m]."""
-        out = np.empty((len(self._names), len(q)))
+    def distances(self, q: FloatArray) -> FloatArray:
+        """(R, N) distance of every pair and obstacle at every sample [m], for `q` (N, n)."""
+        out = np.empty((len(self.names), len(q)))
         for start in range(0, len(q), FRAME_BLOCK):
             block = slice(start, start + FRAME_BLOCK)
             p, u = self._chain.axes(q[block])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,7 @@ class PlanPreview:
         steps: Number of steps of each kind, in the order in which they first occur.
         samples: State rows to be recorded.
         warnings: What is allowed and still worth a second look, a sentence each.
+        interlocks: What will watch, as `Interlocks.describe` puts it; empty when nobody said.
     """
 
     waypoints: int
@@ -43,6 +45,7 @@ class PlanPreview:
     steps: dict[str, int]
     samples: int
     warnings: tuple[str, ...] = ()
+    interlocks: tuple[Mapping[str, str], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -56,11 +59,12 @@ class PlanPreview:
             "steps": dict(self.steps),
             "samples": self.samples,
             "warnings": list(self.warnings),
+            "interlocks": [dict(interlock) for interlock in self.interlocks],
         }
 
 
-def preview(plan: Plan) -> PlanPreview:
-    """What `plan` amounts to."""
+def preview(plan: Plan, interlocks: Iterable[Mapping[str, str]] = ()) -> PlanPreview:
+    """What `plan` amounts to, and what will watch over it."""
     size = recording_bytes(plan)
     return PlanPreview(
         waypoints=plan.waypoints,
@@ -72,6 +76,7 @@ def preview(plan: Plan) -> PlanPreview:
         steps=dict(Counter(step.kind for step in plan)),
         samples=_samples(plan),
         warnings=tuple(concerns(plan.condition_number, plan.duration_s, size)),
+        interlocks=tuple(interlocks),
     )
 
 

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from hil import plugins
 from hil.arms import arm_names
 from hil.errors import HilError, PluginError
+from hil.spec.interlocks import KINDS
 from hil.spec.source import Path, Source, shown
 from hil.suggest import closest, did_you_mean
 
@@ -38,6 +39,22 @@ def check_estimators(source: Source) -> None:
             source.add((*path, "estimator"), message)
         else:
             _check_estimator(source, path, entry)
+
+
+def check_interlocks(source: Source) -> None:
+    """Kinds under `interlocks` must be built in or plug-ins, keys beside them their parameters.
+
+    A plug-in is imported: one that cannot be is found here, and not with the robot switched on.
+    """
+    for path, entry in _entries(source, "interlocks"):
+        kind = entry.get("kind")
+        if not isinstance(kind, str) or kind in KINDS:
+            continue
+        if kind not in (plugged := plugins.names("hil.interlocks")):
+            message = f"there is no kind '{shown(kind)}'; {did_you_mean(kind, [*KINDS, *plugged])}"
+            source.add((*path, "kind"), message)
+        else:
+            _check_plugged(source, path, kind, entry)
 
 
 def check_robots(source: Source, folder: FilePath) -> None:
@@ -106,6 +123,21 @@ def _check_estimator(source: Source, path: Path, entry: dict[str, Any]) -> None:
     _check_excitation(source, path, entry["estimator"], estimator)
     if len(entry) > 1:
         _check_parameters(source, path, entry, estimator)
+
+
+def _check_plugged(source: Source, path: Path, kind: str, entry: dict[str, Any]) -> None:
+    try:
+        known = _parameters(plugins.load("hil.interlocks", kind))
+    except PluginError as error:
+        source.add((*path, "kind"), f"{error.message} → {error.hint}")
+        return
+    if known is None:
+        return
+    # The first is its context; the spec itself knows the others.
+    own = [name for name in known[1:] if name != "action"]
+    for key in entry:
+        if key not in ("kind", "action", "enabled", *own):
+            source.add((*path, key), _no_parameter(kind, key, own), key=True)
 
 
 def _check_excitation(source: Source, path: Path, name: str, estimator: Any) -> None:

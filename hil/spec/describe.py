@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import json
 import sys
+import types
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -116,6 +117,10 @@ def _allowed(annotation: Any, metadata: Sequence[Any] = ()) -> str:
 def _compound(inner: Any) -> str:
     if kinds := kinds_of(inner):
         return "mapping with `kind` " + ", ".join(f"`{kind}`" for kind in kinds)
+    if get_origin(inner) in (Union, types.UnionType):
+        return " or ".join(_allowed(arg) for arg in get_args(inner))
+    if inner is bool:
+        return "`true` or `false`"
     if get_origin(inner) is tuple:
         first, *rest = get_args(inner)
         if rest == [Ellipsis]:

@@ -14,14 +14,15 @@ from hil.spec.experiment import ExperimentSpec
 def spec_hash(spec: ExperimentSpec) -> str:
     """sha256 of the canonical JSON of the spec, defaults included.
 
-    Comments, order of keys, spelling of numbers (`1` and `1.0`) and written-out defaults do not
-    change it. A file of poses counts with its content, not with its path, so that the hash is the
-    same on every machine.
+    Comments, order of keys and of interlocks, spelling of numbers (`1` and `1.0`) and written-out
+    defaults do not change it. A file of poses counts with its content, not with its path, so that
+    the hash is the same on every machine.
 
     Raises:
         SpecError: The file of poses cannot be read.
     """
     raw = spec.model_dump(mode="json", by_alias=True)
+    raw["interlocks"].sort(key=lambda interlock: json.dumps(interlock, sort_keys=True))
     if file := raw["excitation"].get("file"):
         raw["excitation"]["file"] = _content_hash(Path(file))
     text = json.dumps(_canonical(raw), sort_keys=True, separators=(",", ":"))

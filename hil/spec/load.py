@@ -9,7 +9,13 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from hil.errors import SpecError
-from hil.spec.checks import check_estimators, check_pose_file, check_robots, is_path
+from hil.spec.checks import (
+    check_estimators,
+    check_interlocks,
+    check_pose_file,
+    check_robots,
+    is_path,
+)
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.findings import findings_of
 from hil.spec.hashing import spec_hash
@@ -37,8 +43,8 @@ def load_spec(
     Args:
         path: The YAML file.
         overrides: Values laid over the file, YAML text by dotted path (`excitation.waypoints`).
-        look_up: Check that estimators and files the spec names exist here. Switch it off to read
-            the spec of a run that was made elsewhere.
+        look_up: Check that the estimators, interlocks and files the spec names exist here. Switch
+            it off to read the spec of a run that was made elsewhere.
 
     Returns:
         The spec; `excitation.file` is absolute.
@@ -109,6 +115,7 @@ def _spec(
     lay_over(source, overrides)
     if look_up:
         check_estimators(source)
+        check_interlocks(source)
         check_pose_file(source, folder)
     spec = _validated(source, ExperimentSpec)
     excitation = spec.excitation

@@ -100,6 +100,8 @@ def _limit(words: str, name: str) -> Callable[[Finding], str]:
 
 def _literal(f: Finding) -> str:
     choices = [str(choice) for choice in choices_of(f.expected)]
+    if not choices:  # in a mapping whose keys only its plug-in knows
+        return f.told
     if f.key in ("hil", "hil_station"):
         return f"this hil reads format {choices[0]}, not {name_of(f.value)}"
     if len(choices) == 1:
@@ -154,6 +156,7 @@ _SENTENCES: dict[str, Callable[[Finding], str]] = {
     "union_tag_invalid": _kind,
     "union_tag_not_found": _kind,
     "string_type": _text,
+    "bool_type": lambda f: f"must be true or false, not {name_of(f.value)}",
     "string_pattern_mismatch": lambda f: (
         "must begin with a letter or digit and hold nothing but letters, digits, '_', '.' and "
         f"'-', 64 at most, not {name_of(f.value)}"

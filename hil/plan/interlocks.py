@@ -1,0 +1,111 @@
+"""Whether a plan lets its own interlocks be: what would trip for certain is refused before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from hil.arms import ArmDescription
+from hil.errors import PlanError
+from hil.excite.motion import Motion
+from hil.plan.surroundings import BodySize
+from hil.spec.interlocks import ClearanceInterlock, Interlock, WorkspaceInterlock
+
+if TYPE_CHECKING:
+    from hil.dynamics.environment import Plane
+    from hil.dynamics.flange import FlangeSpace
+
+
+def flange_space(
+    arm: ArmDescription, space: WorkspaceInterlock, sizes: Sequence[BodySize | None]
+) -> FlangeSpace:
+    """Distances of the flange, and of the tip of the longest load, to the faces of a workspace.
+
+    One tip stands for all loads, as one body does in collisions. A load of unknown size has none.
+
+    Args:
+        arm: The arm.
+        space: Box and planes.
+        sizes: Of each load's body, None where it is not known.
+    """
+    from hil.dynamics.flange import FlangeSpace
+
+    tip = max((size[0] for size in sizes if size is not None), default=0.0)
+    return FlangeSpace(arm, _faces(space), tip)
+
+
+def interlock_margins(
+    interlocks: Sequence[Interlock],
+    arm: ArmDescription,
+    sizes: Sequence[BodySize | None],
+    motions: Sequence[Motion],
+    rate_hz: float,
+    clearance_m: float,
+) -> dict[str, float]:
+    """`workspace_m`: smallest distance of the flange to a face of its workspace, if it has one.
+
+    Args:
+        interlocks: Of the spec.
+        arm: The arm.
+        sizes: Of each load's body.
+        motions: All motions of the plan.
+        rate_hz: At which they are sampled.
+        clearance_m: Smallest distance of the plan to anything.
+
+    Raises:
+        PlanError: The motion itself trips an interlock; all that it trips are listed.
+    """
+    margins: list[float] = []
+    problems: list[str] = []
+    for number, interlock in enumerate(interlocks):
+        problem = ""
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled:
+            space = flange_space(arm, interlock, sizes)
+            least, problem = _least(space, motions, rate_hz)
+            margins.append(least)
+        elif isinstance(interlock, ClearanceInterlock) and interlock.enabled:
+            problem = _too_close(interlock, clearance_m)
+        if problem:
+            problems.append(f"interlocks.{number} ({interlock.kind}): {problem}")
+    if problems:
+        raise PlanError(
+            "\n".join(problems),
+            hint="change these entries, or keep the motion away: excitation.range_deg, and walls "
+            "in the station's surroundings",
+        )
+    return {"workspace_m": min(margins)} if margins else {}
+
+
+def _least(space: FlangeSpace, motions: Sequence[Motion], rate_hz: float) -> tuple[float, str]:
+    """The smallest distance to a face, and what is wrong with it."""
+    from hil.dynamics.path_search import least_along
+
+    paths = [motion.sample(rate_hz).q for motion in motions]
+    found = [least_along(q, space.distances, space.reach) for q in paths]
+    at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
+    if least >= 0:
+        return least, ""
+    point, face = space.names[int(space.distances(paths[at][[sample]])[:, 0].argmin())]
+    return least, f"the plan takes the {point} {-1e3 * least:.1f} mm beyond {face}"
+
+
+def _too_close(interlock: ClearanceInterlock, clearance_m: float) -> str:
+    if interlock.least_m is None or interlock.least_m < clearance_m:
+        return ""
+    return (
+        f"least_m is {interlock.least_m:g}, but the plan itself comes as close as "
+        f"{clearance_m:.4f} m to something"
+    )
+
+
+def _faces(space: WorkspaceInterlock) -> list[Plane]:
+    from hil.dynamics.environment import Plane
+
+    faces = [Plane(wall.point_m, wall.normal, wall.name) for wall in space.planes]
+    for key, corner, inwards in (("min_m", space.min_m, 1.0), ("max_m", space.max_m, -1.0)):
+        if corner is not None:
+            faces += [
+                Plane(corner, (inwards * (i == 0), inwards * (i == 1), inwards * (i == 2)), name)
+                for i, name in enumerate(f"{axis} of {key}" for axis in "xyz")
+            ]
+    return faces
