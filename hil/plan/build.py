@@ -16,6 +16,7 @@ from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Action, Excitation, Program, Visit, pose_visit
 from hil.excite.workspace import Workspace
+from hil.plan.interlocks import interlock_margins
 from hil.plan.limits import draw_range, excesses
 from hil.plan.margins import margins_of
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
@@ -80,6 +81,12 @@ def _complete(
 ) -> Plan:
     """The plan with its margins; refuses a negative one."""
     measured = [step.motion for step in steps if step.measures and step.motion]
+    margins = margins_of(steps, loads, arm, station_robot.gravity_m_s2, workspace)
+    motions = [step.motion for step in steps if step.motion]
+    sizes = [load.size_m for load in loads]
+    margins |= interlock_margins(
+        spec.interlocks, arm, sizes, motions, workspace.rate_hz, margins["clearance_m"]
+    )
     assert workspace.condition is not None
     return Plan(
         name=spec.name,
@@ -89,7 +96,7 @@ def _complete(
         steps=steps,
         loads=loads,
         dwell=_dwell_rule(spec),
-        margins=margins_of(steps, loads, arm, station_robot.gravity_m_s2, workspace),
+        margins=margins,
         condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
     )
 

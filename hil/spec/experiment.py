@@ -8,6 +8,23 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.spec.excitation import Dwell, Excitation, Fourier
+from hil.spec.interlocks import (
+    DEFAULTS,
+    ClearanceInterlock,
+    CurrentInterlock,
+    DiskInterlock,
+    Interlock,
+    Interlocks,
+    PluggedInterlock,
+    RecorderInterlock,
+    SpeedInterlock,
+    StaleInterlock,
+    TemperatureInterlock,
+    TorqueInterlock,
+    TrackingErrorInterlock,
+    WorkspaceInterlock,
+    lowest,
+)
 from hil.spec.loads import Load
 from hil.spec.quantities import (
     IS_NUMBER,
@@ -24,6 +41,9 @@ from hil.spec.quantities import (
 
 __all__ = [
     "Accept",
+    "ClearanceInterlock",
+    "CurrentInterlock",
+    "DiskInterlock",
     "Dwell",
     "Excitation",
     "ExperimentSpec",
@@ -34,14 +54,19 @@ __all__ = [
     "Interlock",
     "Load",
     "NrmseLimit",
+    "PluggedInterlock",
     "Record",
+    "RecorderInterlock",
     "Reference",
     "RmseLimit",
     "SpeedInterlock",
+    "StaleInterlock",
     "TemperatureInterlock",
+    "TorqueInterlock",
     "TrackingErrorInterlock",
     "Validate",
     "WarmUp",
+    "WorkspaceInterlock",
 ]
 
 
@@ -67,39 +92,6 @@ class Record(Strict):
     rotate_mb: Annotated[float, Field(ge=1, allow_inf_nan=False), IS_NUMBER] = Field(
         1024.0, description="A recording goes on in a new file beyond this size."
     )
-
-
-class TrackingErrorInterlock(Strict):
-    """Stop when a joint is further from its set-point than this."""
-
-    kind: Literal["tracking_error"] = Field(description="Watches the tracking error.")
-    limit_rad: Annotated[float, Field(gt=0, le=1.0), IS_NUMBER] = Field(
-        description="Largest distance between measured and commanded position."
-    )
-    action: Literal["stop"] = Field("stop", description="What happens then.")
-
-
-class TemperatureInterlock(Strict):
-    """Stop when a joint is hotter than this."""
-
-    kind: Literal["temperature"] = Field(description="Watches the temperatures.")
-    limit_c: Annotated[float, Field(gt=0, le=150.0), IS_NUMBER] = Field(
-        description="Highest joint temperature."
-    )
-    action: Literal["stop"] = Field("stop", description="What happens then.")
-
-
-class SpeedInterlock(Strict):
-    """Stop when a joint moves faster than this."""
-
-    kind: Literal["speed"] = Field(description="Watches the joint speeds.")
-    limit_deg_s: Positive = Field(description="Highest joint speed.")
-    action: Literal["stop"] = Field("stop", description="What happens then.")
-
-
-Interlock = Annotated[
-    TrackingErrorInterlock | TemperatureInterlock | SpeedInterlock, Field(discriminator="kind")
-]
 
 
 class Fit(BaseModel):
@@ -204,12 +196,10 @@ class ExperimentSpec(Strict):
     warm_up: WarmUp = Field(WarmUp(), description="Motion before measuring.")
     reference: Reference = Field(Reference(), description="A pose visited again and again.")
     record: Record = Field(Record(), description="What is recorded.")
-    interlocks: tuple[Interlock, ...] = Field(
-        (
-            TrackingErrorInterlock(kind="tracking_error", limit_rad=0.05),
-            TemperatureInterlock(kind="temperature", limit_c=75.0),
-        ),
-        description="What stops the motion; a list given here replaces the default one.",
+    interlocks: Interlocks = Field(
+        DEFAULTS,
+        description="What stops or pauses the motion; the defaults of kinds that are not listed "
+        "here stay.",
     )
     fit: tuple[Fit, ...] = Field((), description="The estimators to fit, each on the same data.")
     validation: Validate = Field(
@@ -271,7 +261,9 @@ class ExperimentSpec(Strict):
     def _speed_interlock_lets_the_program_run(self) -> ExperimentSpec:
         fastest = self.excitation.max_velocity_deg_s
         for i, interlock in enumerate(self.interlocks):
-            if isinstance(interlock, SpeedInterlock) and interlock.limit_deg_s <= fastest:
+            if not (isinstance(interlock, SpeedInterlock) and interlock.enabled):
+                continue
+            if lowest(interlock.limit_deg_s) <= fastest:
                 message = f"must be above the {fastest:g} °/s of excitation.max_velocity_deg_s"
                 raise mistake(message, "interlocks", i, "limit_deg_s")
         return self
