@@ -1,9 +1,13 @@
 """The recorder thread: the control thread hands over blocks and never touches a disk.
 
-Durability. Every `flush_interval_s` (0.1 s) of wall time the thread writes what has come in and
-closes the chunk, so that killing the process loses at most that much plus one write. Every
-`fsync_interval_s` it also calls `fsync`, so that a power loss loses at most that much plus the
-time the disk takes; set it higher on slow media, or to infinity where only kills are feared.
+Durability. Every `flush_interval_s` (0.1 s) of wall time the thread writes what has come in into
+the kernel, so that killing the process loses at most that much plus one write, however slow the
+disk is: a thread beside it (`hil.record.disk`) waits for the disk. That one calls `fsync` every
+`fsync_interval_s`, so that a power loss loses at most that much plus the time the disk takes;
+set it higher on slow media, or to infinity where only kills are feared.
+
+Rotation. A part that has reached `rotate_bytes` is followed by the next one, which is open by
+then; the old one is finished beside. No row is in both or in neither, and the counts go on.
 """
 
 from __future__ import annotations
@@ -13,23 +17,36 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from types import MappingProxyType, TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from hil.errors import RecordingError
 from hil.record.continuity import Counts
+from hil.record.disk import DiskThread, NextPart
 from hil.record.writer import McapWriter, require_rows_of
 from hil.typing import StructArray
+
+
+class _Block(NamedTuple):
+    """Rows that wait to be written, and when they were handed over [s, monotonic clock]."""
+
+    topic: str
+    content: bytes
+    since: float
 
 
 class Recorder:
     """Records blocks of rows through a thread of its own; nothing is ever dropped.
 
-    `put` is called by one thread, the control thread. `put_event` may be called by any.
+    `put` is called by one thread, the control thread; everything else but `close` by any.
 
     Args:
         writer: The open file; the recorder finishes it, or abandons it when writing fails.
+        next_part: Opens part 1, 2, … with the same topics when rotating; called off the control
+            thread.
+        rotate_bytes: Go on in the next part once the open one has this size [bytes]; only with
+            `next_part`. A part gets bigger by what comes in while the next one is opened.
         flush_interval_s: Wall time between flushes [s].
         fsync_interval_s: Wall time between calls of fsync [s].
         backlog_limit_s: How far writing may fall behind, in seconds of data at nominal rates.
@@ -41,25 +58,28 @@ class Recorder:
         self,
         writer: McapWriter,
         *,
+        next_part: NextPart | None = None,
+        rotate_bytes: float | None = None,
         flush_interval_s: float = 0.1,
         fsync_interval_s: float = 0.1,
         backlog_limit_s: float = 10.0,
         on_backlog: Literal["raise", "wait"] = "raise",
     ) -> None:
         self._writer = writer
+        self._topics = writer.topics
+        self._rotate_bytes = rotate_bytes if next_part is not None else None
         self._flush_interval_s = flush_interval_s
-        self._fsync_interval_s = fsync_interval_s
         self._limit = max(1, int(backlog_limit_s * sum(t.rate_hz for t in writer.topics.values())))
         self._on_backlog = on_backlog
-        self._blocks: deque[tuple[str, bytes]] = deque()
+        self._blocks: deque[_Block] = deque()
         self._events: deque[Mapping[str, Any]] = deque()
         self._rows_put = self._rows_written = 0
+        self._writing_since: float | None = None
         self._counts = {name: Counts() for name in writer.topics}
         self._error: BaseException | None = None
         self._closing = False
         self._wake, self._progress = threading.Event(), threading.Event()
-        self._last_flush = self._last_fsync = time.monotonic()
-        self._unsynced = False
+        self._disk = DiskThread(writer, next_part, fsync_interval_s, self._fail)
         self._thread = threading.Thread(target=self._run, name="hil-recorder", daemon=True)
         self._thread.start()
 
@@ -69,21 +89,36 @@ class Recorder:
         return self._rows_put - self._rows_written
 
     @property
+    def behind_s(self) -> float:
+        """How far what the kernel has lags behind what was handed over [s, wall time].
+
+        That is how long the oldest row still here has been waiting: what a kill would lose now.
+        """
+        since = self._writing_since
+        if since is None:
+            try:
+                since = self._blocks[0].since
+            except IndexError:
+                return 0.0
+        return time.monotonic() - since
+
+    @property
     def counts(self) -> Mapping[str, Counts]:
         """Samples, gaps, duplicates and overruns per topic, up to what has been written."""
         return MappingProxyType(self._counts)
 
     def put(self, topic: str, rows: StructArray) -> None:
-        """Hand over rows of a topic; they are copied, and kept even when this raises.
+        """Hand over rows of a topic; they are copied, and kept if at all possible when this raises.
 
         Raises:
             RecordingError: Writing has failed, or has fallen behind by more than the limit.
         """
-        require_rows_of(self._writer.topics, topic, rows)
+        require_rows_of(self._topics, topic, rows)
+        if self._thread.is_alive() and not self._closing:
+            # As bytes: copying a structured array goes field by field and takes ten times as long.
+            self._blocks.append(_Block(topic, rows.tobytes(), time.monotonic()))
+            self._rows_put += len(rows)
         self._require_alive()
-        # As bytes: copying a structured array goes field by field and takes ten times as long.
-        self._blocks.append((topic, rows.tobytes()))
-        self._rows_put += len(rows)
         if self.backlog > self._limit // 2:
             self._wake.set()
         if self.backlog > self._limit:
@@ -105,16 +140,18 @@ class Recorder:
             RecordingError: Writing has failed or did not end in time; what was flushed is kept
                 in the partial file.
         """
+        deadline = time.monotonic() + timeout_s
         self._closing = True
         self._wake.set()
         self._thread.join(timeout_s)
-        if self._thread.is_alive():
+        ended = self._disk.join(deadline - time.monotonic())
+        if self._error is not None:
+            raise self._as_recording_error()
+        if self._thread.is_alive() or not ended:
             raise RecordingError(
                 f"{self._writer.partial_path} could not be finished within {timeout_s:g} s",
                 hint="the disk hangs or is far too slow; what was flushed is kept in that file",
             )
-        if self._error is not None:
-            raise self._as_recording_error()
         return self.counts
 
     def __enter__(self) -> Recorder:
@@ -136,13 +173,20 @@ class Recorder:
     def _require_alive(self) -> None:
         if self._error is not None:
             raise self._as_recording_error()
-        if not self._thread.is_alive() or self._closing:
+        if self._closing:
             raise RecordingError(f"the recorder of {self._writer.path} is closed")
+        if not self._thread.is_alive():
+            raise RecordingError(f"the recorder of {self._writer.path} died")
 
     def _as_recording_error(self) -> RecordingError:
         if isinstance(self._error, RecordingError):
             return RecordingError(self._error.message, hint=self._error.hint)
         return RecordingError(f"the recorder of {self._writer.path} died: {self._error!r}")
+
+    def _fail(self, error: BaseException) -> None:
+        if self._error is None:
+            self._error = error
+        self._progress.set()
 
     def _fallen_behind(self) -> None:
         while self._on_backlog == "wait" and self.backlog > self._limit:
@@ -153,43 +197,48 @@ class Recorder:
             raise RecordingError(
                 f"recording has fallen behind by {self.backlog} rows (limit {self._limit}); "
                 "they are kept, but the disk does not keep up",
-                hint="record to a faster disk, at a lower rate, or raise the fsync interval",
+                hint="record to a faster disk or at a lower rate",
             )
 
     def _run(self) -> None:
         try:
+            flushed = time.monotonic()
             while not self._closing:
-                self._wake.wait(self._flush_interval_s)
+                self._wake.wait(flushed + self._flush_interval_s - time.monotonic())
                 self._wake.clear()
+                flushed = time.monotonic()
                 self._write_backlog()
-                self._flush()
+                self._rotate()
             self._write_backlog()
-            self._writer.finish()
+            self._disk.finish()
         except BaseException as error:  # whatever it was, the control thread has to hear of it
-            self._error = error
-            self._writer.abandon()
+            self._fail(error)
+            self._disk.abandon()
 
     def _write_backlog(self) -> None:
+        if not self._blocks and not self._events:
+            return
+        self._writing_since = self._blocks[0].since if self._blocks else None
         blocks = [self._blocks.popleft() for _ in range(len(self._blocks))]
         events = [self._events.popleft() for _ in range(len(self._events))]
-        for name in dict.fromkeys(name for name, _ in blocks):
-            topic = self._writer.topics[name]
-            content = b"".join(block for of_topic, block in blocks if of_topic == name)
+        rows_written = self._rows_written
+        for name in dict.fromkeys(block.topic for block in blocks):
+            topic = self._topics[name]
+            content = b"".join(block.content for block in blocks if block.topic == name)
             rows = np.frombuffer(content, topic.dtype)
             self._writer.write(name, rows)
             self._counts[name] = self._counts[name].after(rows, topic.rate_hz)
-            self._rows_written += len(rows)
+            rows_written += len(rows)
         for event in events:
             self._writer.write_event(event)
-        self._unsynced |= bool(blocks or events)
+        self._writer.flush(durable=False)
+        self._rows_written, self._writing_since = rows_written, None
+        self._disk.written()
         self._progress.set()
 
-    def _flush(self) -> None:
-        now = time.monotonic()
-        if now - self._last_flush < self._flush_interval_s:
+    def _rotate(self) -> None:
+        """Go on in the next part if this one is full and that one is open. All is flushed here."""
+        if self._rotate_bytes is None or self._writer.size < self._rotate_bytes:
             return
-        durable = self._unsynced and now - self._last_fsync >= self._fsync_interval_s
-        self._writer.flush(durable=durable)
-        self._last_flush = now
-        if durable:
-            self._last_fsync, self._unsynced = now, False
+        if new := self._disk.part_after(self._writer):
+            self._writer = new

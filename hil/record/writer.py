@@ -1,7 +1,8 @@
-"""Writes one MCAP file; single-threaded, used by the recorder thread and by importers.
+"""Writes one MCAP file; single-threaded but for `sync`, used by the recorder and by importers.
 
 The file is called `NN.mcap.partial` until it is finished. What explains the data (metadata,
-attachments) is written first, so that a torn file still says what it is. Chunks are 1 MiB, zstd.
+attachments, message definitions) is written first and before the file gets even that name, so
+that whatever bears it says what it is. Chunks are 1 MiB, zstd.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
-from mcap.writer import Writer
 
 from hil.errors import RecordingError
 from hil.record.cdr import CDR_HEADER
@@ -26,16 +26,15 @@ from hil.record.joint_state import (
     JointStateView,
 )
 from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
+from hil.record.stream import McapStream
 from hil.record.topic import STATE_TOPIC, Topic
-from hil.typing import StructArray
+from hil.typing import IntArray, StructArray
 
 FILE_FORMAT_VERSION = 1
 """Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""
 
 FILE_METADATA = "hil"
 PARTIAL_SUFFIX = ".partial"
-_CHUNK_BYTES = 1024 * 1024
-_UINT32 = 0xFFFFFFFF
 
 
 class Attachment(NamedTuple):
@@ -75,23 +74,31 @@ class McapWriter:
     ) -> None:
         self.path = Path(path)
         self.topics = {topic.name: topic for topic in topics}
-        self._file = _create(self.path)
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
+        _require_free(self.path, self.partial_path)
+        draft = self.path.with_name(f".{self.path.name}.{os.getpid()}.draft")
         with self._refusal_named():
-            self._writer.start(profile="ros2")
-            self._add_provenance(metadata or {}, attachments)
-        self._channels = {topic.name: self._register(topic) for topic in topics}
-        self._channels[EVENT_TOPIC] = self._channel(EVENT_TOPIC, EVENT_SCHEMA, EVENT_TEXT)
-        self._joint_states: JointStateView | None = None
-        if joint_names and STATE_TOPIC in self.topics:
-            self._joint_states = self._register_joint_states(joint_names)
-        self._sequence = dict.fromkeys(self._channels, 0)
-        self.flush(durable=True)
+            self._file: IO[bytes] = draft.open("xb")
+        try:
+            with self._refusal_named():
+                self._stream = McapStream(self._file, "ros2", "hil")
+                self._explain(metadata or {}, attachments, joint_names)
+                self.flush(durable=True)
+                draft.rename(self.partial_path)
+                fsync_directory(self.path.parent)
+        except BaseException:
+            self.abandon()
+            draft.unlink(missing_ok=True)
+            raise
 
     @property
     def partial_path(self) -> Path:
         """Where the data is until the file is finished."""
         return self.path.with_name(self.path.name + PARTIAL_SUFFIX)
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far, without the chunk in progress."""
+        return self._stream.size
 
     def write(self, topic: str, rows: StructArray) -> None:
         """Append rows of a topic, in the order given.
@@ -109,20 +116,33 @@ class McapWriter:
 
     def write_event(self, event: Mapping[str, Any]) -> None:
         """Append an event; `t` is its Unix time [s] and `kind` what happened."""
-        stamp = int(max(0.0, float(event["t"])) * 1e9)
-        self._add(EVENT_TOPIC, [encode_event(event)], [stamp], [stamp])
+        stamp = _nanoseconds(np.array([float(event["t"])]))
+        content = encode_event(event)
+        message = np.frombuffer(content, f"V{len(content)}")
+        with self._refusal_named():
+            self._stream.add_messages(self._channels[EVENT_TOPIC], stamp, stamp, message)
 
     def flush(self, *, durable: bool) -> None:
         """Hand everything to the kernel (survives a kill), or to the disk (survives power loss)."""
         with self._refusal_named():
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            if durable:
-                os.fsync(self._file.fileno())
+            self._stream.end_chunk()
+            self._file.flush()
+        if durable:
+            self.sync()
+
+    def sync(self) -> None:
+        """Wait until the disk has all that was flushed; may be called by a thread of its own.
+
+        Raises:
+            RecordingError: The disk refuses.
+        """
+        with self._refusal_named():
+            os.fsync(self._file.fileno())
 
     def finish(self) -> None:
         """Write the index, make the file durable and give it its final name."""
         with self._refusal_named():
-            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
@@ -134,6 +154,12 @@ class McapWriter:
         # A full disk refuses the buffered rest once more on close; it is lost either way.
         with contextlib.suppress(OSError, ValueError):
             self._file.close()
+
+    def discard(self) -> None:
+        """Close and delete the file, in which nothing of worth was written. Errors are ignored."""
+        self.abandon()
+        with contextlib.suppress(OSError):
+            self.partial_path.unlink()
 
     def __enter__(self) -> McapWriter:
         return self
@@ -159,32 +185,34 @@ class McapWriter:
                 hint="mend or free the disk; all that was flushed before is kept in that file",
             ) from error
 
-    def _add_provenance(
-        self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment]
+    def _explain(
+        self,
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[Attachment],
+        joint_names: Sequence[str],
     ) -> None:
+        stream = self._stream
         version = {"format_version": str(FILE_FORMAT_VERSION)}
-        self._writer.add_metadata(FILE_METADATA, version | dict(metadata.get(FILE_METADATA, {})))
-        for name, record in metadata.items():
-            if name != FILE_METADATA:
-                self._writer.add_metadata(name, dict(record))
+        own = {FILE_METADATA: version | dict(metadata.get(FILE_METADATA, {}))}
+        for name, record in (own | {k: v for k, v in metadata.items() if k not in own}).items():
+            stream.add_metadata(name, record)
         for item in attachments:
-            self._writer.add_attachment(0, 0, item.name, item.media_type, item.data)
-
-    def _register(self, topic: Topic) -> int:
-        return self._channel(
-            topic.name, topic.schema_name, topic.schema_text, topic.channel_metadata
-        )
-
-    def _channel(
-        self, name: str, schema: str, text: str, metadata: dict[str, str] | None = None
-    ) -> int:
-        schema_id = self._writer.register_schema(schema, "ros2msg", text.encode())
-        return self._writer.register_channel(name, "cdr", schema_id, metadata or {})
+            stream.add_attachment(*item)
+        self._channels = {
+            topic.name: stream.register(
+                topic.name, topic.schema_name, topic.schema_text, topic.channel_metadata
+            )
+            for topic in self.topics.values()
+        }
+        self._channels[EVENT_TOPIC] = stream.register(EVENT_TOPIC, EVENT_SCHEMA, EVENT_TEXT, {})
+        self._joint_states: JointStateView | None = None
+        if joint_names and STATE_TOPIC in self.topics:
+            self._joint_states = self._register_joint_states(joint_names)
 
     def _register_joint_states(self, joint_names: Sequence[str]) -> JointStateView:
         topic = self.topics[STATE_TOPIC]
         view = JointStateView(joint_names, topic.rate_hz)
-        self._channels[JOINT_STATE_TOPIC] = self._channel(
+        self._channels[JOINT_STATE_TOPIC] = self._stream.register(
             JOINT_STATE_TOPIC,
             JOINT_STATE_SCHEMA,
             JOINT_STATE_TEXT,
@@ -193,20 +221,11 @@ class McapWriter:
         return view
 
     def _append(self, topic: str, rows: StructArray, messages: StructArray) -> None:
+        if not len(rows):
+            return
         host, device = rows["host_time"], rows["device_time"]
-        log_times = _nanoseconds(np.where(np.isnan(host), device, host))
-        contents: list[bytes] = messages.view(f"V{messages.dtype.itemsize}").tolist()
-        self._add(topic, contents, log_times, _nanoseconds(device))
-
-    def _add(
-        self, topic: str, contents: list[bytes], log_times: list[int], publish_times: list[int]
-    ) -> None:
-        add, channel = self._writer.add_message, self._channels[topic]
-        first = self._sequence[topic]
-        self._sequence[topic] = first + len(contents)
-        for number, data in enumerate(contents):
-            sequence = (first + number) & _UINT32
-            add(channel, log_times[number], data, publish_times[number], sequence)
+        log_ns = _nanoseconds(np.where(np.isnan(host), device, host))
+        self._stream.add_messages(self._channels[topic], log_ns, _nanoseconds(device), messages)
 
 
 def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -> None:
@@ -224,18 +243,13 @@ def require_rows_of(topics: Mapping[str, Topic], name: str, rows: StructArray) -
         raise RecordingError(f"rows of {name} are {rows.dtype}, not {topic.dtype}")
 
 
-def _create(path: Path) -> Any:
-    partial = path.with_name(path.name + PARTIAL_SUFFIX)
-    for taken in (path, partial):
+def _require_free(*paths: Path) -> None:
+    for taken in paths:
         if taken.exists():
             raise RecordingError(
                 f"{taken} exists already, and a recording is never appended to or replaced",
                 hint="record under the next number",
             )
-    try:
-        return partial.open("xb")
-    except OSError as error:
-        raise RecordingError(f"cannot create {partial}: {error.strerror or error}") from error
 
 
 def _with_cdr_header(rows: StructArray) -> StructArray:
@@ -246,9 +260,8 @@ def _with_cdr_header(rows: StructArray) -> StructArray:
     return messages
 
 
-def _nanoseconds(seconds: StructArray) -> list[int]:
+def _nanoseconds(seconds: StructArray) -> IntArray:
     """Times as MCAP stores them: whole nanoseconds, not negative; 0 where unknown."""
     # fmax and fmin take the number where the other one is NaN.
     whole = np.fmin(np.fmax(seconds, 0.0), 9.2e9) * 1e9
-    nanoseconds: list[int] = whole.astype(np.int64).tolist()
-    return nanoseconds
+    return whole.astype(np.int64)
