@@ -9,10 +9,9 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 import zstandard
-from mcap.exceptions import McapError
+from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import get_chunk_data_stream
 
 from hil.record.cdr import CDR_HEADER
 from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, parse
@@ -51,14 +50,20 @@ def read_chunk(file: IO[bytes], span: ChunkSpan, zstd: zstandard.ZstdDecompresso
     Raises:
         Torn: The chunk is damaged.
     """
+    if span.length > _LARGEST_CHUNK_BYTES:
+        raise Torn(f"a chunk of {span.length} bytes")
     file.seek(span.offset)
     chunk = parse(Chunk.read, file.read(span.length))
     if chunk.uncompressed_size > _LARGEST_CHUNK_BYTES:
         raise Torn(f"a chunk that claims {chunk.uncompressed_size} bytes")
+    if chunk.compression not in _DECOMPRESS:
+        raise Torn(f"a chunk with the unknown compression {chunk.compression[:20]!r}")
     try:
-        data = _decompress(chunk, zstd)
-    except (McapError, ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
+        data = _DECOMPRESS[chunk.compression](chunk, zstd)
+    except (ValueError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
         raise Torn(f"a chunk that does not decompress: {error}") from error
+    if len(data) != chunk.uncompressed_size:
+        raise Torn(f"a chunk of {len(data)} bytes that should be {chunk.uncompressed_size}")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise Torn("a chunk whose checksum is wrong")
     return data
@@ -67,7 +72,7 @@ def read_chunk(file: IO[bytes], span: ChunkSpan, zstd: zstandard.ZstdDecompresso
 def walk(data: bytes) -> ChunkContent:
     """Find a chunk's records one after the other; for chunks without (whole) message indexes."""
     content = ChunkContent([], [], defaultdict(list))
-    for opcode, offset, length in _records(data):
+    for opcode, offset, length in records_in(data):
         if opcode == Opcode.MESSAGE:
             start = offset + RECORD_HEADER.size
             channel = int.from_bytes(data[start : start + 2], "little")
@@ -135,8 +140,12 @@ def _at(data: bytes, offsets: IntArray, size: int) -> StructArray:
     return windows[offsets]
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """(opcode, offset, length of content) of every record in a chunk."""
+def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """(opcode, offset, length of content) of every record in a chunk.
+
+    Raises:
+        Torn: The chunk ends within a record.
+    """
     offset, end, head = 0, len(data), RECORD_HEADER.size
     while offset < end:
         if offset + head > end:
@@ -148,12 +157,22 @@ def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
         offset += head + length
 
 
-def _decompress(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
-    if chunk.compression != "zstd":
-        stream, length = get_chunk_data_stream(chunk)
-        return stream.read(length)
+def _unzstd(chunk: Chunk, zstd: zstandard.ZstdDecompressor) -> bytes:
     # A frame that announces another size than the chunk would allocate what it likes.
     announced = zstandard.frame_content_size(chunk.data)
     if announced not in (-1, chunk.uncompressed_size):
         raise ValueError(f"it claims {chunk.uncompressed_size} bytes and holds {announced}")
     return zstd.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+
+
+def _unlz4(chunk: Chunk, _: zstandard.ZstdDecompressor) -> bytes:
+    # One byte more than it should be shows a frame that goes on.
+    data: bytes = LZ4FrameDecompressor().decompress(chunk.data, chunk.uncompressed_size + 1)
+    return data
+
+
+def _plain(chunk: Chunk, _: zstandard.ZstdDecompressor) -> bytes:
+    return chunk.data
+
+
+_DECOMPRESS = {"": _plain, "zstd": _unzstd, "lz4": _unlz4}

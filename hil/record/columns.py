@@ -21,7 +21,7 @@ from hil.record.scan import Torn
 from hil.typing import BoolArray, IntArray, StructArray
 
 _BATCH_BYTES = 1 << 20
-_SALVAGE_HINT = "hil.record.read_topic(path, topic, salvage=True) reads"
+_HINT = "hil recover {} makes a whole file of what is left; read_topic(…, salvage=True) reads it"
 
 
 def read_rows(recording: Recording, topic: str, *, salvage: bool) -> StructArray:
@@ -36,9 +36,18 @@ def read_rows(recording: Recording, topic: str, *, salvage: bool) -> StructArray
         raise DataError(f"{recording.path}: the messages of {topic} are of several kinds")
     if not salvage:
         _require_whole(recording, topic, channels)
+    elif not recording.layout.complete:
+        recording.distrust_indexes()
     of_topic = np.zeros(1 << 16, np.bool_)
     of_topic[[channel.id for channel in channels]] = True
     lift = _Lift(recording, of_topic, dtype, salvage)
+    rows = _filled(recording.count(channels), dtype, lift.blocks())
+    promised = recording.promised(channels)
+    if promised is None or len(rows) == promised:
+        return rows
+    if not salvage:
+        raise _miscounted(recording, topic, len(rows), promised)
+    recording.distrust_indexes()
     return _filled(recording.count(channels), dtype, lift.blocks())
 
 
@@ -93,7 +102,7 @@ class _Lift:
             recording = self.recording
             raise DataError(
                 f"{recording.path} is damaged: {recording.place_of(unit)} is {tear}",
-                hint=f"{_SALVAGE_HINT} the rest",
+                hint=_HINT.format(recording.path),
             ) from tear
 
 
@@ -108,9 +117,18 @@ def _filled(expected: int, dtype: np.dtype[Any], blocks: Iterator[StructArray]) 
 
 
 def _require_whole(recording: Recording, topic: str, channels: Sequence[Channel]) -> None:
-    if not recording.layout.complete:
+    if recording.tear:
         raise DataError(
             f"{recording.path} is {recording.tear}; {len(recording.layout.chunks)} complete "
             f"chunks with {recording.count(channels)} messages of {topic} can be read",
-            hint=f"{_SALVAGE_HINT} them",
+            hint=_HINT.format(recording.path),
         )
+
+
+def _miscounted(recording: Recording, topic: str, found: int, promised: int) -> DataError:
+    """Message indexes have no checksum: a wrong one hides messages without any other sign."""
+    return DataError(
+        f"{recording.path} is damaged: its summary counts {promised} messages of {topic}, "
+        f"its message indexes {found}",
+        hint=_HINT.format(recording.path),
+    )

@@ -47,8 +47,8 @@ class RecordingInfo:
 
     Attributes:
         path: The file.
-        complete: False for a torn file; the rest then describes what is left of it.
-        tear: Where and how it is torn, empty when complete.
+        complete: False for a torn or spoilt file; the rest then describes what is left of it.
+        tear: Where and how it is torn or spoilt, empty when complete.
         chunks: Number of whole chunks.
         topics: Topic name → what it holds.
         metadata: Named records of text → text.
@@ -96,7 +96,7 @@ def read_info(path: Path) -> RecordingInfo:
         spans = [span for span in layout.chunks if span.last_ns]
         return RecordingInfo(
             path=recording.path,
-            complete=layout.complete,
+            complete=not recording.tear,
             tear=recording.tear,
             chunks=len(layout.chunks),
             topics={name: _topic_info(recording, name) for name in names},

@@ -42,7 +42,7 @@ class Recording:
         own = self.layout.metadata.get(FILE_METADATA)
         if own is not None:
             require_known_version(path, own, "format_version", FILE_FORMAT_VERSION)
-        self._walked: dict[int, dict[int, list[int]]] = {}
+        self._walked: dict[int, dict[int, IntArray]] = {}
         self._damage: dict[int, str] = {}
         for number, span in enumerate(self.layout.chunks):
             if not span.indexed or not span.indexes.keys() <= self.layout.channels.keys():
@@ -52,11 +52,8 @@ class Recording:
 
     @property
     def tear(self) -> str:
-        """Where and why the file ends too early, empty when it does not."""
-        layout = self.layout
-        if layout.complete:
-            return ""
-        return f"torn at byte {layout.good_bytes} of {layout.size}: {layout.tear}"
+        """Where and why the file ends too early or is spoilt, empty when it is neither."""
+        return self.layout.problem
 
     def channels_of(self, topic: str) -> list[Channel]:
         """The channels of a topic. Raises `DataError` when there is none."""
@@ -82,6 +79,11 @@ class Recording:
             if i in span.indexes
         )
         return walked + sum(indexed)
+
+    def promised(self, channels: Sequence[Channel]) -> int | None:
+        """How many messages of these channels the summary counts; None where it says nothing."""
+        counts = self.layout.counts
+        return None if counts is None else sum(counts.get(c.id, 0) for c in channels)
 
     def dtype_of(self, channel: Channel) -> np.dtype[Any]:
         """The dtype of a channel's messages.
@@ -126,13 +128,19 @@ class Recording:
         """
         if unit not in self._walked:
             return indexed_offsets(self._file, self.layout.chunks[unit], of_topic)
-        walked = self._walked[unit].items()
-        return np.array([o for i, offsets in walked if of_topic[i] for o in offsets], np.int64)
+        walked = [found for i, found in self._walked[unit].items() if of_topic[i]]
+        return np.concatenate(walked) if walked else np.empty(0, np.int64)
 
     def distrust_index(self, unit: int) -> None:
         """Find a unit's messages by walking through it: checksums do not cover indexes."""
         if unit not in self._walked:
             self._walk(unit)
+
+    def distrust_indexes(self) -> None:
+        """The same for every unit that is whole."""
+        for unit in self.units:
+            if unit not in self._damage:
+                self.distrust_index(unit)
 
     def place_of(self, unit: int) -> str:
         """Where a unit is, for messages."""
@@ -146,7 +154,7 @@ class Recording:
         except Torn as tear:
             self._damage[unit] = str(tear)
             return
-        self._walked[unit] = content.offsets
+        self._walked[unit] = {i: np.array(o, np.int64) for i, o in content.offsets.items()}
         self.layout.schemas.update((schema.id, schema) for schema in content.schemas)
         self.layout.channels.update((channel.id, channel) for channel in content.channels)
 

@@ -9,27 +9,28 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO, TypeAlias, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
 from hil.errors import DataError
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
-_INDEX_HEADER = struct.Struct("<HI")
+INDEX_HEADER = struct.Struct("<HI")
 _FOOTER = struct.Struct("<QQI")
 _CHECKSUM_BYTES = 4
 _CHUNK_TIMES = struct.Struct("<QQ")
-_INDEX_ENTRY_BYTES = 16
+INDEX_ENTRY_BYTES = 16
 _LONGEST_EXPLANATION_BYTES = 1 << 28
+_MOST_TOLD = 10
 
 _Record = TypeVar("_Record")
 
@@ -46,7 +47,8 @@ class ChunkSpan:
         offset, length: The chunk record's content, in bytes of the file.
         first_ns, last_ns: Range of its messages' log times [ns].
         indexes: Channel id → (offset, number of messages) of its index entries.
-        indexed: Whether all its message indexes are there.
+        doubtful: One of its message indexes cannot be right.
+        indexed: Whether all its message indexes are there and none is doubtful.
     """
 
     offset: int
@@ -54,6 +56,7 @@ class ChunkSpan:
     first_ns: int
     last_ns: int
     indexes: dict[int, tuple[int, int]] = field(default_factory=dict)
+    doubtful: bool = False
     indexed: bool = False
 
 
@@ -66,6 +69,8 @@ class Layout:
         good_bytes: Up to where the file consists of whole records.
         size: Length of the file.
         tear: Why the pass ended before the footer, empty if it did not.
+        spoilt: Records that are there but cannot be read, in words.
+        counts: Channel id → messages, as the summary says; None without one that can be believed.
         loose: (offset, length) of messages outside chunks.
     """
 
@@ -80,10 +85,25 @@ class Layout:
     good_bytes: int = 0
     complete: bool = False
     tear: str = ""
+    spoilt: list[str] = field(default_factory=list)
+    counts: dict[int, int] | None = None
+
+    @property
+    def problem(self) -> str:
+        """Where and why the file is torn or spoilt, empty when it is neither."""
+        if not self.complete:
+            return f"torn at byte {self.good_bytes} of {self.size}: {self.tear}"
+        return f"damaged: {'; '.join(self.spoilt)}" if self.spoilt else ""
 
 
-def scan(file: IO[bytes], path: Path) -> Layout:
+def scan(file: IO[bytes], path: Path, *, places: bool = True) -> Layout:
     """Find all records.
+
+    Args:
+        file: The open file.
+        path: Its name, for messages.
+        places: Keep the attachments, and where every chunk and every message outside chunks is;
+            without, the layout of a file of any size is small.
 
     Raises:
         DataError: The file is no MCAP file at all.
@@ -99,16 +119,34 @@ def scan(file: IO[bytes], path: Path) -> Layout:
     try:
         while not layout.complete:
             _next_record(file, layout)
+            if not places:
+                layout.loose.clear()
+                layout.attachments.clear()
+                del layout.chunks[:-1]
     except Torn as tear:
         layout.tear = str(tear)
     return layout
+
+
+def whole_records(file: IO[bytes], layout: Layout) -> Iterator[tuple[int, int, int]]:
+    """(opcode, offset, length of content) of every record before the tear, in file order."""
+    start = len(MAGIC)
+    while start + RECORD_HEADER.size <= layout.good_bytes:
+        file.seek(start)
+        opcode, length = RECORD_HEADER.unpack(file.read(RECORD_HEADER.size))
+        content = start + RECORD_HEADER.size
+        start = content + length
+        if start > layout.good_bytes:
+            return
+        yield opcode, content, length
 
 
 def parse(kind: Callable[[ReadDataStream], _Record], content: bytes) -> _Record:
     """One record from its content. Raises `Torn` when it is not one."""
     try:
         return kind(ReadDataStream(BytesIO(content)))
-    except (McapError, struct.error, ValueError) as error:
+    # A length beyond 2⁶³ is an OverflowError, which is no ValueError.
+    except (McapError, struct.error, ValueError, OverflowError) as error:
         raise Torn(f"unreadable record: {error}") from error
 
 
@@ -139,7 +177,8 @@ def _take(file: IO[bytes], layout: Layout, opcode: int, offset: int, length: int
         _take_index(file, layout, offset, length)
         return
     if layout.chunks:
-        layout.chunks[-1].indexed = bool(layout.chunks[-1].indexes)
+        last = layout.chunks[-1]
+        last.indexed = bool(last.indexes) and not last.doubtful
     if opcode == Opcode.CHUNK:
         if length < _CHUNK_TIMES.size:
             raise Torn("a chunk without content")
@@ -150,17 +189,20 @@ def _take(file: IO[bytes], layout: Layout, opcode: int, offset: int, length: int
     elif opcode in _EXPLANATIONS:
         if length > _LONGEST_EXPLANATION_BYTES:
             raise Torn(f"a record of {length} bytes that should be short")
-        _explain(layout, opcode, file.read(length))
+        _explain(layout, opcode, offset, file.read(length))
 
 
 def _take_index(file: IO[bytes], layout: Layout, offset: int, length: int) -> None:
-    if length < _INDEX_HEADER.size or not layout.chunks:
+    if length < INDEX_HEADER.size or not layout.chunks:
         raise Torn("a message index that belongs to no chunk")
-    channel, entries = _INDEX_HEADER.unpack(file.read(_INDEX_HEADER.size))
-    if entries != length - _INDEX_HEADER.size or entries % _INDEX_ENTRY_BYTES:
-        raise Torn("a message index of impossible length")
-    span = (offset + _INDEX_HEADER.size, entries // _INDEX_ENTRY_BYTES)
-    layout.chunks[-1].indexes[channel] = span
+    channel, entries = INDEX_HEADER.unpack(file.read(INDEX_HEADER.size))
+    chunk = layout.chunks[-1]
+    impossible = entries != length - INDEX_HEADER.size or entries % INDEX_ENTRY_BYTES
+    if impossible or channel in chunk.indexes:
+        chunk.doubtful = True
+    else:
+        span = (offset + INDEX_HEADER.size, entries // INDEX_ENTRY_BYTES)
+        chunk.indexes[channel] = span
 
 
 def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: int) -> None:
@@ -171,6 +213,7 @@ def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: 
     start, _, checksum = _FOOTER.unpack(file.read(_FOOTER.size))
     covered = offset + _FOOTER.size - _CHECKSUM_BYTES - start
     if checksum == 0:
+        layout.counts = None
         return
     true = 0 < covered < _LONGEST_EXPLANATION_BYTES
     if true:
@@ -179,11 +222,19 @@ def _require_true_summary(file: IO[bytes], layout: Layout, offset: int, length: 
     if not true:
         layout.schemas.clear()
         layout.channels.clear()
+        layout.counts = None
         raise Torn("its summary is damaged")
 
 
-def _explain(layout: Layout, opcode: int, content: bytes) -> None:
-    record = parse(_EXPLANATIONS[opcode], content)
+def _explain(layout: Layout, opcode: int, offset: int, content: bytes) -> None:
+    try:
+        record = read_explanation(opcode, content)
+    except Torn as spoilt:
+        # Its length led to the next record: only this one is lost.
+        if len(layout.spoilt) < _MOST_TOLD:
+            kind = Opcode(opcode).name.lower()
+            layout.spoilt.append(f"the {kind} record at byte {offset} is {spoilt}")
+        return
     if isinstance(record, Header):
         layout.header = record
     elif isinstance(record, Metadata):
@@ -192,16 +243,29 @@ def _explain(layout: Layout, opcode: int, content: bytes) -> None:
         layout.attachments.append(record)
     elif isinstance(record, Schema):
         layout.schemas[record.id] = record
-    else:
+    elif isinstance(record, Channel):
         layout.channels[record.id] = record
+    else:
+        layout.counts = record.channel_message_counts
 
 
-_EXPLANATIONS: dict[
-    int, Callable[[ReadDataStream], Header | Metadata | Attachment | Schema | Channel]
-] = {
+def read_explanation(opcode: int, content: bytes) -> Explanation:
+    """A record that explains the messages. Raises `Torn` when it is unreadable or spoilt."""
+    record = parse(_EXPLANATIONS[opcode], content)
+    if isinstance(record, Attachment):
+        checksum = int.from_bytes(content[-_CHECKSUM_BYTES:], "little")
+        if checksum and zlib.crc32(content[:-_CHECKSUM_BYTES]) != checksum:
+            raise Torn(f"an attachment ({record.name}) whose checksum is wrong")
+    return record
+
+
+Explanation: TypeAlias = Header | Metadata | Attachment | Schema | Channel | Statistics
+
+_EXPLANATIONS: dict[int, Callable[[ReadDataStream], Explanation]] = {
     Opcode.HEADER: Header.read,
     Opcode.METADATA: Metadata.read,
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
+    Opcode.STATISTICS: Statistics.read,
 }
