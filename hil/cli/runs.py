@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.live import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
+from hil.cli.live_view import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
 from hil.cli.output import (
     JsonFlag,
     RunsOption,
