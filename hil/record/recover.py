@@ -61,9 +61,12 @@ def recover_file(path: Path, out: Path | None = None, *, discard: bool = False) 
         remove_drafts(names.final)
         if names.final != names.source and names.final.exists():
             return _finish_an_older_one(file, names, layout, discard)
-        if layout.complete and (found := _sound(file, names, layout)) is not None:
-            return found
-        return _rebuilt(file, names, layout, discard)
+        found = _sound(file, names, layout) if layout.complete else None
+        if found is None:
+            return _rebuilt(file, names, layout, discard)
+    if discard and names.kept is not None and names.kept.exists():
+        return recover_file(names.kept, discard=True)  # a kill came before it was deleted
+    return found
 
 
 def _finish_an_older_one(file: IO[bytes], names: Names, layout: Layout, discard: bool) -> Recovery:
