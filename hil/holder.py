@@ -37,14 +37,19 @@ class Holder:
         pid = self.content.get("pid")
         return pid if isinstance(pid, int) else 0
 
-    def __str__(self) -> str:
-        """For example `pid 4711 (hil run spec.yaml, since 10:42, run runs/…/0042-dwell)`."""
+    @property
+    def process(self) -> str:
+        """For example `pid 4711`, and on which host if it is another one."""
         host = self.content.get("host")
         where = f" on {plain(host)}" if host and host != platform.node() else ""
+        return f"pid {self.pid or 'unknown'}{where}"
+
+    def __str__(self) -> str:
+        """For example `pid 4711 (hil run spec.yaml, since 10:42, run runs/…/0042-dwell)`."""
         run = self.content.get("run")
         told = (self.content.get("command"), since_words(self.content), f"run {run}" if run else "")
         inside = ", ".join(plain(text) for text in told if text)
-        return f"pid {self.pid or 'unknown'}{where}" + (f" ({inside})" if inside else "")
+        return self.process + (f" ({inside})" if inside else "")
 
 
 def this_process() -> dict[str, Any]:

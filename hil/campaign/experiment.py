@@ -53,11 +53,7 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
         SpecError: Either file has problems (all are listed), or the station lacks the robot.
     """
     spec = load_spec(spec_path)
-    chosen = station_path or _station_nearby(spec_path)
-    if chosen is None:
-        station, text, source = mock_bench(), "", BUILT_IN
-    else:
-        station, text, source = load_station(chosen), chosen.read_text("utf-8"), str(chosen)
+    station, text, source = find_station(spec_path.resolve().parent, station_path)
     return Experiment(
         spec=spec,
         station=station,
@@ -69,6 +65,22 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
     )
 
 
+def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str, str]:
+    """The station to work at, as `load_experiment` chooses it: itself, its text, its source.
+
+    Args:
+        folder: Where `station.yaml` is looked for.
+        named: The station file, when somebody has named one.
+
+    Raises:
+        SpecError: The file has problems.
+    """
+    chosen = named or _station_nearby(folder)
+    if chosen is None:
+        return mock_bench(), "", BUILT_IN
+    return load_station(chosen), chosen.read_text("utf-8"), str(chosen)
+
+
 def mock_bench() -> Station:
     """A bench with every built-in arm on the embedded mock, seed 0."""
     return Station(
@@ -78,7 +90,7 @@ def mock_bench() -> Station:
     )
 
 
-def _station_nearby(spec_path: Path) -> Path | None:
+def _station_nearby(folder: Path) -> Path | None:
     if named := os.environ.get("HIL_STATION"):
         path = Path(named)
         if not path.is_file():
@@ -87,5 +99,5 @@ def _station_nearby(spec_path: Path) -> Path | None:
                 hint="unset HIL_STATION or point it at a station file",
             )
         return path
-    beside = spec_path.resolve().parent / "station.yaml"
+    beside = folder / "station.yaml"
     return beside if beside.is_file() else None

@@ -1,34 +1,163 @@
-"""Asking the person at the robot."""
+"""Asking the person at the robot, who may also answer from another terminal."""
 
 from __future__ import annotations
 
-import select
-import sys
+import threading
+import time
 from collections.abc import Callable
+from pathlib import Path
+
+from hil.campaign.answers import ScriptedOperator
+from hil.campaign.console import Console
+from hil.engine import Prompt
+from hil.errors import PreflightFailed
+from hil.plan.plan import Plan
+from hil.robot import Robot
 
 WAIT_S = 0.05
+NEW_PAUSE_AFTER_S = 3.0
+"""Not looked for so long, a pause is another one: what was typed before does not end it [s]."""
+
+YES, NO = ("y", "yes"), ("n", "no")
+
+
+class ConsoleOperator:
+    """The engine's `Prompt` for a run with somebody beside it.
+
+    Args:
+        who: Recorded for answers given at the console.
+        console: Where this process was started.
+    """
+
+    def __init__(self, who: str = "operator", console: Console | None = None) -> None:
+        self._who = who
+        self._console = console or Console()
+        self._run: Path | None = None
+        self._asking = threading.Lock()
+        self._asked = ""
+        self._answer: tuple[bool, str] | None = None
+        self._looked = -NEW_PAUSE_AFTER_S
+
+    @property
+    def attended(self) -> bool:
+        """Whether there is a console that somebody may sit at."""
+        return self._console.present
+
+    def listen(self, run: Path | None) -> None:
+        """From now on answers to this run's prompts also come from elsewhere; None ends that."""
+        self._run = run
+
+    def answer(self, yes: bool, who: str, prompt: str) -> str:
+        """Answer from elsewhere, on another thread; returns why it was not taken, or nothing.
+
+        Args:
+            yes: Whether it is done; a no stops the run.
+            who: Recorded.
+            prompt: The text that is answered; an answer to another one is not taken.
+        """
+        with self._asking:
+            if not self._asked:
+                return "the run asks nothing"
+            if prompt != self._asked:
+                return f"the run asks something else now: {self._asked!r}"
+            self._answer = (yes, who)
+            return ""
+
+    def __call__(self, text: str, meanwhile: Callable[[], object]) -> str:
+        """Ask and wait.
+
+        Args:
+            text: What is to be done and confirmed.
+            meanwhile: Called while waiting; keeps the robot's state flowing, raises on a stop.
+
+        Returns:
+            Who said yes; nothing for a no, or when nobody could answer.
+        """
+        if not (self.attended or self._run):
+            return ""
+        with self._asking:
+            self._asked, self._answer = text, None
+        try:
+            meanwhile()  # lets the last progress line be written before the question
+            self._console.forget_typed()
+            self._ask(text)
+            return self._wait(meanwhile)
+        finally:
+            with self._asking:
+                self._asked = ""
+
+    def goes_on(self) -> str:
+        """Who ended a pause by pressing Enter at the console, else nothing; does not wait."""
+        now = time.monotonic()
+        if now - self._looked > NEW_PAUSE_AFTER_S:
+            self._console.forget_typed()
+        self._looked = now
+        pressed = self.attended and self._console.line(0.0) is not None
+        return self._who if pressed else ""
+
+    def _ask(self, text: str) -> None:
+        elsewhere = f"hil answer {self._run} yes" if self._run else ""
+        if not self.attended:
+            self._console.say(text, f"waiting for: {elsewhere}")
+        else:
+            hint = [f"(or, from another terminal: {elsewhere})"] if elsewhere else []
+            self._console.say(text, *hint, ask="Type yes when done, no to stop: ")
+
+    def _wait(self, meanwhile: Callable[[], object]) -> str:
+        while self._answer is None:
+            line = self._console.line(WAIT_S)
+            if line is not None and line.lower() in YES + NO:
+                return self._who if line.lower() in YES else ""
+            if line is not None:
+                self._console.say(ask="Please type yes or no: ")
+            if not (self.attended or self._run):  # the terminal has gone
+                return ""
+            meanwhile()
+        yes, who = self._answer
+        self._console.say(f"{who} answered {'yes' if yes else 'no'} from another terminal")
+        return who if yes else ""
 
 
 def ask_operator(text: str, meanwhile: Callable[[], object]) -> str:
-    """Ask on the console; the engine's `Prompt`.
-
-    Args:
-        text: What is to be done and confirmed.
-        meanwhile: Called while waiting; keeps the robot's state flowing, raises on a stop.
-
-    Returns:
-        `operator` for a yes, nothing for anything else or when there is no console to ask on.
-    """
-    if not (sys.stdin and sys.stdin.isatty()):
-        return ""
-    sys.stderr.write(f"\n{text}\nType yes when done: ")
-    sys.stderr.flush()
-    while not select.select([sys.stdin], [], [], WAIT_S)[0]:
-        meanwhile()
-    answer = sys.stdin.readline().strip().lower()
-    return "operator" if answer in ("y", "yes") else ""
+    """Ask once on the console; see `ConsoleOperator`."""
+    return ConsoleOperator()(text, meanwhile)
 
 
 def mock_mounts(text: str, meanwhile: Callable[[], object]) -> str:
     """A robot on a virtual clock is a mock: it mounts the declared load when it is told to."""
     return "mock"
+
+
+def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
+    """Who answers on this robot: a mock by itself, unless the answers are written down."""
+    scripted = isinstance(prompt, ScriptedOperator)
+    return mock_mounts if robot.capabilities.clock == "virtual" and not scripted else prompt
+
+
+def prompts_of(plan: Plan) -> list[str]:
+    """Everything a plan asks, in order."""
+    asked = (plan.loads[step.load].prompt for step in plan if step.kind == "payload")
+    return [text for text in asked if text]
+
+
+def require_attended(plan: Plan, prompt: Prompt) -> None:
+    """Refuse, before anything moves, a run that would wait for an answer nobody can give.
+
+    Args:
+        plan: What is about to be executed.
+        prompt: Who answers, from `prompt_on`.
+
+    Raises:
+        PreflightFailed: It asks something, and there is no console.
+        SpecError: The answers written down are not those to its prompts.
+    """
+    asked = prompts_of(plan)
+    if isinstance(prompt, ScriptedOperator):
+        prompt.require_match(asked)
+    elif asked and isinstance(prompt, ConsoleOperator) and not prompt.attended:
+        times = "once" if len(asked) == 1 else f"{len(asked)} times"
+        raise PreflightFailed(
+            f"the run asks {times} for something to be done (first: {asked[0]!r}), and nobody "
+            "could answer: it has no console",
+            hint="start it in a terminal, or write the answers down: hil run SPEC --answers FILE",
+        )

@@ -1,91 +1,190 @@
-"""`--live` of the verbs that move a robot."""
+"""`hil watch`, `hil pause`, `hil stop`, `hil answer`, `hil robots`: runs of other processes."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+import json as json_module
+import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_table
+
 if TYPE_CHECKING:
-    from hil.engine import Observer
-    from hil.robot import Capabilities
+    from hil.campaign.bench import BenchRobot
+    from hil.campaign.steering import Reaction
 
-LiveFlag = Annotated[
-    bool,
-    typer.Option("--live", help="Serve a live view to Foxglove or Lichtblick on this machine."),
-]
-LivePort = Annotated[
-    int | None,
-    typer.Option(
-        "--live-port",
-        min=0,
-        max=65535,
-        metavar="PORT",
+RunChoice = Annotated[
+    str,
+    typer.Argument(
+        help="Run directory, or the number or name of a run; by default the only live one.",
         show_default=False,
-        help="Serve it on this port, 0 for any; by default 8765 or the next free one.",
     ),
 ]
-LiveHost = Annotated[
-    str | None,
-    typer.Option(
-        "--live-host",
-        metavar="ADDRESS",
-        show_default=False,
-        help="Serve it to other machines too: whoever reaches the address can watch.",
-    ),
+Who = Annotated[str, typer.Option("--operator", help="Who asks; recorded. By default the user.")]
+Reason = Annotated[str, typer.Option("--reason", help="Why; recorded.")]
+Wait = Annotated[
+    float,
+    typer.Option("--wait", metavar="SECONDS", help="How long to wait until the run has obeyed."),
 ]
 
 
-@contextlib.contextmanager
-def live_view(
-    robot: Callable[[], Capabilities], live: bool, port: int | None, host: str | None
-) -> Iterator[tuple[Observer, ...]]:
-    """The observers of the live view, serving while inside; none when nobody asked for it.
-
-    Raises:
-        PluginError: It was asked for and cannot be served.
-    """
-    if not (live or port is not None or host):
-        yield ()
-        return
-    from hil.live import FoxgloveLive
-    from hil.live.server import LAYOUT, LOOPBACK, is_loopback
-
-    host = host or LOOPBACK
-    with FoxgloveLive(robot(), host=host, port=port) as view:
-        typer.echo(f"live view: {view.url}\n   layout: {LAYOUT}", err=True)
-        if not is_loopback(host):
-            typer.secho(
-                "  Warning: the live view has no password: whoever reaches this port can watch",
-                err=True,
-                fg=typer.colors.YELLOW,
-            )
-        yield (view,)
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    for verb in (watch, pause, stop, answer, robots):
+        app.command()(verb)
 
 
-def recorded_capabilities(run: Path) -> Capabilities:
-    """What the robot of a run offered, by the run's own start document.
+def pause(
+    run: RunChoice = "",
+    runs: RunsOption = Path("runs"),
+    operator: Who = "",
+    reason: Reason = "",
+    wait: Wait = 60.0,
+    json: JsonFlag = False,
+) -> None:
+    """Pause a live run at its next checkpoint; the arm holds, `hil resume` lets it go on."""
+    from hil.campaign.steering import pause_run
 
-    Raises:
-        DataError: It is no run directory, or the document lacks the robot.
-    """
-    from hil.errors import DataError
-    from hil.record.rundir import RunDirectory
-    from hil.robot import Capabilities
+    path = _chosen(run, runs)
+    _tell(pause_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
 
+
+def stop(
+    run: RunChoice = "",
+    runs: RunsOption = Path("runs"),
+    operator: Who = "",
+    reason: Reason = "",
+    wait: Wait = 60.0,
+    json: JsonFlag = False,
+) -> None:
+    """Stop a live run now; what was recorded is kept, and `hil resume` can go on with it."""
+    from hil.campaign.steering import stop_run
+
+    path = _chosen(run, runs)
+    _tell(stop_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
+
+
+def answer(
+    run: Annotated[str, typer.Argument(help="Run directory, number or name.", show_default=False)],
+    word: Annotated[
+        Literal["yes", "no"], typer.Argument(metavar="yes|no", help="A no stops the run.")
+    ],
+    runs: RunsOption = Path("runs"),
+    operator: Who = "",
+    wait: Wait = 60.0,
+    json: JsonFlag = False,
+) -> None:
+    """Answer what a live run is asking, such as whether a load is mounted."""
+    from hil.campaign.steering import answer_run
+
+    path = _chosen(run, runs)
+    _tell(answer_run(path, word == "yes", who=operator or _user(), wait_s=wait), json)
+
+
+def watch(
+    run: Annotated[
+        str,
+        typer.Argument(
+            help="Run directory, or the number or name of a run; by default the newest live one.",
+            show_default=False,
+        ),
+    ] = "",
+    runs: RunsOption = Path("runs"),
+    exit_code: Annotated[
+        bool, typer.Option("--exit-code", help="End with the run's own exit code.")
+    ] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document a line, as things happen.")
+    ] = False,
+) -> None:
+    """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
+    from hil.campaign.follow import follow, newest_live
+    from hil.cli.watching import WatchLines
+    from hil.record.catalogue import find_run
+
+    path = find_run(run, runs) if run else newest_live(runs)
+    lines = WatchLines(str(path), terminal=not json and sys.stdout.isatty())
+    code = 130
     try:
-        robot = RunDirectory.open(run).start["robot"]
-        return Capabilities(
-            joint_names=tuple(map(str, robot["joint_names"])),
-            rate_hz=float(robot["rate_hz"]),
-            effort_kind=robot["effort_kind"],
-            clock=robot["clock"],
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise DataError(
-            f"{run}/start.json does not say what the robot was: {error}",
-            hint="resume without --live",
-        ) from error
+        for item in _while_read(follow(path)):
+            if json:
+                typer.echo(json_module.dumps(item, ensure_ascii=False))
+            else:
+                lines.show(item)
+            code = item.get("exit_code", code)
+    except KeyboardInterrupt:
+        if not json:
+            lines.line(f"not watching any more; the run goes on: hil watch {path}")
+    if exit_code:
+        raise typer.Exit(code)
+
+
+def robots(
+    station: Annotated[
+        Path | None,
+        typer.Option(
+            "--station",
+            help="Station file; by default $HIL_STATION, station.yaml here, or the built-in mock "
+            "bench.",
+        ),
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """List the robots of a station, and which process holds each of them."""
+    from hil.campaign.bench import bench
+
+    found = bench(station)
+    if json:
+        print_json([robot.to_dict() for robot in found])
+        return
+    header = ("robot", "driver", "model", "resource", "held by", "run")
+    print_table(header, [_row(robot) for robot in found])
+
+
+def _row(robot: BenchRobot) -> tuple[str, ...]:
+    from hil.holder import plain, since_words
+
+    resource = robot.resource or ("private" if not robot.problem else "?")
+    held = robot.problem or "nobody"
+    if robot.holder is not None:
+        beat = f"heartbeat {duration(robot.holder.heartbeat_s)} ago"
+        said = robot.holder.content
+        since = since_words(said) or "since ?"
+        held = f"{plain(said.get('user', '?'))}, {robot.holder.process}, {since}, {beat}"
+    elif resource == "private":
+        held = ""
+    run = " ".join(filter(None, (robot.run, robot.state and f"({robot.state})")))
+    return robot.name, robot.driver, robot.model, resource, held, run
+
+
+def _chosen(run: str, runs: Path) -> Path:
+    from hil.campaign.follow import only_live
+    from hil.record.catalogue import find_run
+
+    return find_run(run, runs) if run else only_live(runs)
+
+
+def _user() -> str:
+    from hil.holder import user_name
+
+    return user_name()
+
+
+def _tell(reaction: Reaction, json: bool) -> None:
+    if json:
+        print_json(reaction.to_dict())
+        return
+    where = f" at step {reaction.step + 1}/{reaction.steps}" if reaction.step >= 0 else ""
+    reason = f": {reaction.reason}" if reaction.reason else ""
+    typer.echo(f"{reaction.run}: {reaction.state or 'asked'}{where}{reason}")
+
+
+def _while_read(items: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """The items, until nobody reads what is printed any more (`hil watch | head`)."""
+    for item in items:
+        if getattr(sys.stdout, "gone", False):
+            return
+        yield item

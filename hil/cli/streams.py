@@ -23,6 +23,7 @@ class Stream:
         self._stream = stream
         self._silent = silent
         self.used = False
+        self.gone = False  # True once nobody reads any more, or nothing can be written
 
     def write(self, text: str) -> int:
         """Write text; see the class for what fails."""
@@ -46,6 +47,7 @@ class Stream:
         return getattr(self._stream, name)
 
     def _give_up(self, error: OSError) -> None:
+        self.gone = True
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self._stream.fileno())
         os.close(nowhere)

@@ -1,0 +1,135 @@
+"""Answers to prompts, written down before the run: for CI, and for robots that load themselves.
+
+::
+
+    - {prompt: Remove everything, answer: yes, who: gripper}
+    - {prompt: 3 kg cylinder, answer: yes, who: gripper}
+
+In the order in which the run asks; `prompt` is a part of what it says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.errors import SpecError
+from hil.spec.source import Source, refuse, shown
+from hil.spec.yaml_source import read_source
+from hil.suggest import did_you_mean
+
+KEYS = ("prompt", "answer", "who")
+WORDS = {"yes": True, "no": False, True: True, False: False}
+_HINT = "a list of {prompt: part of its text, answer: yes or no, who: name}, in order"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """One answer.
+
+    Attributes:
+        prompt: Part of the text it answers, upper or lower case.
+        yes: Whether it is done; a no stops the run.
+        who: Recorded as who answered.
+    """
+
+    prompt: str
+    yes: bool
+    who: str
+
+    def fits(self, text: str) -> bool:
+        """Whether it answers this prompt."""
+        return self.prompt.casefold() in text.casefold()
+
+
+class ScriptedOperator:
+    """The engine's `Prompt` that answers from a list, in order.
+
+    Args:
+        answers: In the order of the prompts.
+        source: Where they stand, for messages.
+    """
+
+    def __init__(self, answers: Sequence[Answer], source: Source | None = None) -> None:
+        self._answers = tuple(answers)
+        self._source = source or Source("answers")
+        self._next = 0
+
+    def __call__(self, text: str, meanwhile: Callable[[], object]) -> str:
+        """See `hil.engine.Prompt`; a prompt without its answer raises `SpecError`."""
+        meanwhile()
+        i, self._next = self._next, self._next + 1
+        if problem := self._problem(i, text):
+            raise SpecError(problem, hint=_HINT)
+        return self._answers[i].who if self._answers[i].yes else ""
+
+    def require_match(self, prompts: Sequence[str]) -> None:
+        """Check the answers against everything a run is going to ask; a no ends both.
+
+        Raises:
+            SpecError: A prompt has no answer, or an answer no prompt; with file, line and column.
+        """
+        problems = [
+            p for i, text in enumerate(self._asked(prompts)) if (p := self._problem(i, text))
+        ]
+        left = len(list(self._asked(prompts)))
+        problems += [
+            f"{self._source.mark((i,))}: the run has no prompt left for this answer"
+            for i in range(left, len(self._answers))
+        ]
+        if problems:
+            raise SpecError("\n".join(problems), hint=_HINT)
+
+    def _asked(self, prompts: Sequence[str]) -> Iterator[str]:
+        for i, text in enumerate(prompts):
+            yield text
+            if i < len(self._answers) and not self._answers[i].yes:
+                return
+
+    def _problem(self, i: int, text: str) -> str:
+        if i >= len(self._answers):
+            return f"{self._source.name}: no answer is left for the prompt '{shown(text)}'"
+        if self._answers[i].fits(text):
+            return ""
+        return (
+            f"{self._source.mark((i, 'prompt'))}: the run asks '{shown(text)}' here, "
+            f"which does not contain '{shown(self._answers[i].prompt)}'"
+        )
+
+
+def load_answers(path: str | Path) -> ScriptedOperator:
+    """Read answers from a YAML file.
+
+    Raises:
+        SpecError: With a line `file:line:column: place: message` for every problem.
+    """
+    source = read_source(path)
+    if isinstance(source.data, list):
+        answers = [_answer(source, i, entry) for i, entry in enumerate(source.data)]
+    else:
+        source.add((), "must be a list of answers")
+    if source.problems:
+        raise refuse(source.problems, hint=_HINT)
+    return ScriptedOperator([answer for answer in answers if answer is not None], source)
+
+
+def _answer(source: Source, i: int, entry: Any) -> Answer | None:
+    if not isinstance(entry, dict):
+        source.add((i,), "must be a mapping with prompt, answer and who")
+        return None
+    for key in entry.keys() - set(KEYS):
+        source.add((i, key), f"unknown key; {did_you_mean(key, KEYS)}", key=True)
+    for key in ("prompt", "answer"):
+        if key not in entry:
+            source.add((i,), f"{key} is missing")
+    prompt, who = entry.get("prompt", "?"), entry.get("who", "script")
+    for key, text in (("prompt", prompt), ("who", who)):
+        if not (isinstance(text, str) and text.strip()):
+            source.add((i, key), "must be text")
+    word = entry.get("answer", "yes")
+    if not isinstance(word, str | bool) or word not in WORDS:
+        source.add((i, "answer"), f"must be yes or no, not {shown(word)}")
+        return None
+    return Answer(str(prompt), WORDS[word], str(who))

@@ -1,0 +1,83 @@
+"""The live view of a run: a small file others may look at while it is going on.
+
+`RUN/.live.json` is replaced whole, at most once a second for progress and at once when the state
+changes or something is asked. It is a view: nothing depends on it, and it goes when the run ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from hil.errors import DataError, RecordingError
+from hil.live.standing import Standing
+from hil.record.files import json_document, read_json, write_replacing
+from hil.record.provenance import utc_now
+
+LIVE_FILE = ".live.json"
+LIVE_VERSION = 1
+EVERY_S = 1.0
+
+_NEWS = frozenset({"stage", "state", "prompt"})
+_PROGRESS = frozenset({"step", "progress"})
+
+
+class LiveState:
+    """An observer that keeps the live view of one run.
+
+    Args:
+        run: The run directory.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self._path = run / LIVE_FILE
+        self._standing = Standing()
+        self._next = 0.0
+        self._writing = threading.Lock()
+        self._closed = False
+
+    def notify(self, event: Mapping[str, Any]) -> None:
+        """See `hil.engine.Observer`."""
+        self._standing.take(event)
+        kind = event.get("kind")
+        if kind in _NEWS or (kind in _PROGRESS and time.monotonic() >= self._next):
+            self._write()
+
+    def close(self) -> None:
+        """Remove the view; what comes after is not written any more. Idempotent."""
+        with self._writing:
+            self._closed = True
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+
+    def _write(self) -> None:
+        self._next = time.monotonic() + EVERY_S
+        about = {"pid": os.getpid(), "updated": utc_now(), "t": time.time()}
+        view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **about}
+        with self._writing, contextlib.suppress(RecordingError):  # a full disk spoils no run here
+            if not self._closed:
+                write_replacing(self._path, json_document(view))
+
+
+def read_live(run: Path) -> dict[str, Any]:
+    """The live view of a run, or the last one of a run that died; empty when there is none."""
+    try:
+        return read_json(run / LIVE_FILE)
+    except DataError:
+        return {}
+
+
+def standing_in(view: Mapping[str, Any]) -> Standing:
+    """Where a run stands, from its live view; what the view does not say keeps its default."""
+    standing = Standing()
+    for field in fields(Standing):
+        value = view.get(field.name)
+        if isinstance(value, type(getattr(standing, field.name))):
+            setattr(standing, field.name, value)
+    return standing

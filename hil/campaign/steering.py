@@ -1,0 +1,188 @@
+"""Pausing, stopping and answering a live run from another process, and seeing that it obeyed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.control_files import ControlRequest, What, drop
+from hil.campaign.live_state import read_live
+from hil.errors import DataError, RobotTimeout
+from hil.holder import plain
+from hil.record.lock import is_live, run_holder
+from hil.record.rundir import RunDirectory
+
+LOOK_EVERY_S = 0.1
+WAIT_S = 60.0
+
+View = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Reaction:
+    """What came of a request.
+
+    Attributes:
+        run: The run directory.
+        asked: `pause`, `resume`, `stop` or `answer`.
+        state: State of the run now; `completed`, `stopped`, … when it has ended.
+        reason: Why it is in that state.
+        step, steps: Where it is.
+    """
+
+    run: str
+    asked: What
+    state: str
+    reason: str
+    step: int
+    steps: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil pause --json` and the like."""
+        return asdict(self)
+
+
+def pause_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) -> Reaction:
+    """Pause a run at its next checkpoint.
+
+    Args:
+        run: The run directory.
+        who: Who asks; recorded.
+        reason: Why; recorded.
+        wait_s: How long to wait until it has paused [s]; 0 does not wait.
+
+    Raises:
+        DataError: The run is not live, or its motion is over.
+        RobotTimeout: It has not paused in that time; the request stands.
+    """
+    return _ask(run, "pause", who, wait_s, lambda view: view.get("state") == "paused", reason)
+
+
+def resume_live_run(run: Path, *, who: str, wait_s: float = WAIT_S) -> Reaction:
+    """Let a paused live run go on; see `pause_run`. An interlock may hold it all the same."""
+    return _ask(run, "resume", who, wait_s, lambda view: view.get("state") != "paused")
+
+
+def stop_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) -> Reaction:
+    """Stop a run now, and wait until it has written down how it ended; see `pause_run`."""
+    return _ask(run, "stop", who, wait_s, lambda view: False, reason)
+
+
+def answer_run(run: Path, yes: bool, *, who: str, wait_s: float = WAIT_S) -> Reaction:
+    """Answer what a run is asking; see `pause_run`.
+
+    Raises:
+        DataError: It asks nothing at the moment, or is not live.
+    """
+    _require_moving(run)
+    prompt = str(read_live(run).get("prompt", ""))
+    if not prompt:
+        raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
+    return _ask(
+        run, "answer", who, wait_s, lambda view: view.get("prompt") != prompt, "", prompt, yes
+    )
+
+
+def _ask(
+    run: Path,
+    what: What,
+    who: str,
+    wait_s: float,
+    obeyed: Callable[[View], bool],
+    reason: str = "",
+    prompt: str = "",
+    yes: bool = False,
+) -> Reaction:
+    deadline = time.monotonic() + wait_s
+    request = _hand_over(run, ControlRequest(what, who, "", reason, prompt, yes), deadline)
+    while time.monotonic() < deadline:
+        view = read_live(run)
+        if not request.exists() and (_is_over(run, view) or obeyed(view)):
+            break
+        time.sleep(LOOK_EVERY_S)
+    else:
+        if wait_s > 0:
+            raise _too_late(run, what, request, wait_s)
+    return _now(run, what)
+
+
+def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
+    """Drop a request as soon as the run listens; one that has just begun does not yet."""
+    while True:
+        addressed = replace(request, holder=_require_moving(run))
+        try:
+            return drop(run, addressed)
+        except DataError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(LOOK_EVERY_S)
+
+
+def _require_moving(run: Path) -> str:
+    """The `id` of the process that holds the run.
+
+    Raises:
+        DataError: There is none, or the motion is over.
+    """
+    directory = RunDirectory.open(run)
+    holder = run_holder(run)
+    if holder is None:
+        ended = directory.status
+        hint = f"what came of it: hil show {run}"
+        if ended != "completed":
+            hint = f"go on with it: hil resume {run}"
+        raise DataError(f"{run} is not live: it is {ended}", hint=hint)
+    if read_live(run).get("state") == "done":
+        raise DataError(
+            f"the motion of {run} is over already", hint=f"how it goes on: hil watch {run}"
+        )
+    return holder.id
+
+
+def _is_over(run: Path, view: View) -> bool:
+    """Whether the run has ended, in order or not."""
+    if not is_live(run):
+        return True
+    return view.get("state") == "done" and RunDirectory(run).stop is not None
+
+
+def _now(run: Path, what: What) -> Reaction:
+    view = read_live(run)
+    if _is_over(run, view):
+        state, reason = ending(run)
+    else:
+        state, reason = str(view.get("state", "")), str(view.get("reason", ""))
+    step, steps = view.get("step", -1), view.get("steps", 0)
+    return Reaction(str(run), what, state, reason, int(step), int(steps))
+
+
+def ending(run: Path) -> tuple[str, str]:
+    """How a run that is not live ended, and why.
+
+    Raises:
+        DataError: Its documents are damaged.
+    """
+    directory = RunDirectory.open(run)
+    return directory.status, str((directory.stop or {}).get("reason", ""))
+
+
+def _too_late(run: Path, what: What, request: Path, wait_s: float) -> RobotTimeout:
+    try:
+        request.unlink()
+    except FileNotFoundError:
+        view = read_live(run)
+        now = f"it is {view.get('state', 'silent')}"
+        if reason := view.get("reason"):
+            now += f" ({plain(reason)})"
+        now += ", and pauses at its next checkpoint" if what == "pause" else ""
+        return RobotTimeout(
+            f"{run} has taken the request to {what}, but not obeyed within {wait_s:g} s: {now}",
+            hint=f"follow it: hil watch {run}",
+        )
+    return RobotTimeout(
+        f"{run} does not react: the request to {what} was withdrawn after {wait_s:g} s",
+        hint="press Ctrl-C where it was started, or the robot's own stop button",
+    )

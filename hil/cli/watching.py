@@ -1,0 +1,160 @@
+"""What `hil watch` prints: one line that moves on a terminal, plain lines in a pipe."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import typer
+
+from hil.campaign.live_state import standing_in
+from hil.cli.output import duration
+from hil.live.standing import ENDING, Standing
+from hil.live.words import state_words, step_words
+
+PIPED_EVERY_S = 10.0
+SILENT_AFTER_S = 5.0
+
+Item = Mapping[str, Any]
+
+QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
+"""Events that a terminal shows in its moving line, if at all."""
+
+
+class WatchLines:
+    """Prints the items of `hil.campaign.follow.follow`.
+
+    Args:
+        run: What to call the run in commands.
+        terminal: Whether lines can be replaced.
+        now: Monotonic clock [s].
+    """
+
+    def __init__(
+        self, run: str, *, terminal: bool, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._run = run
+        self._terminal = terminal
+        self._now = now
+        self._next = 0.0
+        self._open = False
+        self._shown = ""
+
+    def show(self, item: Item) -> None:
+        """Print one item, if it is time to."""
+        if item["kind"] == "event":
+            event = item["event"]
+            if not (self._terminal and event["kind"] in QUIET):
+                self.line(f"{_clock(event)}  {words_of(event, self._run)}")
+        elif item["kind"] == "live":
+            self._live(live_line(item))
+        elif item["kind"] == "end":
+            self.line(end_line(item))
+
+    def line(self, text: str) -> None:
+        """Print a line that stays."""
+        typer.echo(f"{self._clear()}{text}")
+
+    def _live(self, text: str) -> None:
+        if self._terminal:
+            width = max(20, shutil.get_terminal_size().columns - 1)
+            sys.stdout.write(f"{self._clear()}{text[:width]}")
+            sys.stdout.flush()
+            self._open = True
+        elif self._now() >= self._next and text != self._shown:
+            self._next, self._shown = self._now() + PIPED_EVERY_S, text
+            self.line(text)
+
+    def _clear(self) -> str:
+        start, self._open = "\r\x1b[K" if self._open else "", False
+        return start
+
+
+def live_line(view: Item) -> str:
+    """Where the run is, on one line; what matters most comes first."""
+    run = standing_in(view)
+    where = step_words(run) or run.stage or "preparing"
+    if run.prompt:
+        return f"asks: {run.prompt}  {where}"
+    if run.state in ENDING:
+        return run.stage if run.state == "done" and run.stage else state_words(run)
+    if run.state != "running":
+        return "  ".join([state_words(run), *run.troubles, where])
+    parts = [f"{100 * run.share:3.0f} %", *run.troubles, where, _left(view, run)]
+    return "  ".join(parts)
+
+
+def end_line(end: Item) -> str:
+    """How the run ended, and what to do next."""
+    text = f"{end['run']}: {end['status']}"
+    if end["reason"]:
+        text += f": {end['reason']}"
+    if end["verdict"] != "not judged":
+        text += f", model {end['verdict']}"
+    if end["status"] != "completed":
+        return f"{text}\n  next: hil resume {end['run']}"
+    return text
+
+
+def words_of(event: Item, run: str) -> str:
+    """One event of the log, for people."""
+    kind = str(event["kind"])
+    known = _WORDS.get(kind)
+    try:
+        if known is not None:
+            return known(event, run)
+    except (KeyError, TypeError, ValueError):
+        pass  # written by another version
+    details = {key: value for key, value in event.items() if key not in ("t", "time", "kind")}
+    told = " ".join(f"{key}={value}" for key, value in details.items())
+    return f"{kind} {told}".strip()
+
+
+def _asked(event: Item, run: str) -> str:
+    return f"asks: {event['text']} (answer: hil answer {run} yes)"
+
+
+def _control(event: Item, run: str) -> str:
+    reason = f": {event['reason']}" if event.get("reason") else ""
+    refused = f" (not done: {event['problem']})" if event.get("problem") else ""
+    return f"{event.get('who', 'somebody')} asked to {event['what']}{reason}{refused}"
+
+
+def _dwell(event: Item, run: str) -> str:
+    how = "settled" if event["settled"] else "did not settle"
+    return f"step {event['step'] + 1}: dwell {how} in {event['elapsed_s']:.2f} s"
+
+
+def _state(event: Item, run: str) -> str:
+    return f"{event['state']}" + (f": {event['reason']}" if event.get("reason") else "")
+
+
+_WORDS: dict[str, Callable[[Item, str], str]] = {
+    "state": _state,
+    "checkpoint": lambda event, run: f"step {event['step'] + 1}: checkpoint",
+    "dwell": _dwell,
+    "payload": lambda event, run: f"load {event['load']}: {event['mass_kg']:g} kg set",
+    "asked": _asked,
+    "prompt": lambda event, run: f"answered by {event['answered_by'] or 'nobody'}",
+    "paused": lambda event, run: f"paused: {event['reason']}",
+    "resumed": lambda event, run: f"resumed by {event['by']}",
+    "trip": lambda event, run: f"tripped: {event['reason']}",
+    "control": _control,
+}
+
+
+def _left(view: Item, run: Standing) -> str:
+    quiet = time.time() - float(view.get("t", 0.0))
+    if quiet > SILENT_AFTER_S:
+        return f"no news for {duration(quiet)}"
+    return f"{duration(run.left_s)} left"
+
+
+def _clock(event: Item) -> str:
+    try:
+        return time.strftime("%H:%M:%S", time.localtime(float(event["t"])))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return "--:--:--"
