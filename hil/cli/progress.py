@@ -1,16 +1,25 @@
-"""Progress on stderr: one line that moves on a terminal, plain lines now and then in a pipe."""
+"""Progress on stderr: one line that moves on a terminal, plain lines now and then in a pipe.
+
+What is news stays on the screen as a line of its own: a stage, a pause and its reason, going on,
+what the operator is asked, why the run stops. The moving line never wraps: it is cut to the width.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import shutil
 import sys
 import time
+from textwrap import wrap
 
 from hil.cli.output import duration
 from hil.engine.observers import Event
+from hil.live.standing import ENDING, PAUSED, Standing
+from hil.live.words import state_words, step_words
 
 PIPED_EVERY_S = 10.0
-TERMINAL_EVERY_S = 0.2
-SPEED_KNOWN_AFTER_S = 0.5
+TERMINAL_EVERY_S = 0.1
 FASTER_THAN_REAL = 1.5
 
 
@@ -19,53 +28,117 @@ class ProgressLines:
 
     def __init__(self) -> None:
         self._tty = sys.stderr.isatty()
+        self._standing = Standing()
         self._next = 0.0
         self._open = False
+        self._paused = False
 
     def notify(self, event: Event) -> None:
-        """Print the event if it is time to."""
-        if event["kind"] == "stage":
-            self._line(f"{event['stage']} …")
-        elif event["kind"] == "progress":
-            self._progress(event)
+        """Print the event if it is news, and where the run stands if it is time to."""
+        self._standing.take(event)
+        kind = event.get("kind")
+        if kind == "stage":
+            self._line(f"{self._standing.stage} …")
+        elif kind == "state":
+            self._state()
+        elif kind == "prompt":
+            self._prompt(event)
+        elif kind in ("step", "progress"):
+            self._moving()
 
-    def _progress(self, event: Event) -> None:
-        done = event["step"] + 1 == event["steps"]
-        now = time.monotonic()
-        if now < self._next and not done:
+    def _state(self) -> None:
+        run = self._standing
+        was_paused, self._paused = self._paused, run.state == PAUSED
+        if run.state == ENDING[0] and run.completed:
+            self._line(_done(run))
+        elif run.state in (PAUSED, ENDING[0]):
+            self._line(state_words(run))
+        elif was_paused:
+            self._line(f"running again: {run.reason}" if run.reason else "running again")
+
+    def _prompt(self, event: Event) -> None:
+        # On a terminal whoever asks prints the question; only the line must be out of its way.
+        if event.get("answered_by"):
+            self._line(f"answered by {event['answered_by']}: {event.get('text', '')}")
+        elif self._tty:
+            self._end_line()
+        else:
+            self._line(f"asking: {self._standing.prompt}")
+
+    def _moving(self) -> None:
+        run, now = self._standing, time.monotonic()
+        if now < self._next or (run.prompt and self._tty) or run.state in ENDING:
             return
         self._next = now + (TERMINAL_EVERY_S if self._tty else PIPED_EVERY_S)
-        text = self._text(event)
-        if self._tty and not done:
-            sys.stderr.write(f"\r\x1b[K{text}")
-            sys.stderr.flush()
-            self._open = True
-        else:
-            self._line(text)
+        if not self._tty:
+            self._line(_progress(run))
+            return
+        sys.stderr.write(f"\r\x1b[K{_cut(_progress(run), _width() - 1)}")
+        sys.stderr.flush()
+        self._open = True
 
     def _line(self, text: str) -> None:
+        """A line that stays; on a terminal it is wrapped between words, in a pipe it is one."""
         start = "\r\x1b[K" if self._open else ""
-        sys.stderr.write(f"{start}{text}\n")
+        lines = _wrapped(text) if self._tty else [text]
+        sys.stderr.write(start + "".join(f"{line}\n" for line in lines or [""]))
         sys.stderr.flush()
         self._open = False
 
-    @staticmethod
-    def _text(event: Event) -> str:
-        step, steps = event["step"] + 1, event["steps"]
-        moved, wall = event["device_s"], event["wall_s"]
-        head = f"step {step}/{steps} {event['doing']:<10} {duration(moved)} of motion"
-        if step == steps:
-            return f"100 %  {head}{_speed(moved, wall)}, took {duration(wall)}"
-        # Dwells may take longer than planned: before its end no run is done.
-        share = min(0.99, moved / max(event["duration_s"], 1e-9))
-        # A virtual clock needs a moment to show its speed; before that the plan's own time stands.
-        pace = moved / wall if wall > SPEED_KNOWN_AFTER_S else 1.0
-        left = max(0.0, event["duration_s"] - moved) / max(pace, 1e-9)
-        return f"{100 * share:3.0f} %  {head}{_speed(moved, wall)}, {duration(left)} left"
+    def _end_line(self) -> None:
+        if self._open:
+            sys.stderr.write("\n")
+            sys.stderr.flush()
+        self._open = False
 
 
-def _speed(moved_s: float, wall_s: float) -> str:
+def _progress(run: Standing) -> str:
+    """What matters most comes first: a narrow terminal cuts the end."""
+    parts = [f"{100 * run.share:3.0f} %"]
+    if run.waits:
+        parts += ["waiting for an answer" if run.prompt else state_words(run)]
+    parts += [*run.troubles, step_words(run)]
+    if not run.waits:
+        parts += [f"{duration(run.left_s)} left" if run.duration_s else "", _speed(run)]
+    return "  ".join(part for part in parts if part)
+
+
+def _done(run: Standing) -> str:
+    speed = _speed(run)
+    parts = [
+        "100 %",
+        *run.troubles,
+        f"{run.steps} steps in {duration(run.wall_s)}",
+        f"{duration(run.device_s)} of motion{f', {speed}' if speed else ''}",
+    ]
+    return "  ".join(parts)
+
+
+def _speed(run: Standing) -> str:
     """How much faster than real time, once that can be said."""
-    if wall_s <= SPEED_KNOWN_AFTER_S or moved_s <= FASTER_THAN_REAL * wall_s:
-        return ""
-    return f" ({moved_s / wall_s:.0f}× real time)"
+    return f"{run.pace:.0f}× real time" if run.pace > FASTER_THAN_REAL else ""
+
+
+def _wrapped(text: str) -> list[str]:
+    """Lines of the terminal's width; a path stays whole, so that it can be copied."""
+    return wrap(
+        text,
+        _width() - 1,
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
+
+
+def _width() -> int:
+    """Columns of the terminal that standard error is; it may be resized at any time."""
+    columns = 0
+    with contextlib.suppress(ValueError):
+        columns = int(os.environ.get("COLUMNS", ""))
+    with contextlib.suppress(OSError, ValueError):
+        columns = columns or os.get_terminal_size(sys.stderr.fileno()).columns
+    return max(columns or shutil.get_terminal_size().columns, 20)

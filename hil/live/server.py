@@ -65,6 +65,8 @@ class FoxgloveLive:
         self._host, self._port, self._name = host, port, name
         self._decimation = Decimation()
         self._standing = Standing()
+        # The server holds its context weakly: without this one it would advertise nothing.
+        self._context: Context | None = None
         self._channels: dict[str, Channel] = {}
         self._server: WebSocketServer | None = None
         self._next_step = 0.0
@@ -85,7 +87,7 @@ class FoxgloveLive:
         if self._server is not None:
             return
         sdk = _sdk()
-        context = sdk.Context()
+        self._context = context = sdk.Context()
         for topic, schema in self._topics.schemas.items():
             ros = sdk.Schema(name=schema.name, encoding="ros2msg", data=schema.text.encode())
             self._channels[topic] = sdk.Channel(
@@ -99,7 +101,7 @@ class FoxgloveLive:
     def stop(self) -> None:
         """Close every connection and the port. Idempotent."""
         server, self._server = self._server, None
-        self._channels = {}
+        self._channels, self._context = {}, None
         if server is not None:
             server.stop()
 

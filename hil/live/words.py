@@ -37,7 +37,11 @@ def state_words(standing: Standing) -> str:
 
 
 def step_words(standing: Standing) -> str:
-    """`step 12/650 dwell, pose 5`."""
+    """`step 12/650 dwell, pose 5`; nothing before the first one."""
+    if not standing.steps:
+        return ""
+    if standing.step < 0:  # what a resumed run does before it goes on
+        return "on the way back"
     of = [f"{what} {i}" for what, i in _of_what(standing) if i >= 0]
     doing = ", ".join([standing.doing, *of]) if standing.doing else ""
     return f"step {standing.step + 1}/{standing.steps} {doing}".rstrip()
