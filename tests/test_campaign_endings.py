@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 import hil
-from hil.campaign import operator, recording
+from hil.campaign import execute, operator, recording
 from hil.engine import Engine
 from hil.engine.signals import SignalWatch
 from hil.errors import PreflightFailed, RecordingError, SpecError, Stopped
@@ -50,7 +50,7 @@ def test_a_failed_preflight_moves_nothing_and_is_kept(
     def refuse(*arguments: Any, **options: Any) -> None:
         raise PreflightFailed("temperature: too cold")
 
-    monkeypatch.setattr(recording, "require_preflight", refuse)
+    monkeypatch.setattr(execute, "require_preflight", refuse)
     report = hil.run(hil.load(DWELL), runs=tmp_path)
     assert report.outcome == "failed"
     assert isinstance(report.error, PreflightFailed)
@@ -160,18 +160,20 @@ def test_a_criterion_in_the_wrong_unit_is_refused_before_anything_moves(tmp_path
     assert not list(tmp_path.glob("*/*/*"))
 
 
-@pytest.mark.parametrize("step", ["write_beginning", "open_recorder"])
+@pytest.mark.parametrize(
+    ("module", "step"), [(recording, "write_beginning"), (execute, "open_recorder")]
+)
 def test_a_signal_before_the_motion_still_leaves_a_whole_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, step: str
 ) -> None:
-    original = getattr(recording, step)
+    original = getattr(module, step)
 
     def interrupted(*arguments: Any, **options: Any) -> Any:
         done = original(*arguments, **options)
         os.kill(os.getpid(), signal.SIGTERM)
         return done
 
-    monkeypatch.setattr(recording, step, interrupted)
+    monkeypatch.setattr(module, step, interrupted)
     report = hil.run(hil.load(DWELL), runs=tmp_path)
     assert report.outcome == "stopped"
     assert not list(report.run.glob("recording/*.partial"))
@@ -183,7 +185,7 @@ def test_a_disk_that_fills_up_before_the_motion_leaves_a_failed_run(
     def full(*arguments: Any, **options: Any) -> Any:
         raise RecordingError("no space left on device")
 
-    monkeypatch.setattr(recording, "open_recorder", full)
+    monkeypatch.setattr(execute, "open_recorder", full)
     with pytest.raises(RecordingError):
         hil.run(hil.load(DWELL), runs=tmp_path)
     (run,) = tmp_path.glob("*/*/*")

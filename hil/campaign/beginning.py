@@ -84,7 +84,7 @@ def open_recorder(
     Raises:
         RecordingError: The file cannot be made.
     """
-    can = robot.capabilities
+    can, uid = robot.capabilities, str(directory.start["uid"])
     unit = "A" if can.effort_kind == "current" else "N·m"
     topic = state_topic(len(can.joint_names), can.rate_hz, clock=can.clock, effort_unit=unit)
     names = ["spec.yaml", "station.yaml", "plan.json", "start.json"]
@@ -92,14 +92,23 @@ def open_recorder(
     attachments = [
         Attachment(name, _media_type(name), (directory.path / name).read_bytes()) for name in names
     ]
-    writer = McapWriter(
-        directory.part_path(attempt),
-        [topic, *(robot.topics if isinstance(robot, HasTopics) else ())],
-        metadata={"run": {"uid": str(directory.start["uid"]), "name": experiment.spec.name}},
-        attachments=attachments,
-        joint_names=can.joint_names,
+
+    def open_part(part: int) -> McapWriter:
+        about = {"attempt": str(attempt), "part": str(part)}
+        return McapWriter(
+            directory.part_path(attempt, part),
+            [topic, *(robot.topics if isinstance(robot, HasTopics) else ())],
+            metadata={"run": {"uid": uid, "name": experiment.spec.name, **about}},
+            attachments=attachments,
+            joint_names=can.joint_names,
+        )
+
+    return Recorder(
+        open_part(0),
+        next_part=open_part,
+        rotate_bytes=experiment.spec.record.rotate_mb * 1e6,
+        on_backlog="wait" if can.clock == "virtual" else "raise",
     )
-    return Recorder(writer, on_backlog="wait" if can.clock == "virtual" else "raise")
 
 
 def _media_type(name: str) -> str:

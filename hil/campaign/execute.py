@@ -9,12 +9,12 @@ from typing import Any
 
 from hil.campaign.beginning import open_recorder
 from hil.campaign.experiment import Experiment
+from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import mock_mounts
 from hil.campaign.robots import close_robot
 from hil.campaign.sink import COUNTED, RunSink, counts_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Engine, Observers, Outcome, Prompt, RunResult
-from hil.engine.interlocks import from_spec
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError
@@ -99,6 +99,14 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         recorder = open_recorder(directory, number, robot, attempt.experiment)
         open_files.callback(_quietly, recorder.close)
         sink = RunSink(directory, recorder)
+        open_files.callback(_quietly, sink.close)
+        interlocks = interlocks_for(
+            attempt.experiment,
+            robot,
+            attempt.plan,
+            folder=directory.path,
+            behind_s=lambda: recorder.behind_s,
+        )
     except BaseException as error:
         open_files.close()
         with contextlib.suppress(HilError):
@@ -109,15 +117,17 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         attempt.todo,
         robot,
         sink,
-        interlocks=from_spec(attempt.experiment.spec.interlocks),
+        interlocks=interlocks,
         observers=attendance.observers,
         prompt=mock_mounts if virtual else attendance.prompt,
         go_on=attendance.go_on,
         health=sink.health,
+        stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan),
     )
     attendance.signals.bind(engine, robot)
     result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
+    interlocks.close()
     result = replace(result, notes=(*result.notes, *close_robot(robot)))
     return _finish(attempt, result, recorder, sink, attendance.observers)
 

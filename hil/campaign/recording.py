@@ -9,8 +9,10 @@ from hil import plugins
 from hil.campaign.beginning import write_beginning
 from hil.campaign.execute import Attempt, Attendance, Recorded, execute
 from hil.campaign.experiment import Experiment
+from hil.campaign.interlocks import interlocks_for
 from hil.campaign.robots import connected, plan_for
 from hil.errors import HilError
+from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 from hil.robot import Robot
 from hil.spec.judgeable import require_judgeable
@@ -33,8 +35,10 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         require_usable(experiment, robot)
         observers.publish({"kind": "stage", "stage": "planning"})
         plan = plan_for(experiment, robot)
-        with attendance.signals.guard():
+        interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
+        with attendance.signals.guard(), contextlib.ExitStack() as held:
             directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
+            held.enter_context(hold_run(directory.path))
             try:
                 write_beginning(
                     directory,

@@ -24,6 +24,7 @@ from hil.plan.approach import Approach
 from hil.plan.plan import Plan
 from hil.record.continuity import Counts
 from hil.record.files import read_json
+from hil.record.lock import hold_run
 from hil.record.provenance import utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
@@ -95,7 +96,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         cold = _is_cold(directory, robot)
         todo = _todo(unfinished, robot, cold=cold)
         before = _counts_before(directory, plan.rate_hz)
-        with attendance.signals.guard():
+        with attendance.signals.guard(), hold_run(directory.path):
             number = directory.next_attempt()
             directory.write_resume(
                 number, _document(unfinished, robot, todo, attendance, cold=cold)

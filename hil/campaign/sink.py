@@ -43,7 +43,7 @@ class RunSink:
         """How the recording is doing, for progress events."""
         counts = self._recorder.counts[STATE_TOPIC]
         told = {name: float(getattr(counts, name)) for name in COUNTED if name != "samples"}
-        return told | {"behind_s": getattr(self._recorder, "behind_s", 0.0)}
+        return told | {"behind_s": self._recorder.behind_s}
 
     def close(self) -> list[HilError]:
         """Finish recording and log; returns what went wrong in either."""

@@ -29,6 +29,9 @@ DWELLS = frozenset({"dwell", "reference", "weigh"})
 PARKED = -1
 """Segment of samples that belong to no step: before the first one, while paused or asked."""
 
+PARK_WITHIN_S = 2.0
+"""How soon a standing arm has taken over a new set-point to hold [s]."""
+
 DWELL_GRACE_S = 2.0
 """How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
 
@@ -95,6 +98,7 @@ class Steps:
         zeros = np.zeros_like(q)
         self._robot.prepare(Segment(PARKED, "hold", q, zeros, zeros, 0.0, 0.0))
         self._robot.start()
+        self._until_over(PARKED, PARK_WITHIN_S, "parking")
 
     def _change_load(self, step: Step) -> None:
         load = self._plan.loads[step.load]
@@ -121,15 +125,19 @@ class Steps:
             self._follow(step, motion)
 
     def _follow(self, step: Step, motion: Motion) -> None:
-        deadline = self._reading.deadline(2.0 + 1.5 * motion.duration_s)
+        within_s = 2.0 + 1.5 * motion.duration_s
+        what = f"step {step.index} ({step.kind}), planned to take {motion.duration_s:.1f} s,"
+        self._until_over(step.index, within_s, what)
+
+    def _until_over(self, segment: int, within_s: float, what: str) -> None:
+        deadline = self._reading.deadline(within_s)
         while True:
             last = self._reading.block()[-1]
-            if last["segment"] == step.index and not last["status"] & Status.MOVING:
+            if last["segment"] == segment and not last["status"] & Status.MOVING:
                 return
             if deadline.over(float(last["device_time"])):
                 raise RobotTimeout(
-                    f"step {step.index} ({step.kind}) should take {motion.duration_s:.1f} s "
-                    f"and was not over after {deadline.seconds:.1f} s",
+                    f"{what} was not over after {deadline.seconds:.1f} s",
                     hint="check whether the controller still runs its program",
                 )
 

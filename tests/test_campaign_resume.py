@@ -1,0 +1,253 @@
+"""A run that ended early goes on: nothing whole is measured again, nothing is left out."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.data.completeness import completeness_of
+from hil.data.load import load_source
+from hil.engine.steps import Steps
+from hil.errors import DataError, PreflightFailed
+from hil.plan.plan import Plan
+from hil.record.reader import read_topic
+from hil.record.rundir import RunDirectory
+
+SPEC = """
+hil: 1
+name: small
+robot: ur5
+excitation: {kind: dwell, waypoints: 4, seed: 3}
+warm_up: {duration_s: 2}
+reference: {every: 2}
+accept: {gaps_percent: {max: 50}}
+"""
+FITTED = SPEC.replace("waypoints: 4", "waypoints: 12") + "fit: [{estimator: static-wls}]\n"
+
+
+def small_spec(folder: Path, text: str = SPEC) -> Path:
+    path = folder / "small.yaml"
+    path.write_text(text, "utf-8")
+    return path
+
+
+class StopsAt:
+    """Asks a run to stop when a step begins; observers are told before it is executed."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+        self.step = step
+        original = Steps.execute
+
+        def stopping(steps: Steps, step: Any) -> None:
+            if step.index == self.step:
+                steps._reading.requests.stop = "the test wants it"
+            original(steps, step)
+
+        monkeypatch.setattr(Steps, "execute", stopping)
+
+
+def stopped_run(folder: Path, monkeypatch: pytest.MonkeyPatch, step: int, text: str = SPEC) -> Path:
+    with monkeypatch.context() as patch:
+        StopsAt(patch, step)
+        report = hil.run(hil.load(small_spec(folder, text)), runs=folder / "runs")
+    assert report.outcome == "stopped"
+    return report.run
+
+
+def plan_of(run: Path) -> Plan:
+    return Plan.from_dict(json.loads((run / "plan.json").read_text("utf-8")))
+
+
+def measured(run: Path) -> set[int]:
+    return set(completeness_of(plan_of(run), RunDirectory.open(run).recordings).done)
+
+
+def all_steps(run: Path) -> set[int]:
+    return {step.index for step in plan_of(run) if step.measures}
+
+
+def torn(run: Path, keep: float) -> None:
+    """What a kill leaves: no stop document, and a recording that ends anywhere."""
+    directory = RunDirectory.open(run)
+    last = directory.attempts - 1
+    name = f"stop-{last:02d}.json" if last else "stop.json"
+    (run / name).unlink(missing_ok=True)
+    for extra in ("verdict.json", "report.html"):
+        (run / extra).unlink(missing_ok=True)
+    file = directory.recordings[-1]
+    data = file.read_bytes()
+    file.unlink()
+    partial = file.with_name(file.name.removesuffix(".partial") + ".partial")
+    partial.write_bytes(data[: int(keep * len(data))])
+
+
+def test_a_stopped_run_goes_on_and_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30, text=FITTED)
+    before = measured(run)
+    assert before
+    assert before < all_steps(run)
+    report = hil.resume(run)
+    assert report.error is None
+    assert report.outcome == "completed"
+    assert report.run == run
+    assert measured(run) == all_steps(run)
+    assert (run / "verdict.json").exists()
+    stop = RunDirectory.open(run).stop
+    assert stop is not None
+    assert stop["complete"]["dwell"] == {"done": 24, "of": 24}
+    assert RunDirectory.open(run).status == "completed"
+    assert not RunDirectory.open(run).verify()
+
+
+def test_what_was_whole_is_not_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    before = measured(run)
+    hil.resume(run)
+    first, second = (read_topic(path) for path in RunDirectory.open(run).recordings)
+    again = set(np.unique(second["segment"]).tolist()) & before
+    assert not again
+    assert set(np.unique(first["segment"]).tolist()) >= before
+
+
+def test_the_dataset_of_a_resumed_run_has_every_dwell_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=31)
+    hil.resume(run)
+    data = load_source(run, ("dwell",))
+    counted = Counter((c.pose, c.approach) for c in data.conditions)
+    assert set(counted.values()) == {1}
+    assert len(counted) == 8
+
+
+def test_files_of_the_first_attempt_stay_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    kept = {p: p.read_bytes() for p in run.rglob("*") if p.is_file() and p.suffix != ".html"}
+    hil.resume(run)
+    for path, content in kept.items():
+        assert path.read_bytes()[: len(content)] == content
+    names = {path.name for path in run.iterdir()}
+    assert {"resume-01.json", "preflight-01.json", "stop-01.json"} <= names
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_number_of_stops_kills_and_resumes_measures_the_same_as_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    chance = random.Random(seed)
+    run = stopped_run(tmp_path, monkeypatch, step=chance.randrange(5, 30))
+    for _ in range(3):
+        if chance.random() < 0.6:
+            torn(run, keep=chance.uniform(0.05, 0.99))
+        whole = measured(run)
+        with monkeypatch.context() as patch:
+            left = sorted(all_steps(run) - whole)
+            StopsAt(patch, step=chance.choice(left))
+            report = hil.resume(run)
+        assert report.outcome == "stopped"
+        assert measured(run) >= whole
+    report = hil.resume(run)
+    assert report.outcome == "completed"
+    assert measured(run) == all_steps(run)
+    counted = Counter((c.pose, c.approach) for c in load_source(run, ("dwell",)).conditions)
+    assert sorted(counted.values()) == [1] * 8
+
+
+def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> None:
+    report = hil.run(hil.load(small_spec(tmp_path, FITTED)), runs=tmp_path / "runs")
+    for path in sorted(report.run.glob("fit/*/*")):
+        path.unlink()
+    for name in ("verdict.json", "report.html"):
+        (report.run / name).unlink()
+    again = hil.resume(report.run)
+    assert again.outcome == "completed"
+    assert (report.run / "verdict.json").exists()
+    assert len(RunDirectory.open(report.run).recordings) == 1
+
+
+def test_a_complete_run_has_nothing_to_go_on_with(tmp_path: Path) -> None:
+    report = hil.run(hil.load(small_spec(tmp_path)), runs=tmp_path / "runs")
+    with pytest.raises(DataError, match="complete"):
+        hil.resume(report.run)
+
+
+def test_another_plan_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    plan = json.loads((run / "plan.json").read_text("utf-8"))
+    plan["loads"][0]["mass_kg"] = 3.0
+    (run / "plan.json").write_text(json.dumps(plan), "utf-8")
+    with pytest.raises(DataError, match=r"plan\.json is not what the run was begun with"):
+        hil.resume(run)
+
+
+def test_another_robot_is_refused_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    station = json.loads((run / "station.yaml").read_text("utf-8").partition("\n")[2])
+    station["robots"]["ur5"]["options"] = {"seed": 5}
+    (run / "station.yaml").write_text(json.dumps(station), "utf-8")
+    files = sorted(run.rglob("*"))
+    with pytest.raises(PreflightFailed, match="serial"):
+        hil.resume(run)
+    assert sorted(run.rglob("*")) == files
+
+
+def test_a_run_that_ended_before_its_plan_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    (run / "plan.json").unlink()
+    with pytest.raises(DataError, match=r"no plan\.json"):
+        hil.resume(run)
+
+
+@pytest.mark.wire
+def test_a_run_killed_with_9_is_resumed_from_the_command_line(tmp_path: Path) -> None:
+    spec = small_spec(tmp_path, SPEC.replace("waypoints: 4", "waypoints: 60"))
+    hil_command = [sys.executable, "-m", "hil"]
+    runs = ["--runs", str(tmp_path / "runs")]
+    environment = {**os.environ, "HIL_STATION": ""}
+    running = subprocess.Popen(
+        [*hil_command, "run", str(spec), *runs],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=environment,
+    )
+    give_up = time.monotonic() + 60
+    while not list(tmp_path.glob("runs/*/*/*/recording/*.partial")):
+        assert time.monotonic() < give_up
+        time.sleep(0.02)
+    time.sleep(0.7)
+    running.send_signal(signal.SIGKILL)
+    running.communicate(timeout=30)
+    (run,) = tmp_path.glob("runs/*/*/*")
+    assert RunDirectory.open(run).status == "interrupted"
+    done = subprocess.run(
+        [*hil_command, "resume", str(run), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["outcome"] == "completed"
+    assert measured(run) == all_steps(run)

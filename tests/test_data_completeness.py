@@ -1,0 +1,80 @@
+"""Complete is what the recorded rows prove, by the same rule the engine used."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hil.data.completeness import dwell_is_over, dwell_settles, step_is_complete
+from hil.engine.dwell import DwellWatch
+from hil.excite.motion import FourierSeries
+from hil.plan.plan import DwellRule, Plan, Step
+from hil.robot.state import Status, state_dtype
+from hil.typing import FloatArray, StructArray
+
+RATE = 125.0
+RULE = DwellRule(dwell_s=0.05, samples=4, settle_rad_s=0.002, timeout_s=0.3)
+
+
+def dwell_rows(speed: FloatArray) -> StructArray:
+    rows = np.zeros(len(speed), state_dtype(6))
+    rows["device_time"] = 7.0 + np.arange(len(speed)) / RATE
+    rows["qd"][:, 2] = speed
+    return rows
+
+
+speeds = hnp.arrays(np.float64, st.integers(1, 60), elements=st.sampled_from([0.0, 0.001, 0.01]))
+
+
+@given(speeds)
+@settings(max_examples=300)
+def test_a_dwell_is_over_in_the_data_exactly_if_the_engine_called_it_over(
+    speed: FloatArray,
+) -> None:
+    rows = dwell_rows(speed)
+    watch = DwellWatch(RULE)
+    ends = [i for i in range(len(rows)) if watch.feed(rows[i : i + 1])]
+    assert dwell_is_over(rows, RULE) is bool(ends)
+
+
+@given(speeds)
+def test_a_dwell_that_settled_for_the_engine_settles_in_the_data(speed: FloatArray) -> None:
+    rows = dwell_rows(speed)
+    watch = DwellWatch(RULE)
+    settled = []
+    for i in range(len(rows)):
+        watch.feed(rows[i : i + 1])
+        settled.append(watch.settled)
+    assert dwell_settles(rows, RULE) is any(settled)
+
+
+def trajectory() -> tuple[Step, Plan, StructArray]:
+    zeros = ((0.0,) * 5,) * 6
+    motion = FourierSeries(q0=(0.0,) * 6, a=zeros, b=zeros, fundamental_hz=0.5)
+    step = Step(3, "trajectory", motion, trajectory=0)
+    plan = Plan("p", "ur5", ("a",) * 6, RATE, (step,), ())
+    n = round(plan.step_duration_s(step) * RATE)
+    rows = np.zeros(n + 5, state_dtype(6))
+    rows["device_time"] = np.arange(n + 5) / RATE
+    rows["status"][:n], rows["status"][n:] = int(Status.MOVING), int(Status.HOLDING)
+    return step, plan, rows
+
+
+def test_a_trajectory_that_reached_its_end_is_complete() -> None:
+    step, plan, rows = trajectory()
+    assert step_is_complete(step, rows, plan)
+
+
+@pytest.mark.parametrize("cut", [slice(None, -60), slice(60, None)])
+def test_one_that_lacks_its_end_or_its_beginning_is_not(cut: slice) -> None:
+    step, plan, rows = trajectory()
+    assert not step_is_complete(step, rows[cut], plan)
+
+
+def test_one_with_a_long_hole_is_not_and_one_with_a_lost_sample_is() -> None:
+    step, plan, rows = trajectory()
+    assert not step_is_complete(step, np.delete(rows, slice(100, 140)), plan)
+    assert step_is_complete(step, np.delete(rows, 100), plan)
