@@ -36,6 +36,8 @@ def interlocks_for(
         PlanError: An interlock of the spec cannot be judged on this robot; all are listed.
         PluginError: A plug-in does not load.
     """
+    from hil.dynamics.sample_distances import SampleDistances
+
     can, surroundings = robot.capabilities, experiment.robot.surroundings
     sizes = [load.size_m for load in plan.loads]
     arm = load_arm(plan.robot_model) if plan.robot_model in arm_names() else None
@@ -45,7 +47,7 @@ def interlocks_for(
         effort_kind=can.effort_kind,
         drive_gains=can.drive_gains,
         effort_max=tuple(map(float, robot.limits.effort_max)),
-        clearance=collision_model(arm, surroundings, loads) if arm else None,
+        clearance=SampleDistances(collision_model(arm, surroundings, loads)) if arm else None,
         clearance_m=surroundings.clearance_m,
         flange=partial(flange_space, arm, sizes=sizes) if arm else None,
         behind_s=behind_s,

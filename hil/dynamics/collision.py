@@ -45,11 +45,18 @@ GRID = 96
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Obstacle:
+class Obstacle:
+    """Something that stands around an arm.
+
+    Attributes:
+        name: For messages.
+        shape: Where it is.
+        bodies: Indices of the capsules that are checked against it.
+    """
+
     name: str
     shape: Plane | Box
     bodies: IntArray
-    """Indices of the capsules that are checked against it."""
 
 
 class CollisionModel:
@@ -65,6 +72,9 @@ class CollisionModel:
         payload: Body of the load, in the flange frame: its `link` is the last one.
 
     Attributes:
+        arm: The arm.
+        capsules: Its bodies, then that of the load.
+        obstacles: What stands around it.
         pairs: (P, 2) indices of the capsules that are checked against each other.
         names: (R,) between which two bodies each distance is: the pairs, then every capsule and
             what stands around it.
@@ -84,16 +94,17 @@ class CollisionModel:
             raise SpecError(
                 f"the arm {arm.name} has no collision capsules", hint="add them to its description"
             )
-        capsules = (*arm.capsules, *(() if payload is None else (payload,)))
+        self.arm = arm
+        self.capsules = (*arm.capsules, *(() if payload is None else (payload,)))
         names = [arm.link_names[capsule.link] for capsule in arm.capsules] + ["payload"]
-        links = np.array([capsule.link for capsule in capsules])
-        self._chain = CapsuleChain(arm, capsules)
-        self._radii = np.array([capsule.radius for capsule in capsules])[:, None]
+        links = np.array([capsule.link for capsule in self.capsules])
+        self._chain = CapsuleChain(arm, self.capsules)
+        self._radii = np.array([capsule.radius for capsule in self.capsules])[:, None]
         self.pairs = np.argwhere(links[None, :] - links[:, None] > NEIGHBOURS)
         self.pairs = self.pairs[self._can_touch(arm, links)]
-        self._obstacles = self._around(environment or Environment(), arm, links)
+        self.obstacles = self._around(environment or Environment(), arm, links)
         # One row per pair of capsules, then one per capsule and obstacle.
-        near = [(obstacle.name, body) for obstacle in self._obstacles for body in obstacle.bodies]
+        near = [(obstacle.name, body) for obstacle in self.obstacles for body in obstacle.bodies]
         self.names: list[tuple[str, str]] = [(names[i], names[j]) for i, j in self.pairs]
         self.names += [(names[body], name) for name, body in near]
         reach = [self._chain.reach(links[i], j) for i, j in self.pairs]
@@ -148,7 +159,7 @@ class CollisionModel:
         for start in range(0, len(q), FRAME_BLOCK):
             block = slice(start, start + FRAME_BLOCK)
             p, u = self._chain.axes(q[block])
-            gaps = [self._gaps(obstacle, p, u) for obstacle in self._obstacles]
+            gaps = [self._gaps(obstacle, p, u) for obstacle in self.obstacles]
             np.concatenate([self._pair_distances(p, u), *gaps], out=out[:, block])
         return out
 
@@ -162,7 +173,7 @@ class CollisionModel:
         out -= self._radii[i] + self._radii[j]
         return out
 
-    def _gaps(self, obstacle: _Obstacle, p: FloatArray, u: FloatArray) -> FloatArray:
+    def _gaps(self, obstacle: Obstacle, p: FloatArray, u: FloatArray) -> FloatArray:
         bodies, shape = obstacle.bodies, obstacle.shape
         axes = p[:, bodies], u[:, bodies]
         if isinstance(shape, Plane):
@@ -187,15 +198,15 @@ class CollisionModel:
 
     def _around(
         self, environment: Environment, arm: ArmDescription, links: IntArray
-    ) -> list[_Obstacle]:
+    ) -> list[Obstacle]:
         moving = np.flatnonzero(links > 0)
         shapes: list[Plane | Box] = [*environment.walls, *environment.boxes]
-        obstacles = [_Obstacle(shape.name, shape, moving) for shape in shapes]
+        obstacles = [Obstacle(shape.name, shape, moving) for shape in shapes]
         if environment.table is not None:
-            table = _Obstacle("table", environment.table, moving)
+            table = Obstacle("table", environment.table, moving)
             highest = self._gaps(table, *self._chain.axes(_every_two_joints(arm)[0])).max(axis=1)
             off_it = moving[highest > BUILT_TOGETHER_M]
-            obstacles.append(_Obstacle("table", environment.table, off_it))
+            obstacles.append(Obstacle("table", environment.table, off_it))
         return obstacles
 
 

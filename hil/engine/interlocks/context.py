@@ -15,7 +15,7 @@ from hil.typing import FloatArray
 class Distances(Protocol):
     """R distances that follow from the joint positions.
 
-    `hil.dynamics.collision.CollisionModel` and `hil.dynamics.flange.FlangeSpace` are such.
+    `hil.dynamics.sample_distances.SampleDistances` and `hil.dynamics.flange.FlangeSpace` are such.
     """
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 from hil.engine.interlocks.context import Distances
 from hil.engine.interlocks.interlock import Action, Trip
 from hil.robot import Status
-from hil.typing import BoolArray, FloatArray, IntArray, StructArray
+from hil.typing import FloatArray, StructArray
 
 CLEAR_BY_M = 0.005
 """Distances so much above the least are well inside again [m]."""
@@ -18,8 +18,8 @@ class LeastDistance:
 
     Every sample is judged, few are computed. A joint that turns by Δq moves no point by more than
     its distance from the joint's axis times |Δq|, so between two positions a distance changes by
-    at most Σ |Δq_j| · reach_j, whichever way the arm took. What the last position computed had to
-    spare beyond that is proven to be left.
+    at most Σ |Δq_j| · reach_j, whichever way the arm took. While that is less than what every
+    distance had to spare at the last position computed, none needs computing.
 
     Args:
         name: Shown when it trips.
@@ -47,22 +47,19 @@ class LeastDistance:
         self.computed = 0
         self._measured = measured
         self._least = least_m
-        self._reach = measured.reach
-        self._farthest = self._reach.max(axis=0, initial=0.0)
+        self._n = measured.reach.shape[1]
         # Nothing was computed yet: nothing is proven anywhere.
-        self._at = np.zeros(self._reach.shape[1])
-        self._spare = np.full(len(self._reach), -np.inf)
-        self._least_spare = -np.inf
+        self._at, self._spent = np.zeros(self._n), np.full(self._n, np.nan)
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""
-        turned = np.abs(block["q"] - self._at)
-        # The farthest reach stands for all: cheaper, and enough for most samples. NaN is not less.
-        if (turned @ self._farthest).max() < self._least_spare:
-            return None
-        with np.errstate(invalid="ignore"):
-            proven = (turned @ self._reach.T < self._spare).all(axis=1)
-        return None if proven.all() else self._look(block, np.logical_not(proven))
+        q = block["q"]
+        row = self._next_in_doubt(q, 0)
+        while row < len(q):
+            if trip := self._judged(block, row):
+                return trip
+            row = self._next_in_doubt(q, row + 1)
+        return None
 
     def clear(self, block: StructArray) -> bool:
         """See `Interlock.clear`."""
@@ -70,32 +67,36 @@ class LeastDistance:
         known = bool(np.isfinite(q).all())
         return known and bool((self._measured.distances(q) >= self._least + CLEAR_BY_M).all())
 
-    def _look(self, block: StructArray, doubtful: BoolArray) -> Trip | None:
-        """Compute the rows in doubt; the newest of them proves what follows."""
-        q = block["q"]
-        known = np.isfinite(q).all(axis=1)
-        unseen = np.flatnonzero(~known & ((block["status"] & Status.MOVING) != 0))
-        rows = np.flatnonzero(doubtful & known)
-        distances = self._measured.distances(q[rows])
-        self.computed += len(rows)
-        if len(rows):
-            self._at, self._spare = q[rows[-1]].copy(), distances[:, -1] - self._least
-            self._least_spare = float(self._spare.min(initial=np.inf))
-        return self._first(block, rows, distances, unseen)
+    def _next_in_doubt(self, q: FloatArray, begin: int) -> int:
+        """The first row from `begin` that is not proven to be far enough; len(q) without one."""
+        if begin == len(q):
+            return begin
+        spent = np.abs(q[begin:] - self._at) @ self._spent
+        # NaN is not less.
+        if spent.max() < 1.0:
+            return len(q)
+        return begin + int(np.logical_not(spent < 1.0).argmax())
 
-    def _first(
-        self, block: StructArray, rows: IntArray, distances: FloatArray, unseen: IntArray
-    ) -> Trip | None:
-        close = np.flatnonzero(distances.min(axis=0, initial=np.inf) < self._least)
-        first = rows[close[0]] if len(close) else len(block)
-        if len(unseen) and unseen[0] < first:
-            joint = int(np.argmin(np.isfinite(block["q"][unseen[0]])))
-            return self._trip(block, int(unseen[0]), float("nan"), joint=joint)
-        if not len(close):
+    def _judged(self, block: StructArray, row: int) -> Trip | None:
+        """The verdict on one row, computed; it then proves what lies around it."""
+        q = block["q"][row]
+        if not np.isfinite(q).all():
+            moving = block["status"][row] & Status.MOVING
+            joint = int(np.argmin(np.isfinite(q)))
+            return self._trip(block, row, float("nan"), joint=joint) if moving else None
+        distances = self._measured.distances(q[None])[:, 0]
+        self.computed += 1
+        spare = distances - self._least
+        if (spare > 0).all():
+            # A joint spends of a pair's spare what it can reach; the pair it spends most of counts.
+            self._at = q.copy()
+            self._spent = (self._measured.reach / spare[:, None]).max(axis=0, initial=0.0)
             return None
-        pair = int(distances[:, close[0]].argmin())
+        if (spare >= 0).all():
+            return None
+        pair = int(distances.argmin())
         subject = " and ".join(self._measured.names[pair])
-        return self._trip(block, int(first), float(distances[pair, close[0]]), subject=subject)
+        return self._trip(block, row, float(distances[pair]), subject=subject)
 
     def _trip(
         self, block: StructArray, row: int, value: float, *, joint: int = -1, subject: str = ""
