@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -120,7 +121,7 @@ def test_every_measurement_is_under_its_own_load_weighed_after_it_was_declared(
 def test_a_dwell_is_reached_by_the_motion_the_plan_has_for_it(case: tuple[Plan, set[int]]) -> None:
     plan, done = case
     left = connected_steps(remaining_steps(plan, done, cold=False), np.zeros(6), straight)
-    for before, step in zip(left, left[1:], strict=False):
+    for before, step in itertools.pairwise(left):
         if step.kind == "dwell":
             assert before == plan.steps[step.index - 1]
 

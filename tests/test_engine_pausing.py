@@ -55,7 +55,7 @@ def test_a_pause_waits_for_the_checkpoint_and_goes_on_when_somebody_says_so() ->
     told = kinds(sink)
     # Step 1 leads to the dwell of step 2, and the next checkpoint is before step 3.
     assert told.index("dwell") < told.index("paused") < told.index("resumed")
-    assert [e for e in sink.events if e["kind"] == "resumed"][0]["by"] == "Ada"
+    assert next(e for e in sink.events if e["kind"] == "resumed")["by"] == "Ada"
     paused = next(e for e in sink.events if e.get("state") == "paused")
     assert paused["reason"] == "coffee"
 
