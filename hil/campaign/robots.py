@@ -10,7 +10,6 @@ import numpy as np
 
 from hil import plugins
 from hil.campaign.experiment import Experiment
-from hil.campaign.interlocks import interlocks_for
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot
@@ -67,21 +66,14 @@ def close_robot(robot: Robot) -> list[str]:
 
 
 def plan_for(experiment: Experiment, robot: Robot) -> Plan:
-    """The plan from where the robot stands now, at the robot's own rate.
-
-    Raises:
-        SpecError, PlanError: No safe plan follows from the spec, or one of its interlocks cannot be
-            judged on this robot.
-    """
+    """The plan from where the robot stands now, at the robot's own rate."""
     newest = robot.read()[-1]
-    plan = build_plan(
+    return build_plan(
         experiment.spec,
         experiment.robot,
         start_q=standing_at(newest),
         rate_hz=robot.capabilities.rate_hz,
     )
-    interlocks_for(experiment, robot, plan)
-    return plan
 
 
 def standing_at(row: np.void) -> FloatArray:
