@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import RobotConnectionError
+from hil.errors import CommandRefused, RobotConnectionError
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
 from hil.typing import FloatArray, StructArray
@@ -31,6 +31,8 @@ class KinematicRobot:
 
     @property
     def identity(self) -> Identity:
+        if not self.connected:
+            raise RobotConnectionError("not connected")
         return Identity("kinematic", "0", "1", "test")
 
     @property
@@ -57,10 +59,12 @@ class KinematicRobot:
 
     def start(self) -> None:
         self.calls.append("start")
-        assert self._prepared is not None
-        self._segment = self._prepared.index
-        if self._prepared.kind != "hold":
-            self._queue = list(zip(self._prepared.q, self._prepared.qd, strict=True))
+        if self._prepared is None:
+            raise CommandRefused("nothing is prepared")
+        segment, self._prepared = self._prepared, None
+        self._segment = segment.index
+        if segment.kind != "hold":
+            self._queue = list(zip(segment.q, segment.qd, strict=True))
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         if not self.connected:

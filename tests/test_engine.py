@@ -27,7 +27,9 @@ from hil.typing import StructArray
 
 
 def test_the_test_robot_is_a_robot() -> None:
-    assert isinstance(KinematicRobot(), Robot)
+    robot = KinematicRobot()
+    robot.connect()
+    assert isinstance(robot, Robot)
 
 
 def test_a_plan_runs_to_its_end_and_stops_the_robot() -> None:

@@ -17,12 +17,13 @@ def check_driver(experiment: Experiment) -> Capabilities:
         SpecError: The driver refuses its options; the message names the station's file and robot.
         PluginError: There is no such driver, or it does not load.
     """
-    from hil.campaign.robots import open_robot
+    from hil.campaign.robots import opened
 
     name = experiment.spec.robot
     place = f"{experiment.station_source}: robots.{name}"
     try:
-        return open_robot(name, experiment.robot).capabilities
+        with opened(name, experiment.robot) as robot:
+            return robot.capabilities
     except SpecError as error:
         raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
     except (TypeError, ValueError) as error:

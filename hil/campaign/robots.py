@@ -30,10 +30,23 @@ class Simulated(Protocol):
 def open_robot(name: str, station_robot: StationRobot) -> Robot:
     """The driver's robot, not yet connected; a simulated one is mounted as the station says.
 
+    It may have a process of its own already: close it, even if it was never connected.
+
     Raises:
         PluginError: There is no such driver, or it does not load.
         SpecError: The driver does not accept the station's options, or they contradict its gravity.
+        RobotError: The process for it does not come up.
     """
+    if station_robot.own_process:
+        from hil.robot.process import RobotProcess
+
+        return RobotProcess(
+            station_robot.driver,
+            name,
+            station_robot.model,
+            station_robot.options,
+            gravity_m_s2=station_robot.gravity_m_s2,
+        )
     driver = plugins.load("hil.drivers", station_robot.driver)
     robot: Robot = driver(name, station_robot.model, **station_robot.options)
     if isinstance(robot, Simulated):
@@ -42,18 +55,25 @@ def open_robot(name: str, station_robot: StationRobot) -> Robot:
 
 
 @contextlib.contextmanager
-def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
-    """The robot, connected while inside and closed on every way out.
+def opened(name: str, station_robot: StationRobot) -> Iterator[Robot]:
+    """What `open_robot` gives, closed on every way out.
 
     What goes wrong in closing is not raised: it would hide what happened before, or take a
     finished run back. `close_robot` says what it was.
     """
     robot = open_robot(name, station_robot)
     try:
-        robot.connect()
         yield robot
     finally:
         close_robot(robot)
+
+
+@contextlib.contextmanager
+def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
+    """The robot, connected while inside and closed on every way out; see `opened`."""
+    with opened(name, station_robot) as robot:
+        robot.connect()
+        yield robot
 
 
 def close_robot(robot: Robot) -> list[str]:

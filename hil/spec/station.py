@@ -63,6 +63,11 @@ class StationRobot(Strict):
         "folder of the station."
     )
     options: dict[str, Any] = Field({}, description="The driver's own options.")
+    own_process: bool = Field(
+        False,
+        description="Run the driver in a process of its own, which stops the arm when `hil` dies "
+        "and keeps a driver that hangs from hanging `hil`; Linux only.",
+    )
     surroundings: Surroundings = Field(
         Surroundings(), description="What the arm must not touch; by default a table at its base."
     )

@@ -1,0 +1,208 @@
+"""A driver's process, seen from outside: its two lines, what it printed, how it died."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hil.errors import PluginError, RobotConnectionError, RobotTimeout
+from hil.robot.documents import error_from, understood
+from hil.robot.frames import Message, pack
+from hil.robot.stop_line import StopLine
+from hil.robot.wire import EndOfLine, Line
+from hil.typing import StructArray
+
+STOP_WITHIN_S = 1.0
+"""A driver that has not answered a stop by then is killed: its controller has to notice [s]."""
+
+TERMINATE_AFTER_S = 2.0
+KILL_AFTER_S = 4.0
+"""How long a process that should end is waited for, before and after SIGTERM [s]."""
+
+_TO_BE_SEEN_S = 1.0
+_LAST_LINES = 5
+_LOG_BYTES = 2000
+
+
+class DriverProcess:
+    """One child process and the way to it.
+
+    Calls are for one thread at a time. `stop` is for any number of threads and for signal
+    handlers: it takes no lock that whoever was interrupted may hold.
+
+    Raises:
+        PluginError: This system lacks what it takes.
+    """
+
+    def __init__(self, name: str) -> None:
+        if sys.platform != "linux":
+            raise PluginError(
+                "a driver gets a process of its own on Linux only",
+                hint="set own_process: false in the station file",
+            )
+        self._name = name
+        self._numbers = itertools.count()
+        self._late: list[StructArray] = []
+        calls, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        # Packets keep stops whole however many threads send them at once.
+        stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._calls, self._stops = Line(calls), StopLine(stops)
+        # A file in memory, not a pipe: printing never waits for us, and outlives us.
+        self._log = os.memfd_create(f"hil-driver-{name}", os.MFD_CLOEXEC)
+        fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
+        with theirs, their_stops:
+            self._process = _spawn((theirs.fileno(), their_stops.fileno(), self._log))
+        self._drop = weakref.finalize(
+            self, _drop, self._process, self._calls, self._stops, self._log
+        )
+
+    @property
+    def pid(self) -> int:
+        """Of the process, also once it has ended."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._drop.alive and self._process.poll() is None
+
+    @property
+    def printed(self) -> str:
+        """The end of what the driver printed."""
+        if not self._drop.alive:
+            return ""
+        size = os.fstat(self._log).st_size
+        raw = os.pread(self._log, _LOG_BYTES, max(0, size - _LOG_BYTES))
+        return raw.decode("utf-8", "replace")
+
+    def ask(
+        self,
+        call: str,
+        timeout_s: float,
+        details: Mapping[str, Any] | None = None,
+        arrays: Sequence[StructArray] = (),
+    ) -> Message:
+        """Call a member of the driver and wait for what it says.
+
+        Raises:
+            RobotTimeout: It has not answered in time; rows that come late come with the
+                next `read`.
+            RobotConnectionError: Its process has died, or talks nonsense.
+            HilError: What the driver raised.
+            TypeError, ValueError: The details cannot be said in JSON.
+        """
+        number = next(self._numbers)
+        frame = pack({"id": number, "call": call, "with": details or {}}, arrays)
+        until = time.monotonic() + timeout_s
+        try:
+            self._calls.send(frame, timeout_s)
+            said, rows = self._calls.receive(max(0.0, until - time.monotonic()))
+            while said.get("id") != number:
+                self._late += [] if "topics" in said else rows
+                said, rows = self._calls.receive(max(0.0, until - time.monotonic()))
+        except EndOfLine as error:
+            raise self._died() from error
+        except RobotTimeout as error:
+            raise RobotTimeout(
+                f"{self._name}: the driver has not answered {call} within {timeout_s:.1f} s",
+                hint=f"it hangs, or its robot does: process {self.pid}",
+            ) from error
+        if "error" in said:
+            with understood():
+                raised = error_from(said["error"])
+            raise raised
+        return said, self._with_late(call, rows)
+
+    def stop(self) -> None:
+        """Stop the arm over the line of its own; nothing to do once the process was let go.
+
+        Raises:
+            RobotTimeout: The driver does not answer; its process was killed.
+            RobotConnectionError: Its process has died.
+            HilError: What the driver raised.
+        """
+        try:
+            answer = self._stops.ask(STOP_WITHIN_S)
+        except (OSError, ValueError) as error:  # what a socket says that was just closed
+            if not self._drop.alive:
+                return
+            raise self._died() from error
+        if answer is None:
+            self._process.kill()
+            raise RobotTimeout(
+                f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s "
+                "and was killed; it is for the controller to stop the arm now",
+                hint="see to the robot itself, by its emergency stop if need be",
+            )
+        if answer:
+            with understood():
+                raised = error_from(json.loads(answer))
+            raise raised
+
+    def end(self) -> None:
+        """Let the process come to its end, or bring it there, within seconds. Idempotent."""
+        self._drop()
+
+    def _with_late(self, call: str, rows: list[StructArray]) -> list[StructArray]:
+        if call != "read":
+            return rows
+        late, self._late = self._late, []
+        return late + rows
+
+    def _died(self) -> RobotConnectionError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_TO_BE_SEEN_S)
+        message = f"{self._name}: the driver's process {_end_of(self._process.returncode)}"
+        last = "\n".join(self.printed.strip().splitlines()[-_LAST_LINES:])
+        return RobotConnectionError(
+            f"{message}; it printed last:\n{last}" if last else message,
+            hint="nobody commands the robot now: see to it before going on",
+        )
+
+
+def _spawn(ours: Sequence[int]) -> subprocess.Popen[bytes]:
+    """Start the child in a session of its own, where the terminal's signals do not reach it."""
+    log = ours[-1]
+    return subprocess.Popen(  # noqa: S603, our own module by our own interpreter
+        [sys.executable, "-P", "-m", "hil.robot.child", *map(str, ours)],
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+        pass_fds=ours,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+
+
+def _drop(process: subprocess.Popen[bytes], calls: Line, stops: StopLine, log: int) -> None:
+    """The lines end first: the child then stops the arm, whatever becomes of the rest."""
+    calls.cut()
+    calls.close()
+    stops.close()
+    for patience_s, more in ((TERMINATE_AFTER_S, process.terminate), (KILL_AFTER_S, process.kill)):
+        try:
+            process.wait(patience_s)
+            break
+        except subprocess.TimeoutExpired:
+            more()
+    process.wait()
+    os.close(log)
+
+
+def _end_of(code: int | None) -> str:
+    if code is None:
+        return "has closed the line"
+    if code < 0:
+        return f"died (signal {-code}: {signal.strsignal(-code)})"
+    return f"ended (exit code {code})"

@@ -1,0 +1,127 @@
+"""Small safe motions of any robot, for tests of drivers."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+
+from hil.excite.motion import Hold, Line, Motion
+from hil.robot import Robot, Segment, Status
+from hil.typing import FloatArray, StructArray
+
+SPEED_RAD_S = 0.3
+ACCELERATION_RAD_S2 = 1.0
+REST_RAD_S = 0.02
+REST_S = 5.0
+"""At rest is slower than this, and has to be reached within that time."""
+
+AT_SET_POINT_RAD = 0.01
+_UNDER_WAY_RAD = 0.02
+_PATIENCE_S = 3.0
+
+_numbers = itertools.count(1)
+
+
+def standing_at(robot: Robot) -> FloatArray:
+    """(n,) the set-point a robot at rest holds; where it is, if it does not say [rad]."""
+    row = robot.read()[-1]
+    q, target = np.array(row["q"]), np.array(row["q_target"])
+    return np.where(np.abs(q - target) < AT_SET_POINT_RAD, target, q)
+
+
+def move(robot: Robot, way_rad: float) -> Segment:
+    """A slow line of the last joint from where the robot stands, to the side with more room."""
+    q, limits = standing_at(robot), robot.limits
+    goal = q.copy()
+    goal[-1] += way_rad if limits.q_max[-1] - q[-1] > q[-1] - limits.q_min[-1] else -way_rad
+    velocity = min(SPEED_RAD_S, float(limits.qd_max[-1]) / 2)
+    acceleration = min(ACCELERATION_RAD_S2, float(limits.qdd_max[-1]) / 2)
+    ends = tuple(q.tolist()), tuple(goal.tolist())
+    rate = robot.capabilities.rate_hz
+    line = Line(*ends, velocity, acceleration, jerk=10 * acceleration, rate_hz=rate)
+    return _segment(robot, line, "move")
+
+
+def hold(robot: Robot) -> Segment:
+    """One set-point: where the robot stands."""
+    return _segment(robot, Hold(tuple(standing_at(robot).tolist())), "hold")
+
+
+def begin(robot: Robot, segment: Segment) -> None:
+    """Start a segment and read until the arm is under way.
+
+    Raises:
+        AssertionError: It does not get under way.
+    """
+    robot.prepare(segment)
+    robot.start()
+    for row in _rows(robot, _PATIENCE_S):
+        if row["segment"] == segment.index and _way(row, segment) > _UNDER_WAY_RAD:
+            return
+    raise AssertionError(f"the robot has not moved within {_PATIENCE_S:g} s")
+
+
+def follow(robot: Robot, segment: Segment) -> StructArray:
+    """Execute a segment to its end; returns the rows that carry its number.
+
+    Raises:
+        AssertionError: It does not end in time.
+    """
+    robot.prepare(segment)
+    robot.start()
+    allowed = len(segment.q) / robot.capabilities.rate_hz * 1.5 + _PATIENCE_S
+    mine = []
+    for row in _rows(robot, allowed):
+        if row["segment"] == segment.index:
+            mine.append(row)
+            if not row["status"] & Status.MOVING:
+                return np.array(mine)
+    raise AssertionError(
+        f"segment {segment.index} ({segment.kind}) has not ended within {allowed:.1f} s; "
+        f"{len(mine)} rows carry its number"
+    )
+
+
+def settle(robot: Robot) -> None:
+    """Read until the arm is at rest.
+
+    Raises:
+        AssertionError: It does not come to rest in time.
+    """
+    for row in _rows(robot, REST_S):
+        if not row["status"] & Status.MOVING and np.abs(row["qd"]).max() < REST_RAD_S:
+            return
+    raise AssertionError(f"the arm is not at rest {REST_S:g} s after stop")
+
+
+def _rows(robot: Robot, seconds: float) -> Iterator[np.void]:
+    """Rows for so long by the device clock and, where that is wall time, by ours."""
+    wall = robot.capabilities.clock == "wall"
+    until, last = time.monotonic() + seconds, np.inf
+    while not wall or time.monotonic() < until:
+        for row in robot.read():
+            last = min(last, float(row["device_time"]) + seconds)
+            if row["device_time"] > last:
+                return
+            yield row
+
+
+def _segment(robot: Robot, motion: Motion, kind: Literal["move", "hold"]) -> Segment:
+    samples = motion.sample(robot.capabilities.rate_hz)
+    return Segment(
+        index=next(_numbers),
+        kind=kind,
+        q=samples.q,
+        qd=samples.qd,
+        qdd=samples.qdd,
+        speed=float(np.abs(samples.qd).max()),
+        acceleration=float(np.abs(samples.qdd).max()),
+    )
+
+
+def _way(row: np.void, segment: Segment) -> float:
+    return float(np.abs(row["q"] - segment.q[0]).max())

@@ -1,0 +1,213 @@
+"""What the contract of `hil.robot.Robot` says, as checks that raise `AssertionError`."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from hil.errors import HilError, RobotConnectionError, RobotError, RobotTimeout
+from hil.payload import Payload
+from hil.robot import Robot, Status, state_dtype
+from hil.testing.moves import REST_RAD_S, begin, follow, hold, move, settle, standing_at
+
+Check: TypeAlias = Callable[[Robot], None]
+
+STOP_S = 0.1
+"""Wall time that `stop` may take [s]."""
+
+_WAY_RAD = 0.1
+_LONG_WAY_RAD = 0.4
+_AT_GOAL_RAD = 0.01
+_GRACE_S = 2.0
+
+
+def names_rates_and_limits_are_known_before_connecting(robot: Robot) -> None:
+    """`capabilities` and `limits` belong together and make sense."""
+    can, limits = robot.capabilities, robot.limits
+    n = len(can.joint_names)
+    assert n > 0, "no joints"
+    assert can.rate_hz > 0, f"a rate of {can.rate_hz} Hz"
+    assert can.effort_kind in ("current", "torque"), f"efforts in {can.effort_kind}"
+    assert can.clock in ("wall", "virtual"), f"a clock that is {can.clock}"
+    for name in ("q_min", "q_max", "qd_max", "qdd_max", "effort_max"):
+        shape = np.shape(getattr(limits, name))
+        assert shape == (n,), f"limits.{name} has shape {shape}, not ({n},)"
+    assert (limits.q_min < limits.q_max).all(), "limits.q_min is not below q_max"
+
+
+def nobody_is_there_before_connecting(robot: Robot) -> None:
+    """`identity` and `read` raise `RobotConnectionError`."""
+    _raises(RobotConnectionError, lambda: robot.identity, "identity before connect")
+    _raises(RobotConnectionError, robot.read, "read before connect")
+
+
+def stop_works_before_connecting(robot: Robot) -> None:
+    """There is nothing to stop, and it says nothing."""
+    _stop_in_time(robot, "before connect")
+
+
+def connecting_twice_is_connecting_once(robot: Robot) -> None:
+    """`connect` is idempotent."""
+    robot.connect()
+    before = robot.identity
+    robot.connect()
+    assert robot.identity == before, f"connected again it is {robot.identity}, not {before}"
+    robot.read()
+
+
+def a_closed_robot_is_gone(robot: Robot) -> None:
+    """`close` and `stop` are idempotent; `read` says that nobody is there."""
+    robot.connect()
+    robot.read()
+    robot.close()
+    robot.close()
+    _stop_in_time(robot, "after close")
+    _raises(RobotConnectionError, robot.read, "read after close")
+
+
+def rows_are_state_rows_in_order(robot: Robot) -> None:
+    """`read` gives at least one row of `state_dtype(n)`; device time increases row by row."""
+    blocks = [robot.read() for _ in range(5)]
+    expected = state_dtype(len(robot.capabilities.joint_names))
+    for block in blocks:
+        assert len(block), "a block without rows"
+        assert block.dtype == expected, f"rows are {block.dtype}, not {expected}"
+    times = np.concatenate(blocks)["device_time"]
+    assert np.isfinite(times).all(), "a device time that is not a number"
+    assert (np.diff(times) > 0).all(), "device times repeat or run backwards"
+
+
+def a_robot_at_rest_holds(robot: Robot) -> None:
+    """Nobody moved it: no `MOVING`, no speed, no fault."""
+    row = robot.read()[-1]
+    assert not row["status"] & (Status.MOVING | Status.FAULT), f"status {row['status']} at rest"
+    assert np.abs(row["qd"]).max() < REST_RAD_S, f"moves at {row['qd']} rad/s"
+
+
+def a_move_ends_where_it_was_told(robot: Robot) -> None:
+    """Its rows carry its segment, `MOVING` ends at the goal."""
+    segment = move(robot, _WAY_RAD)
+    mine = follow(robot, segment)
+    off = np.abs(mine[-1]["q"] - segment.q[-1]).max()
+    assert off < _AT_GOAL_RAD, f"ended {off:.4f} rad from where it was told to"
+    assert (np.diff(mine["device_time"]) > 0).all(), "device times repeat or run backwards"
+
+
+def a_hold_of_one_set_point_holds(robot: Robot) -> None:
+    """N = 1: the rows carry the segment, and nothing moves."""
+    here = standing_at(robot)
+    mine = follow(robot, hold(robot))
+    off = np.abs(mine[-1]["q"] - here).max()
+    assert off < _AT_GOAL_RAD, f"a hold has moved by {off:.4f} rad"
+
+
+def what_was_not_prepared_does_not_start(robot: Robot) -> None:
+    """`start` raises a `RobotError`, also when a segment was started before."""
+    _raises(RobotError, robot.start, "start with nothing prepared")
+
+
+def the_payload_is_read_back(robot: Robot) -> None:
+    """`set_payload` returns what the controller has, and nothing again after that."""
+    mass = min(1.0, robot.limits.payload_max_kg / 2)
+    declared = Payload(mass, (0.0, 0.01, 0.04))
+    for payload in (declared, Payload()):
+        told = robot.set_payload(payload)
+        assert payload.agrees_with(told), f"declared {payload}, read back {told}"
+
+
+def a_read_waits_no_longer_than_it_may(robot: Robot) -> None:
+    """A tiny time-out gives rows or `RobotTimeout`, and the next read gives rows."""
+    asked = time.monotonic()
+    with contextlib.suppress(RobotTimeout):
+        robot.read(1e-4)
+    took = time.monotonic() - asked
+    assert took < _GRACE_S, f"read(timeout_s=1e-4) took {took:.2f} s"
+    assert len(robot.read()), "a block without rows"
+
+
+def stop_works_at_rest_and_again(robot: Robot) -> None:
+    """`stop` is idempotent."""
+    for which in ("at rest", "at rest, the second time"):
+        _stop_in_time(robot, which)
+
+
+def stop_ends_a_motion(robot: Robot) -> None:
+    """It returns at once, the arm comes to rest before its goal, and can be moved again."""
+    segment = move(robot, _LONG_WAY_RAD)
+    begin(robot, segment)
+    _stop_in_time(robot, "while moving")
+    settle(robot)
+    left = np.abs(standing_at(robot) - segment.q[-1]).max()
+    assert left > _AT_GOAL_RAD, "the motion went on to its goal"
+    a_move_ends_where_it_was_told(robot)
+
+
+def stop_works_while_another_thread_reads(robot: Robot) -> None:
+    """No call in progress delays it."""
+    begin(robot, move(robot, _LONG_WAY_RAD))
+    over = threading.Event()
+    thread = threading.Thread(target=_read_until, args=(robot, over))
+    thread.start()
+    try:
+        time.sleep(0.05)
+        _stop_in_time(robot, "while another thread reads")
+    finally:
+        over.set()
+        thread.join()
+    settle(robot)
+
+
+BEFORE_AND_AFTER: tuple[Check, ...] = (
+    names_rates_and_limits_are_known_before_connecting,
+    nobody_is_there_before_connecting,
+    stop_works_before_connecting,
+    connecting_twice_is_connecting_once,
+    a_closed_robot_is_gone,
+)
+"""Each needs a robot that is not connected."""
+
+CONNECTED: tuple[Check, ...] = (
+    rows_are_state_rows_in_order,
+    a_robot_at_rest_holds,
+    what_was_not_prepared_does_not_start,
+    a_move_ends_where_it_was_told,
+    a_hold_of_one_set_point_holds,
+    what_was_not_prepared_does_not_start,
+    the_payload_is_read_back,
+    a_read_waits_no_longer_than_it_may,
+    stop_works_at_rest_and_again,
+    stop_ends_a_motion,
+    stop_works_while_another_thread_reads,
+)
+"""Each leaves a connected robot at rest."""
+
+
+def _raises(kind: type[HilError], call: Callable[[], object], what: str) -> None:
+    try:
+        call()
+    except kind:
+        return
+    except Exception as error:
+        raise AssertionError(
+            f"{what} raised {type(error).__name__}, not {kind.__name__}"
+        ) from error
+    raise AssertionError(f"{what} did not raise {kind.__name__}")
+
+
+def _stop_in_time(robot: Robot, when: str) -> None:
+    asked = time.perf_counter()
+    robot.stop()
+    took = time.perf_counter() - asked
+    assert took < STOP_S, f"stop {when} took {took * 1e3:.0f} ms"
+
+
+def _read_until(robot: Robot, over: threading.Event) -> None:
+    with contextlib.suppress(HilError):
+        while not over.is_set():
+            robot.read()
+            time.sleep(1e-3)  # what an engine does with the rows
