@@ -30,14 +30,16 @@ def read_rows(recording: Recording, topic: str, *, salvage: bool) -> StructArray
     Raises:
         DataError: The topic is missing or has no fixed size, or the file is torn or damaged.
     """
-    channels = recording.channels_of(topic)
+    if salvage and not recording.layout.complete:
+        recording.distrust_indexes()  # and find what the chunks say about channels
+    named = recording.channels_of(topic)
+    # A channel without messages may be one whose definition was spoilt outside the chunks.
+    channels = [channel for channel in named if recording.count([channel])] or named
     dtype = recording.dtype_of(channels[0])
     if any(recording.dtype_of(channel) != dtype for channel in channels):
         raise DataError(f"{recording.path}: the messages of {topic} are of several kinds")
     if not salvage:
         _require_whole(recording, topic, channels)
-    elif not recording.layout.complete:
-        recording.distrust_indexes()
     of_topic = np.zeros(1 << 16, np.bool_)
     of_topic[[channel.id for channel in channels]] = True
     lift = _Lift(recording, of_topic, dtype, salvage)
