@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from hil.campaign.operator import ask_operator
+from hil.campaign.answers import load_answers
+from hil.campaign.operator import ConsoleOperator
 from hil.engine import Prompt
-from hil.engine.pausing import GoOn, nobody_goes_on
+from hil.engine.pausing import GoOn
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +18,27 @@ class Desk:
     Attributes:
         prompt: Asks for a confirmation.
         go_on: Looks, without waiting, whether the operator ends a pause.
+        wait_s: How long to wait for a robot that somebody else holds [s].
     """
 
-    prompt: Prompt = ask_operator
-    go_on: GoOn = nobody_goes_on
+    prompt: Prompt
+    go_on: GoOn
+    wait_s: float = 0.0
+
+
+def console_desk(
+    operator: str = "", *, answers: str | Path | None = None, wait_s: float = 0.0
+) -> Desk:
+    """The console of this process, and other terminals.
+
+    Args:
+        operator: Who sits there; recorded with what they answer.
+        answers: File with the answers to all prompts, in place of asking.
+        wait_s: How long to wait for a robot that somebody else holds [s].
+
+    Raises:
+        SpecError: The file has mistakes; all are listed.
+    """
+    console = ConsoleOperator(operator or "operator")
+    prompt: Prompt = console if answers is None else load_answers(answers)
+    return Desk(prompt, console.goes_on, wait_s)

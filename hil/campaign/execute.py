@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hil.campaign.beginning import open_recorder
+from hil.campaign.control import Control
 from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
-from hil.campaign.operator import mock_mounts
+from hil.campaign.live_state import LiveState
+from hil.campaign.operator import prompt_on
 from hil.campaign.robots import close_robot
 from hil.campaign.sink import COUNTED, RunSink, counts_of
 from hil.data.completeness import Completeness, completeness_of
@@ -40,6 +42,7 @@ class Attendance:
         go_on: Looks whether the operator ends a pause.
         operator: Who is at the robot; empty for the user of this process.
         waivers: Preflight check → why its failure is accepted.
+        wait_s: How long to wait for a robot that somebody else holds [s].
     """
 
     observers: Observers
@@ -48,6 +51,11 @@ class Attendance:
     go_on: GoOn = nobody_goes_on
     operator: str = ""
     waivers: Mapping[str, str] = field(default_factory=dict)
+    wait_s: float = 0.0
+
+    def stage(self, text: str) -> None:
+        """Tell observers what is being done."""
+        self.observers.publish({"kind": "stage", "stage": text})
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,22 +120,25 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         with contextlib.suppress(HilError):
             directory.write_stop("failed", str(error) or type(error).__name__, attempt=number)
         raise
-    virtual = robot.capabilities.clock == "virtual"
+    prompt = prompt_on(robot, attendance.prompt)
     engine = Engine(
         attempt.todo,
         robot,
         sink,
         interlocks=interlocks,
         observers=attendance.observers,
-        prompt=mock_mounts if virtual else attendance.prompt,
+        prompt=prompt,
         go_on=attendance.go_on,
         health=sink.health,
         stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan),
     )
     attendance.signals.bind(engine, robot)
-    result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
-    interlocks.close()
+    live = LiveState(directory.path)
+    attendance.observers.add(live)
+    with contextlib.closing(interlocks), Control(directory.path, engine, sink.event, prompt):
+        result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
+    live.close()
     result = replace(result, notes=(*result.notes, *close_robot(robot)))
     return _finish(attempt, result, recorder, sink, attendance.observers)
 

@@ -10,7 +10,8 @@ from hil.campaign.beginning import write_beginning
 from hil.campaign.execute import Attempt, Attendance, Recorded, execute
 from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
-from hil.campaign.robots import connected, plan_for
+from hil.campaign.operator import prompt_on, require_attended
+from hil.campaign.robots import held, plan_for
 from hil.errors import HilError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
@@ -28,17 +29,19 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
 
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
+        PreflightFailed: It asks for something to be done, and nobody could answer.
         RecordingError: The run directory cannot be made.
     """
-    observers = attendance.observers
-    with connected(experiment.spec.robot, experiment.robot) as robot:
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
         require_usable(experiment, robot)
-        observers.publish({"kind": "stage", "stage": "planning"})
+        attendance.stage("planning")
         plan = plan_for(experiment, robot)
+        require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
-        with attendance.signals.guard(), contextlib.ExitStack() as held:
+        with attendance.signals.guard(), contextlib.ExitStack() as open_files:
             directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-            held.enter_context(hold_run(directory.path))
+            open_files.enter_context(hold_run(directory.path))
+            lease.note_run(directory.path)
             try:
                 write_beginning(
                     directory,
@@ -52,7 +55,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
                 with contextlib.suppress(HilError):
                     directory.write_stop("failed", str(error) or type(error).__name__)
                 raise
-            observers.publish({"kind": "stage", "stage": f"running {plan.name} → {directory.path}"})
+            attendance.stage(f"running {plan.name} → {directory.path}")
             return execute(Attempt(directory, 0, experiment, plan, plan), robot, attendance)
 
 

@@ -13,9 +13,10 @@ from typing import Any
 
 from hil.campaign.execute import NOTHING, Attempt, Attendance, Recorded, execute
 from hil.campaign.experiment import Experiment, load_experiment
+from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
-from hil.campaign.robots import connected, standing_at
+from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Outcome, RunResult
@@ -72,6 +73,8 @@ def open_unfinished(path: Path) -> Unfinished:
             )
     plan = Plan.from_dict(read_json(path / "plan.json"))
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
+    # The copy of the station in the run is the same station, and its robots the same robots.
+    experiment = replace(experiment, station_source=str(start.get("station", "")))
     _require_same("plan.json", "plan_hash", start, plan.hash)
     _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
     complete = completeness_of(plan, directory.recordings)
@@ -88,25 +91,23 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         RecordingError: The run directory cannot be written to.
     """
     experiment, plan = unfinished.experiment, unfinished.plan
-    observers, directory = attendance.observers, unfinished.directory
-    with connected(experiment.spec.robot, experiment.robot) as robot:
+    directory = unfinished.directory
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
         _require_same_robot(directory, robot)
         require_usable(experiment, robot)
-        observers.publish({"kind": "stage", "stage": "planning the way back"})
+        attendance.stage("planning the way back")
         cold = _is_cold(directory, robot)
         todo = _todo(unfinished, robot, cold=cold)
+        require_attended(todo, prompt_on(robot, attendance.prompt))
         before = _counts_before(directory, plan.rate_hz)
         with attendance.signals.guard(), hold_run(directory.path):
+            lease.note_run(directory.path)
             number = directory.next_attempt()
             directory.write_resume(
                 number, _document(unfinished, robot, todo, attendance, cold=cold)
             )
-            observers.publish(
-                {
-                    "kind": "stage",
-                    "stage": f"going on with {plan.name} ({unfinished.complete}) "
-                    f"→ {directory.path}",
-                }
+            attendance.stage(
+                f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
             )
             attempt = Attempt(directory, number, experiment, plan, todo, before)
             return execute(attempt, robot, attendance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,6 +13,7 @@ from hil.campaign.experiment import Experiment
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot
+from hil.robot.lease import Lease, leased
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
@@ -74,6 +75,31 @@ def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
     with opened(name, station_robot) as robot:
         robot.connect()
         yield robot
+
+
+@contextlib.contextmanager
+def held(
+    experiment: Experiment, *, wait_s: float = 0.0, tell: Callable[[str], object]
+) -> Iterator[tuple[Robot, Lease]]:
+    """The experiment's robot, connected and leased while inside: no other process has it.
+
+    Args:
+        experiment: Says which robot of which station.
+        wait_s: How long to wait for somebody else to let it go [s].
+        tell: Is told once who is waited for.
+
+    Raises:
+        RobotConnectionError: Another process holds the robot, or it cannot be reached.
+        PluginError, SpecError, RobotError: See `open_robot`.
+    """
+    name, station = experiment.spec.robot, experiment.station_source
+    driver = experiment.robot.driver
+    with (
+        opened(name, experiment.robot) as robot,
+        leased(robot, name=name, driver=driver, station=station, wait_s=wait_s, tell=tell) as lease,
+    ):
+        robot.connect()
+        yield robot, lease
 
 
 def close_robot(robot: Robot) -> list[str]:

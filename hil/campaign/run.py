@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.campaign.desk import Desk
+from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord
 from hil.campaign.view import verdict_word
@@ -136,12 +136,13 @@ def _attended(
     """Motion, fit, verdict and report, with signals and observers looked after."""
     from hil.campaign.execute import Attendance
 
-    watching, signals, at = Observers(tuple(observers)), SignalWatch(), desk or Desk()
+    watching, signals = Observers(tuple(observers)), SignalWatch()
+    at = desk or console_desk(operator)
     try:
         with signals:
             try:
                 recorded = motion(
-                    Attendance(watching, signals, at.prompt, at.go_on, operator, waivers)
+                    Attendance(watching, signals, at.prompt, at.go_on, operator, waivers, at.wait_s)
                 )
             except (Exception, StopSignal):
                 # A library that was interrupted may raise an error of its own instead.

@@ -72,6 +72,10 @@ class Observers:
     def __init__(self, observers: tuple[Observer, ...] = ()) -> None:
         self._threads = [ObserverThread(observer) for observer in observers]
 
+    def add(self, observer: Observer) -> None:
+        """One more from now on; not while another thread publishes."""
+        self._threads.append(ObserverThread(observer))
+
     def publish(self, event: Event) -> None:
         """Tell everybody."""
         for thread in self._threads:

@@ -44,6 +44,7 @@ RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 _EVENTS = "events.jsonl"
+_REPORT = Path("report.html")
 _RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
 
@@ -246,7 +247,12 @@ class RunDirectory:
     def _checksums(self) -> dict[str, Any]:
         inside = (path for path in self.path.rglob("*") if path.is_file())
         names = {path.relative_to(self.path): path for path in sorted(inside)}
-        kept = {n: p for n, p in names.items() if not any(x.startswith(".") for x in n.parts)}
+        # Views (the report, what begins with a dot) may be made anew: they are no part of it.
+        kept = {
+            name: path
+            for name, path in names.items()
+            if name != _REPORT and not any(part.startswith(".") for part in name.parts)
+        }
         try:
             sums = {name.as_posix(): sha256_of(path) for name, path in kept.items()}
             log = self.events_path
