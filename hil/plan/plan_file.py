@@ -1,0 +1,24 @@
+"""Plans as files: what is read back is a plan, or an error that says what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hil.plan.document import require_plan
+from hil.plan.plan import Plan
+from hil.record.files import read_json
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan a JSON file holds, equal to the one that was written, hash included.
+
+    Whether it is the plan a run was begun with is for the caller to see: compare `Plan.hash` with
+    the start document's `plan_hash`.
+
+    Raises:
+        DataError: The file is missing, no JSON, no plan (with the place of everything that is
+            wrong), or was written by a newer hil.
+    """
+    document = read_json(path)
+    require_plan(document, str(path))
+    return Plan.from_dict(document)
