@@ -122,7 +122,7 @@ class FreeSpace:
         self._answered = self._now()
         self._thread = threading.Thread(target=self._look, name="hil-free-space", daemon=True)
         self._thread.start()
-        self._first.wait(POLL_S)
+        self._first.wait(self._poll_s)
 
     def _look(self) -> None:
         while not self._closing.is_set():
