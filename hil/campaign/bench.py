@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.campaign.experiment import find_station
 from hil.campaign.live_state import read_live
-from hil.campaign.robots import open_robot
+from hil.campaign.robots import opened
 from hil.errors import HilError
 from hil.holder import Holder, plain
 from hil.record.lock import is_live
@@ -87,8 +87,8 @@ def _robot(name: str, described: StationRobot, source: str) -> BenchRobot:
     driver, model = described.driver, described.model
     try:
         # Constructing a driver touches neither network nor bus.
-        robot = open_robot(name, described)
-        resource = resource_of(robot, name=name, driver=driver, station=source)
+        with opened(name, described) as robot:
+            resource = resource_of(robot, name=name, driver=driver, station=source)
     except HilError as error:
         return BenchRobot(name, driver, model, source, problem=error.message)
     except Exception as error:  # a driver may fail in any way it likes

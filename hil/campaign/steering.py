@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.control_files import ControlRequest, What, drop
-from hil.campaign.live_state import read_live
+from hil.campaign.live_state import read_live, standing_in
 from hil.errors import DataError, RobotTimeout
 from hil.holder import plain
 from hil.record.lock import is_live, run_holder
@@ -96,17 +96,18 @@ def _ask(
     prompt: str = "",
     yes: bool = False,
 ) -> Reaction:
-    deadline = time.monotonic() + wait_s
+    deadline, seen = time.monotonic() + wait_s, read_live(run)
     request = _hand_over(run, ControlRequest(what, who, "", reason, prompt, yes), deadline)
     while time.monotonic() < deadline:
         view = read_live(run)
+        seen = view or seen  # a run that ends takes its view away
         if not request.exists() and (_is_over(run, view) or obeyed(view)):
             break
         time.sleep(LOOK_EVERY_S)
     else:
         if wait_s > 0:
             raise _too_late(run, what, request, wait_s)
-    return _now(run, what)
+    return _reaction(run, what, seen)
 
 
 def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
@@ -149,14 +150,13 @@ def _is_over(run: Path, view: View) -> bool:
     return view.get("state") == "done" and RunDirectory(run).stop is not None
 
 
-def _now(run: Path, what: What) -> Reaction:
-    view = read_live(run)
+def _reaction(run: Path, what: What, view: View) -> Reaction:
     if _is_over(run, view):
         state, reason = ending(run)
     else:
         state, reason = str(view.get("state", "")), str(view.get("reason", ""))
-    step, steps = view.get("step", -1), view.get("steps", 0)
-    return Reaction(str(run), what, state, reason, int(step), int(steps))
+    standing = standing_in(view)
+    return Reaction(str(run), what, state, reason, standing.step, standing.steps)
 
 
 def ending(run: Path) -> tuple[str, str]:

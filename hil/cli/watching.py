@@ -8,15 +8,16 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import typer
-
 from hil.campaign.live_state import standing_in
 from hil.cli.output import duration
+from hil.holder import plain
 from hil.live.standing import ENDING, Standing
 from hil.live.words import state_words, step_words
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0
+MOST = 2000
+"""Characters of one line; what files say was written by anybody."""
 
 Item = Mapping[str, Any]
 
@@ -50,13 +51,14 @@ class WatchLines:
             if not (self._terminal and event["kind"] in QUIET):
                 self.line(f"{_clock(event)}  {words_of(event, self._run)}")
         elif item["kind"] == "live":
-            self._live(live_line(item))
+            self._live(plain(live_line(item), most=MOST))
         elif item["kind"] == "end":
             self.line(end_line(item))
 
     def line(self, text: str) -> None:
         """Print a line that stays."""
-        typer.echo(f"{self._clear()}{text}")
+        sys.stdout.write(f"{self._clear()}{text}\n")
+        sys.stdout.flush()
 
     def _live(self, text: str) -> None:
         if self._terminal:
@@ -101,16 +103,17 @@ def end_line(end: Item) -> str:
 
 def words_of(event: Item, run: str) -> str:
     """One event of the log, for people."""
-    kind = str(event["kind"])
-    known = _WORDS.get(kind)
+    known = _WORDS.get(str(event["kind"]), _any)
     try:
-        if known is not None:
-            return known(event, run)
-    except (KeyError, TypeError, ValueError):
-        pass  # written by another version
+        told = known(event, run)
+    except (KeyError, TypeError, ValueError):  # written by another version
+        told = _any(event, run)
+    return plain(told, most=MOST)
+
+
+def _any(event: Item, run: str) -> str:
     details = {key: value for key, value in event.items() if key not in ("t", "time", "kind")}
-    told = " ".join(f"{key}={value}" for key, value in details.items())
-    return f"{kind} {told}".strip()
+    return " ".join([str(event["kind"]), *(f"{key}={value}" for key, value in details.items())])
 
 
 def _asked(event: Item, run: str) -> str:

@@ -1,0 +1,114 @@
+"""The live view: a small file that others may read while a run goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.campaign import live_state
+from hil.campaign.live_state import LiveState, read_live, standing_in
+from hil.errors import RecordingError
+
+PROGRESS: dict[str, Any] = {
+    "kind": "progress", "step": 11, "steps": 50, "doing": "dwell", "pose": 5, "trajectory": -1,
+    "device_s": 25.0, "wall_s": 25.0, "duration_s": 100.0, "samples": 3125, "state": "running",
+    "gaps": 1, "missing": 2, "duplicates": 0, "overruns": 0, "behind_s": 0.1,
+}  # fmt: skip
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Monotonic time, to be moved."""
+    now = [100.0]
+    monkeypatch.setattr(live_state.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_the_view_says_where_the_run_is(tmp_path: Path, clock: list[float]) -> None:
+    live = LiveState(tmp_path)
+    for state in ("preflight", "armed", "running"):
+        live.notify({"kind": "state", "state": state, "reason": ""})
+    clock[0] += 1.0
+    live.notify(PROGRESS)
+    view = json.loads((tmp_path / ".live.json").read_text())
+    kept = {key: value for key, value in PROGRESS.items() if key != "kind"}
+    assert kept.items() <= view.items()
+    assert (view["pid"], view["percent"], view["left_s"]) == (os.getpid(), 25.0, 75.0)
+    assert view["updated"].endswith("+00:00")
+
+
+def test_progress_is_written_once_a_second_and_news_at_once(
+    tmp_path: Path, clock: list[float]
+) -> None:
+    live = LiveState(tmp_path)
+    steps = []
+    for step in range(30):
+        live.notify(PROGRESS | {"step": step})
+        steps.append(read_live(tmp_path)["step"])
+        clock[0] += 0.1
+    assert len(set(steps)) == 3
+    live.notify(PROGRESS | {"step": 30})
+    live.notify({"kind": "state", "state": "paused", "reason": "asked by anna"})
+    assert (read_live(tmp_path)["step"], read_live(tmp_path)["state"]) == (30, "paused")
+
+
+def test_a_question_stands_there_until_it_is_answered(tmp_path: Path) -> None:
+    live = LiveState(tmp_path)
+    live.notify({"kind": "prompt", "text": "Mount it", "answered_by": ""})
+    assert read_live(tmp_path)["prompt"] == "Mount it"
+    live.notify({"kind": "prompt", "text": "Mount it", "answered_by": "nobody"})
+    assert read_live(tmp_path)["prompt"] == ""
+
+
+def test_the_view_goes_with_the_run_and_does_not_come_back(tmp_path: Path) -> None:
+    live = LiveState(tmp_path)
+    live.notify({"kind": "stage", "stage": "running"})
+    live.close()
+    live.notify({"kind": "stage", "stage": "late"})
+    live.close()
+    assert list(tmp_path.iterdir()) == []
+    assert read_live(tmp_path) == {}
+
+
+def test_a_full_disk_does_not_end_the_watching(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live = LiveState(tmp_path)
+    with monkeypatch.context() as patch:
+
+        def full(*arguments: Any) -> None:
+            raise RecordingError("no space left on device")
+
+        patch.setattr(live_state, "write_replacing", full)
+        live.notify({"kind": "stage", "stage": "first"})
+    live.notify({"kind": "stage", "stage": "second"})
+    assert read_live(tmp_path)["stage"] == "second"
+
+
+def test_a_reader_never_sees_half_a_view(tmp_path: Path) -> None:
+    live, over, seen = LiveState(tmp_path), threading.Event(), []
+
+    def read() -> None:
+        while not over.is_set():
+            seen.append(read_live(tmp_path).get("stage", ""))
+
+    live.notify({"kind": "stage", "stage": "0"})
+    reader = threading.Thread(target=read)
+    reader.start()
+    for i in range(200):
+        live.notify({"kind": "stage", "stage": str(i)})
+    over.set()
+    reader.join()
+    assert "" not in seen
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"step": "three", "reason": 7}'])
+def test_a_damaged_view_says_nothing(content: str, tmp_path: Path) -> None:
+    (tmp_path / ".live.json").write_text(content)
+    standing = standing_in(read_live(tmp_path))
+    assert (standing.step, standing.reason) == (-1, "")
