@@ -59,6 +59,19 @@ class Attendance:
 
 
 @dataclass(frozen=True, slots=True)
+class Before:
+    """What earlier attempts of a run recorded.
+
+    Attributes:
+        counts: Of the robot record, see `Recorded.counts`.
+        device_s: Device time of their samples [s].
+    """
+
+    counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
+    device_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Attempt:
     """What is about to be executed.
 
@@ -68,7 +81,7 @@ class Attempt:
         experiment: Spec and station.
         plan: Of the whole run.
         todo: What of it is to be executed now, from where the robot stands.
-        before: Counts of the attempts before this one.
+        before: What the attempts before this one recorded.
     """
 
     directory: RunDirectory
@@ -76,7 +89,7 @@ class Attempt:
     experiment: Experiment
     plan: Plan
     todo: Plan
-    before: Mapping[str, int] = field(default_factory=lambda: NOTHING)
+    before: Before = field(default_factory=lambda: Before())
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +186,13 @@ def _finish(
         error = lost[0]
         result = replace(result, outcome=Outcome.FAILED, reason=error.message, error=error)
     own = counts_of(recorder.counts[STATE_TOPIC])
-    counts = {name: own[name] + attempt.before[name] for name in COUNTED}
+    counts = {name: own[name] + attempt.before.counts[name] for name in COUNTED}
     document = {
         **counts,
-        "steps_done": result.steps_done,
+        "steps_done": len(attempt.plan) - (len(attempt.todo) - result.steps_done),
         "unsettled": sorted(complete.unsettled) if complete else list(result.unsettled),
         "complete": complete.to_dict() if complete else {},
-        "device_s": result.device_s,
+        "device_s": result.device_s + attempt.before.device_s,
         "wall_s": result.wall_s,
         "problems": list(notes),
     }

@@ -8,10 +8,11 @@ import socket
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.execute import NOTHING, Attempt, Attendance, Recorded, execute
+from hil.campaign.execute import NOTHING, Attempt, Attendance, Before, Recorded, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
@@ -23,9 +24,10 @@ from hil.engine import Outcome, RunResult
 from hil.errors import DataError, PreflightFailed
 from hil.plan.approach import Approach
 from hil.plan.plan import Plan
+from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
-from hil.record.files import read_json
 from hil.record.lock import hold_run
+from hil.record.parts import attempt_of
 from hil.record.provenance import utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
@@ -71,7 +73,7 @@ def open_unfinished(path: Path) -> Unfinished:
                 f"{path} has no {name}: it ended before anything moved",
                 hint="there is nothing to go on with; run the experiment again",
             )
-    plan = Plan.from_dict(read_json(path / "plan.json"))
+    plan = read_plan(path / "plan.json")
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
     # The copy of the station in the run is the same station, and its robots the same robots.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
@@ -99,7 +101,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         cold = _is_cold(directory, robot)
         todo = _todo(unfinished, robot, cold=cold)
         require_attended(todo, prompt_on(robot, attendance.prompt))
-        before = _counts_before(directory, plan.rate_hz)
+        before = _before(directory, plan.rate_hz)
         with attendance.signals.guard(), hold_run(directory.path):
             lease.note_run(directory.path)
             number = directory.next_attempt()
@@ -162,14 +164,18 @@ def _is_cold(directory: RunDirectory, robot: Robot) -> bool:
     return time.time() - newest > COLD_AFTER_S
 
 
-def _counts_before(directory: RunDirectory, rate_hz: float) -> Mapping[str, int]:
+def _before(directory: RunDirectory, rate_hz: float) -> Before:
     """What the recordings so far hold; their gaps and duplicates count for the whole run."""
-    total = dict(NOTHING)
-    for path in directory.recordings:
-        with contextlib.suppress(DataError):  # torn before its first samples
-            own = counts_of(Counts().after(read_topic(path, salvage=True), rate_hz))
-            total = {name: total[name] + own[name] for name in COUNTED}
-    return total
+    total, device_s = dict(NOTHING), 0.0
+    for _, parts in groupby(directory.recordings, attempt_of):
+        counts = Counts()
+        for path in parts:
+            with contextlib.suppress(DataError):  # torn before its first samples
+                counts = counts.after(read_topic(path, salvage=True), rate_hz)
+        own = counts_of(counts)
+        total = {name: total[name] + own[name] for name in COUNTED}
+        device_s += counts.last_time - counts.first_time if counts.samples else 0.0
+    return Before(total, device_s)
 
 
 def _document(
@@ -204,10 +210,9 @@ def recorded_before(unfinished: Unfinished) -> Recorded:
             f"{directory.path} is complete ({unfinished.complete}) and judged",
             hint=f"look at it: hil show {directory.path}",
         )
-    counts = _counts_before(directory, unfinished.plan.rate_hz)
+    before = _before(directory, unfinished.plan.rate_hz)
     steps = len(unfinished.plan)
     unsettled = tuple(sorted(unfinished.complete.unsettled))
-    result = RunResult(
-        Outcome.COMPLETED, "", None, steps, unsettled, counts["samples"], float("nan"), 0.0
-    )
-    return Recorded(directory, result, counts)
+    samples = before.counts["samples"]
+    result = RunResult(Outcome.COMPLETED, "", None, steps, unsettled, samples, before.device_s, 0.0)
+    return Recorded(directory, result, before.counts)

@@ -10,6 +10,8 @@ from hil.errors import DataError
 from hil.record.catalogue import RunListing
 from hil.record.catalogue import list_runs as listings_of
 from hil.record.files import read_json
+from hil.record.lock import is_live
+from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 
 
@@ -28,8 +30,13 @@ def describe_run(run: str | Path) -> dict[str, Any]:
         DataError: It is no run directory, or was written by a newer version.
     """
     directory = RunDirectory.open(Path(run))
-    out: dict[str, Any] = {"run": str(directory.path), "status": directory.status}
+    status = "running" if is_live(directory.path) else directory.status
+    out: dict[str, Any] = {"run": str(directory.path), "status": status}
     out |= {"start": directory.start, "stop": directory.stop}
+    out["resumed"] = [
+        _optional(directory.path / name_of_attempt("resume.json", attempt))
+        for attempt in range(1, directory.attempts)
+    ]
     out["verdict"] = _optional(directory.path / "verdict.json")
     out["fits"] = {
         file.parent.name: _optional(file)
@@ -47,7 +54,7 @@ def verdict_word(run: Path) -> VerdictWord:
 
 
 def _entry(listing: RunListing) -> dict[str, Any]:
-    stop = _optional(listing.path / "stop.json") or {}
+    stop = _stop(RunDirectory(listing.path))
     return {
         "run": str(listing.path),
         "status": listing.status,
@@ -58,6 +65,13 @@ def _entry(listing: RunListing) -> dict[str, Any]:
         "verdict": verdict_word(listing.path),
         "problem": listing.problem,
     }
+
+
+def _stop(run: RunDirectory) -> dict[str, Any]:
+    try:
+        return run.stop or {}
+    except DataError:
+        return {}
 
 
 def _optional(path: Path) -> dict[str, Any] | None:
