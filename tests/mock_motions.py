@@ -44,10 +44,25 @@ def segment(setpoints, index=0, kind="trajectory"):
 
 
 def play(robot, piece):
-    """Prepare, start and read one segment to its end; returns its rows."""
+    """Prepare, start and read one segment to its end; returns its rows.
+
+    In wall time rows from before its start may still come, and some after its end.
+    """
     robot.prepare(piece)
     robot.start()
     blocks = [robot.read()]
-    while not blocks[-1]["status"][-1] & Status.HOLDING:
+    while blocks[-1]["segment"][-1] != piece.index or not (
+        blocks[-1]["status"][-1] & Status.HOLDING
+    ):
         blocks.append(robot.read())
-    return np.concatenate(blocks)
+    rows = np.concatenate(blocks)
+    return rows[rows["segment"] == piece.index]
+
+
+UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
+ASIDE = UPRIGHT + np.radians([30.0, 20.0, -40.0, 30.0, 25.0, -60.0])
+
+
+def move(start=UPRIGHT, end=ASIDE, index=0, duration_s=1.6, rate_hz=125):
+    """From rest to rest, for a UR5."""
+    return segment(blend(start, end, rate_hz, duration_s), index, "move")

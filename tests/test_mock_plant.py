@@ -8,7 +8,7 @@ from hil.arms import load_arm
 from hil.errors import SpecError
 from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.options import MOUNTS, gravity_of
+from hil_mock_robot.mounting import MOUNTS, gravity_of
 from hil_mock_robot.plant import build_plant
 
 LOAD = Payload(2.5, (0.02, -0.01, 0.06), (0.01, 0.012, 0.008, 0.001, -0.0005, 0.0002))

@@ -1,56 +1,40 @@
-"""The embedded mock robot: a whole robot in this process, on a virtual clock.
+"""The embedded mock robot: a whole robot in this process, on a virtual clock or in wall time.
 
 MuJoCo and numba load on `connect`; until then only names, rates and limits are known.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Sequence
+import time
+import weakref
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, PluginError, RobotConnectionError, RobotFault
-from hil.robot import Capabilities, Identity, Limits, Payload, Segment, Status, state_dtype
+from hil.errors import HilError, PluginError
+from hil.robot import Capabilities, Identity, Limits, Payload, Segment
 from hil.typing import FloatArray, StructArray
-from hil_mock_robot.draw import published
-from hil_mock_robot.motion import Motion
-from hil_mock_robot.options import (
-    mount_of,
-    mounted_of,
-    options_of,
-    require_same_mount,
-    require_short_block,
-    start_of,
-    truth_of,
-)
-from hil_mock_robot.records import timing_of
-from hil_mock_robot.sensors import Sensors
+from hil_mock_robot.arm import Arm
+from hil_mock_robot.clocks import Clock, VirtualClock
+from hil_mock_robot.controller import Controller
+from hil_mock_robot.faults import faults_of
+from hil_mock_robot.journal import Journal, Moment
+from hil_mock_robot.options import options_of, require_short_block
+from hil_mock_robot.pacing import WallClock, pace_of
 from hil_mock_robot.truth import Truth
-
-if TYPE_CHECKING:
-    from hil_mock_robot.simulation import Samples, Simulation
-
-EPOCH_S = 1_767_225_600.0
-"""Host time at which every mock robot is switched on: 2026-01-01 00:00 UTC."""
-SETTLING_S = 1.0
-MODE_POSITION, MODE_TORQUE = 0, 1
-RUNAWAY = 3
-FAULTS = {
-    1: "protective stop: a joint is more than 0.2 rad away from its set-point",
-    2: "protective stop: a joint is at its torque limit",
-    RUNAWAY: "the simulated arm runs away",
-}
 
 
 class MockRobot:
     """A robot of `hil` that exists only here; implements `hil.robot.Robot`.
 
-    Time advances only when it is read. The same seed, options and calls give the same bytes.
-    Beside the protocol it can be pushed, worn and driven by torque, for tests of what hil does
-    about that.
+    On its virtual clock, time advances only when it is read: the same seed, options and calls
+    give the same bytes. In wall time it advances by itself, read or not. Beside the protocol it
+    can be pushed, worn and driven by torque, for tests of what hil does about that.
 
     Args:
         name: The robot's name in the station file.
@@ -66,32 +50,24 @@ class MockRobot:
         _require_extra()
         self._name = name
         self._options = options_of(options)
-        self._truth = truth_of(model, self._options)
-        self._arm = published(self._truth.arm)
-        self._rate = self._options.rate_hz or self._arm.rate_hz
-        timing_of(self._rate, self._options.substep_hz)
-        require_short_block(self._options, self._rate)
-        self._motion = Motion(self.limits, self._rate, start_of(self._arm, self._options))
-        self._sensors = Sensors(self._truth)
-        self._declared = Payload()
-        self._mounted = mounted_of(self._options)
-        self._gravity = mount_of(self._options)
-        self._simulation: Simulation | None = None
-        self._connected = False
-        self._fault = 0
-        # stop() may come from another thread than read(); a block takes well under 10 ms.
-        self._lock = threading.RLock()
+        self._arm = Arm(model, self._options)
+        require_short_block(self._options, self._arm.rate_hz)
+        self._journal = Journal(self._options.journal, name)
+        # stop() may come from another thread than read(), or from a signal handler inside it:
+        # a block takes well under 10 ms, and whoever waits for rows waits without the lock.
+        self._lock = threading.Condition(threading.RLock())
+        self._controller, self._clock = self._build()
 
     @property
     def truth(self) -> Truth:
         """What this robot is really like."""
-        return self._truth
+        return self._arm.truth
 
     @property
     def identity(self) -> Identity:
         """Model and a serial number made of name, profile and seed."""
-        self._require_connection()
-        truth = self._truth
+        self._controller.require_connection()
+        truth = self._arm.truth
         return Identity(
             model=truth.arm,
             serial=f"{self._name}-{truth.profile}-{truth.seed}",
@@ -100,42 +76,43 @@ class MockRobot:
             details={
                 "profile": truth.profile,
                 "substep_hz": f"{self._options.substep_hz:g}",
-                "gravity_m_s2": " ".join(f"{g:g}" for g in self._gravity),
+                "gravity_m_s2": " ".join(f"{g:g}" for g in self._arm.gravity),
             },
         )
 
     @property
     def capabilities(self) -> Capabilities:
-        """Nominal gains and the rate; the clock is virtual."""
+        """Nominal gains, the rate, and the clock of the options."""
+        arm = self._arm.description
         return Capabilities(
-            joint_names=self._arm.joint_names,
-            rate_hz=self._rate,
+            joint_names=arm.joint_names,
+            rate_hz=self._arm.rate_hz,
             effort_kind="current",
-            drive_gains=tuple(self._arm.drive_gains.tolist()),
-            drive_gains_source=self._arm.sources.get("drive_gains", "nominal"),
-            clock="virtual",
+            drive_gains=tuple(arm.drive_gains.tolist()),
+            drive_gains_source=arm.sources.get("drive_gains", "nominal"),
+            clock=self._options.clock,
         )
 
     @property
     def limits(self) -> Limits:
         """The published limits of the arm."""
-        arm = self._arm
-        return Limits(
-            arm.q_min, arm.q_max, arm.qd_max, arm.qdd_max, arm.effort_max, arm.payload_max_kg
-        )
+        return self._arm.limits
 
     def connect(self) -> None:
-        """Switch the robot on, or clear its fault; does nothing when connected without one."""
-        if self._simulation is None or self._fault == RUNAWAY:
-            # Outside the lock: the first one compiles for seconds and stop() must not wait.
-            built = self._switch_on()
-        else:
-            built = self._simulation
-        with self._lock:
-            if self._fault:
-                built.engage_brakes()
-                self._motion.coast(built.position, built.speed)
-            self._simulation, self._fault, self._connected = built, 0, True
+        """Switch the robot on, clear its fault, mend the line; else it does nothing.
+
+        Raises:
+            RobotConnectionError: The journal cannot be written.
+        """
+        self._journal.open()
+        # Outside the lock: the first one compiles for seconds and stop() must not wait.
+        built = self._arm.build()
+        with self._told("connect"):
+            if self._arm.fault:
+                self._clock.forget()
+            self._arm.switch_on(built)
+            self._controller.connect()
+        self._clock.begin()
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Be mounted as the station says.
@@ -144,10 +121,7 @@ class MockRobot:
             SpecError: The option `mount` says otherwise.
             CommandRefused: The robot is switched on already.
         """
-        if self._simulation is not None:
-            raise CommandRefused("the mount cannot change once the mock robot is switched on")
-        require_same_mount(self._options, gravity_m_s2)
-        self._gravity = gravity_m_s2
+        self._arm.mount(gravity_m_s2)
 
     def set_payload(self, payload: Payload) -> Payload:
         """Declare a load and, unless `mounted_payload` says otherwise, mount it.
@@ -155,18 +129,9 @@ class MockRobot:
         Raises:
             CommandRefused: It is too heavy, or the arm is moving.
         """
-        with self._lock:
-            simulation = self._require_connection()
-            if not 0 <= payload.mass <= self._arm.payload_max_kg:
-                raise CommandRefused(
-                    f"payload of {payload.mass:g} kg: the {self._arm.name} carries "
-                    f"0 to {self._arm.payload_max_kg:g} kg",
-                    hint="declare a lighter load",
-                )
-            if self._motion.moving:
-                raise CommandRefused("the payload cannot change in motion", hint="stop() first")
-            self._declared = payload
-            simulation.set_payloads(self._mounted or payload, payload)
+        with self._told("set_payload", mass_kg=payload.mass, com_m=list(payload.com)):
+            self._controller.require_connection()
+            self._controller.set_payload(payload)
             return payload
 
     def prepare(self, segment: Segment) -> None:
@@ -175,9 +140,9 @@ class MockRobot:
         Raises:
             CommandRefused: It starts elsewhere, moves at its ends, or leaves the limits.
         """
-        with self._lock:
-            self._require_connection()
-            self._motion.prepare(segment)
+        with self._told("prepare", segment=segment.index, kind=segment.kind):
+            self._controller.require_connection()
+            self._controller.prepare(segment)
 
     def start(self) -> None:
         """Begin the prepared segment with the next sample.
@@ -185,130 +150,117 @@ class MockRobot:
         Raises:
             CommandRefused: Nothing is prepared, or a segment is still running.
         """
-        with self._lock:
-            self._require_connection()
-            self._motion.start()
+        with self._told("start") as told:
+            self._controller.require_connection()
+            self._controller.start()
+            told.details["segment"] = self._arm.motion.segment
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
-        """Simulate up to `block` samples, not past the end of the running segment.
+        """New rows: computed now, up to `block` and not past a segment's end, or those that wait.
 
         Each set-point of a segment gives one row. A fault ends the block with a row that says
         so; the next call raises.
 
         Raises:
+            RobotTimeout: No row in time; device time on the virtual clock.
             RobotFault: Protective stop; `connect` clears it.
+            RobotConnectionError: Not connected, or closed while it waited.
         """
-        with self._lock:
-            simulation = self._require_connection()
-            if self._fault:
-                raise self._protective_stop()
-            if np.isfinite(simulation.disturbances.torque).any():
-                return self._read_in_torque_control(simulation)
-            setpoints, status = self._motion.take(self._options.block)
-            first = simulation.samples
-            samples = simulation.advance(setpoints)
-            rows = self._rows_of(samples, first)
-            done = len(rows)
-            rows["status"] = status[:done]
-            for k, field in enumerate(("q_target", "qd_target", "qdd_target")):
-                rows[field] = setpoints[:done, k]
-            rows["effort_target"] = samples["current_target"]
-            return self._with_fault(rows, samples)
+        return self._clock.read(timeout_s)
 
     def stop(self) -> None:
-        """Decelerate along the present path with half the acceleration limit, then hold."""
-        with self._lock:
-            if self._simulation is None:
-                return
-            if np.isfinite(self._simulation.disturbances.torque).any():
-                self.command_torque(None)
-            self._motion.brake()
+        """Decelerate along the present path with half the acceleration limit, then hold.
+
+        Raises:
+            RobotConnectionError: The line was cut by an injected fault.
+        """
+        if self._arm.simulation is None:
+            return
+        with self._told("stop") as told:
+            told.details["moving"] = self._arm.moving
+            if self._controller.connected:
+                self._controller.require_connection()
+            self._controller.brake("stop", told.at)
 
     def close(self) -> None:
-        """Stop and disconnect; the robot stays where it is and `connect` finds it again."""
+        """Stop and disconnect; the robot stays where it is and `connect` finds it again.
+
+        In wall time it returns when the arm is at rest. Whoever waits in `read` gets an error.
+        """
+        if not self._controller.connected:
+            return
+        with self._told("close") as told:
+            told.details["moving"] = self._arm.moving
+            if not self._controller.line.cut:
+                self._controller.brake("" if self._controller.still else "close", told.at)
+        self._clock.end()
         with self._lock:
-            self.stop()
-            self._connected = False
+            self._controller.disconnect()
+            self._journal.close()
+            self._lock.notify_all()
+
+    def client_gone(self) -> None:
+        """Note that whoever drove the robot has died; for drivers in a process of their own."""
+        with self._lock:
+            self._controller.note("client_gone")
 
     def push(self, torque: Sequence[float] | FloatArray) -> None:
         """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
         with self._lock:
-            self._require_connection().disturbances.push[:] = torque
+            self._controller.require_connection()
+            self._arm.on.disturbances.push[:] = torque
 
     def wear(self, factor: Sequence[float] | FloatArray) -> None:
         """Scale all friction by `factor` (n,) from now on, 1 for as good as new."""
         with self._lock:
-            self._require_connection().disturbances.wear[:] = factor
+            self._controller.require_connection()
+            self._arm.on.disturbances.wear[:] = factor
 
     def command_torque(self, torque: Sequence[float] | FloatArray | None) -> None:
         """Drive the joints by torque (n,) [N·m] instead of position; None brakes and holds.
 
         The torque goes through the drive's nominal gain and compensates nothing, gravity included.
         """
+        with self._told("command_torque"):
+            self._controller.require_connection()
+            self._controller.command_torque(None if torque is None else np.asarray(torque))
+
+    def _build(self) -> tuple[Controller, Clock]:
+        options, arm = self._options, self._arm
+        faults = faults_of(options.faults)
+        if options.clock == "virtual":
+            controller = Controller(self._name, arm, faults, self._journal, 0.0)
+            return controller, VirtualClock(controller, self._lock, options.block)
+        pace = pace_of(options, arm.rate_hz)
+        controller = Controller(self._name, arm, faults, self._journal, pace.spacing_s)
+        clock = WallClock(controller, self._lock, pace)
+        # The thread knows nothing of this object: it ends when this is collected, or at exit.
+        weakref.finalize(self, clock.abandon)
+        return controller, clock
+
+    @contextlib.contextmanager
+    def _told(self, event: str, **details: Any) -> Iterator[_Telling]:
+        """Hold the lock while the robot is told something, and put that into the journal."""
+        asked = time.monotonic()
         with self._lock:
-            simulation = self._require_connection()
-            if torque is not None:
-                self._motion.brake()
-                simulation.disturbances.torque[:] = torque
-                return
-            simulation.disturbances.torque[:] = np.nan
-            simulation.track(simulation.position, simulation.speed)
-            self._motion.coast(simulation.position, simulation.speed)
+            telling = _Telling(self._controller.moment(asked), details)
+            try:
+                yield telling
+            except HilError as error:
+                details["refused"] = error.message
+                raise
+            finally:
+                self._clock.contact()
+                took_s = round(time.monotonic() - asked, 6)
+                self._controller.note(event, telling.at, **details, took_s=took_s)
 
-    def _switch_on(self) -> Simulation:
-        from hil_mock_robot.simulation import Setting, Simulation
 
-        options = self._options
-        setting = Setting(self._rate, options.substep_hz, self._gravity, options.temperature_c)
-        simulation = Simulation(self._truth, setting, start_of(self._arm, options))
-        simulation.set_payloads(self._mounted or self._declared, self._declared)
-        simulation.settle(SETTLING_S)
-        return simulation
+@dataclass(frozen=True, slots=True)
+class _Telling:
+    """Something the robot is told: when, and what the journal says about it."""
 
-    def _require_connection(self) -> Simulation:
-        if not self._connected or self._simulation is None:
-            raise RobotConnectionError(
-                f"mock robot {self._name} is not connected", hint="call connect() first"
-            )
-        return self._simulation
-
-    def _read_in_torque_control(self, simulation: Simulation) -> StructArray:
-        simulation.track(simulation.position, np.zeros(self._arm.n_joints))
-        held = np.repeat(simulation.setpoint[None], self._options.block, axis=0)
-        first = simulation.samples
-        samples = simulation.advance(held)
-        rows = self._rows_of(samples, first)
-        rows["status"], rows["mode"] = int(Status.MOVING), MODE_TORQUE
-        for field in ("q_target", "qd_target", "qdd_target"):
-            rows[field] = np.nan
-        rows["effort_target"] = simulation.disturbances.torque / self._arm.drive_gains
-        return self._with_fault(rows, samples)
-
-    def _rows_of(self, samples: Samples, first: int) -> StructArray:
-        """Rows with everything that is measured."""
-        rows = np.zeros(len(samples), dtype=state_dtype(self._arm.n_joints))
-        rows["device_time"] = (first + 1 + np.arange(len(rows))) / self._rate
-        rows["host_time"] = EPOCH_S + rows["device_time"]
-        rows["segment"] = self._motion.segment
-        measured = self._sensors.measure(
-            samples["q"], samples["qd"], samples["current"], samples["celsius"]
-        )
-        rows["q"], rows["qd"], rows["effort"], rows["temperature"] = measured
-        return rows
-
-    def _protective_stop(self) -> RobotFault:
-        return RobotFault(
-            f"{self._name}: {FAULTS[self._fault]}", hint="find the cause, then reconnect"
-        )
-
-    def _with_fault(self, rows: StructArray, samples: Samples) -> StructArray:
-        self._fault = samples.fault
-        if self._fault and not len(rows):
-            raise self._protective_stop()
-        if self._fault:
-            rows["status"][-1:] |= int(Status.FAULT | Status.MASKED)
-            rows["fault_code"][-1:] = self._fault
-        return rows
+    at: Moment
+    details: dict[str, Any]
 
 
 def _require_extra() -> None:

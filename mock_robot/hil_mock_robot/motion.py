@@ -31,6 +31,7 @@ class Motion:
         self._path = _at_rest(q)[None]
         self._cursor = 1
         self._prepared: Segment | None = None
+        self._braking = 0.0
         self.segment = -1
 
     @property
@@ -68,7 +69,7 @@ class Motion:
         segment, self._prepared = self._prepared, None
         self._path = np.stack((segment.q, segment.qd, segment.qdd), axis=1).astype(np.float64)
         self._path[-1, 1:] = 0.0
-        self._cursor, self.segment = 0, segment.index
+        self._cursor, self._braking, self.segment = 0, 0.0, segment.index
 
     def take(self, count: int) -> tuple[FloatArray, IntArray]:
         """Up to `count` set-points (k, 3, n) and their status bits (k,).
@@ -86,19 +87,27 @@ class Motion:
             status[-1] = int(Status.HOLDING)
         return rows, status
 
-    def brake(self) -> None:
-        """Come to rest on the rest of the path: time slows down, the way stays the planned one."""
+    def brake(self, share: float = BRAKING_SHARE) -> None:
+        """Come to rest on the rest of the path: time slows down, the way stays the planned one.
+
+        An arm that brakes as hard already goes on doing so: stopping again prolongs nothing.
+
+        Args:
+            share: Of the acceleration limit.
+        """
         self._prepared = None
-        if not self.moving:
+        if not self.moving or self._braking >= share:
             return
         # Before its first sample a segment still is where the last one ended.
         passed = max(self._cursor - 1, 0)
-        self._replace(_slowed(self._path[passed:], self._rate, self._limits.qdd_max))
+        limit = share * self._limits.qdd_max
+        self._replace(_slowed(self._path[passed:], self._rate, limit))
+        self._braking = share
 
     def coast(self, q: FloatArray, qd: FloatArray) -> None:
         """Come to rest from a state (n,), (n,) that no path led to (torque control, a fault)."""
         self._prepared = None
-        duration = _braking_time(qd, self._limits.qdd_max)
+        duration = _braking_time(qd, BRAKING_SHARE * self._limits.qdd_max)
         t = np.arange(1, np.ceil(duration * self._rate) + 1)[:, None] / self._rate
         left = np.clip(1 - t / duration, 0.0, None)
         done = np.minimum(t, duration)
@@ -108,23 +117,23 @@ class Motion:
 
     def _replace(self, path: FloatArray) -> None:
         path[-1, 1:] = 0.0
-        self._path, self._cursor = path, 0
+        self._path, self._cursor, self._braking = path, 0, 0.0
 
 
 def _at_rest(q: FloatArray) -> FloatArray:
     return np.stack((q, np.zeros_like(q), np.zeros_like(q)))
 
 
-def _braking_time(qd: FloatArray, qdd_max: FloatArray) -> float:
-    return max(LEAST_BRAKING_S, float(np.max(np.abs(qd) / (BRAKING_SHARE * qdd_max))))
+def _braking_time(qd: FloatArray, deceleration: FloatArray) -> float:
+    return max(LEAST_BRAKING_S, float(np.max(np.abs(qd) / deceleration)))
 
 
-def _slowed(path: FloatArray, rate: float, qdd_max: FloatArray) -> FloatArray:
+def _slowed(path: FloatArray, rate: float, deceleration: FloatArray) -> FloatArray:
     """The path (M, 3, n) from its row 0 on, played ever slower until it stands still.
 
     The pace falls linearly from 1 to 0, so a joint at speed v decelerates by v / duration.
     """
-    duration = _braking_time(path[0, 1], qdd_max)
+    duration = _braking_time(path[0, 1], deceleration)
     t = np.minimum(np.arange(1, np.ceil(duration * rate) + 1) / rate, duration)
     pace = 1 - t / duration
     progress = (t - t**2 / (2 * duration)) * rate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,14 +18,6 @@ from hil_mock_robot.truth import Profile, Truth
 UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}
 """Safe starting pose by the first two letters of the arm; all zeros for others."""
 
-GRAVITY = 9.81
-MOUNTS = {
-    "table": (0.0, 0.0, -GRAVITY),
-    "ceiling": (0.0, 0.0, GRAVITY),
-    "wall": (-GRAVITY, 0.0, 0.0),
-}
-"""Gravity in the base frame [m/s²] by the name of the mount."""
-
 MOST_BLOCK_S = 1.0
 """Simulated time of a block at most: `stop` waits for the block that is being computed."""
 
@@ -36,8 +28,20 @@ RANGES = {
     "substep_hz": (1000.0, MOST_SUBSTEP_HZ),
     "rate_hz": (1.0, 1000.0),
     "temperature_c": (-50.0, 100.0),
+    "speed": (0.1, 20.0),
+    "queue_s": (0.05, 60.0),
+    "watchdog_s": (0.0, 60.0),
 }
 """Least and most of the options that are numbers."""
+
+WALL_ONLY = ("speed", "queue_s", "watchdog_s")
+VIRTUAL_ONLY = ("block",)
+
+WALL_BLOCK_S = 0.008
+"""Simulated time that the wall clock computes at once at most, if that holds a sample."""
+
+LEAST_WALL_SAMPLES_HZ = 10.0
+"""Samples per second of wall time: `stop` acts with the next sample, and within 0.1 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,12 @@ class Options:
             says (`gravity_m_s2`) when None, and no other than that.
         mounted_payload: What really hangs at the flange (`mass_kg`, `com_m`, `inertia_kgm2`);
             what is declared when None.
+        clock: `virtual` advances when it is read; `wall` advances by itself.
+        speed: Simulated seconds per second of wall time.
+        queue_s: Wall time of state rows that wait to be read; older ones are lost.
+        watchdog_s: Wall time without a reader after which a moving arm is stopped; 0 for never.
+        journal: File to which the robot appends what it was told and what it did.
+        faults: What goes wrong, and when; see `hil_mock_robot.faults.Fault`.
     """
 
     seed: int = 0
@@ -68,6 +78,12 @@ class Options:
     temperature_c: float | None = None
     mount: str | Sequence[float] | None = None
     mounted_payload: Mapping[str, Any] | Payload | None = None
+    clock: Literal["virtual", "wall"] = "virtual"
+    speed: float = 1.0
+    queue_s: float = 2.0
+    watchdog_s: float = 1.0
+    journal: str | None = None
+    faults: Sequence[Mapping[str, Any]] = ()
 
 
 def options_of(given: Mapping[str, Any]) -> Options:
@@ -84,17 +100,36 @@ def options_of(given: Mapping[str, Any]) -> Options:
             hint=f"its options are {', '.join(known)}",
         )
     options = Options(**given)
+    _require_numbers(options)
+    for name in ("truth_file", "journal"):
+        if not isinstance(getattr(options, name), str | None):
+            raise wrong_option(name, getattr(options, name), "give the path of a file")
+    _require_right_clock(options, given)
+    return options
+
+
+def _require_numbers(options: Options) -> None:
     for name, first in (("seed", 0), ("block", 1)):
         value = getattr(options, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < first:
-            raise _wrong(name, value, f"use a whole number from {first} up")
+            raise wrong_option(name, value, f"use a whole number from {first} up")
     for name, (least, most) in RANGES.items():
         value = getattr(options, name)
-        if value is not None and not (_numbers([value], 1) and least <= value <= most):
-            raise _wrong(name, value, f"use a number from {least:g} to {most:g}")
-    if not isinstance(options.truth_file, str | None):
-        raise _wrong("truth_file", options.truth_file, "give the path of a file")
-    return options
+        if value is not None and not (numbers_of([value], 1) and least <= value <= most):
+            raise wrong_option(name, value, f"use a number from {least:g} to {most:g}")
+
+
+def _require_right_clock(options: Options, given: Mapping[str, Any]) -> None:
+    if options.clock not in ("virtual", "wall"):
+        raise wrong_option("clock", options.clock, "use virtual or wall")
+    wall = options.clock == "wall"
+    for name in VIRTUAL_ONLY if wall else WALL_ONLY:
+        if name in given:
+            other = "virtual" if wall else "wall"
+            raise SpecError(
+                f"mock option {name} means nothing with clock: {options.clock}",
+                hint=f"leave it out, or use clock: {other}",
+            )
 
 
 def require_short_block(options: Options, rate_hz: float) -> None:
@@ -104,9 +139,24 @@ def require_short_block(options: Options, rate_hz: float) -> None:
         SpecError: `block` is more than a second of samples.
     """
     most = max(1, int(MOST_BLOCK_S * rate_hz))
-    if options.block > most:
+    if options.clock == "virtual" and options.block > most:
         hint = f"use at most {most}, one second at {rate_hz:g} Hz: stop() waits for a block"
-        raise _wrong("block", options.block, hint)
+        raise wrong_option("block", options.block, hint)
+
+
+def wall_block_of(options: Options, rate_hz: float) -> int:
+    """How many samples the wall clock computes at once.
+
+    Raises:
+        SpecError: Samples are so far apart that `stop` would act too late.
+    """
+    if rate_hz * options.speed < LEAST_WALL_SAMPLES_HZ:
+        raise SpecError(
+            f"mock option clock: wall makes {rate_hz * options.speed:g} samples per second of "
+            f"wall time (rate_hz × speed), at least {LEAST_WALL_SAMPLES_HZ:g} are needed",
+            hint="raise speed or rate_hz: stop() acts with the next sample",
+        )
+    return max(1, int(WALL_BLOCK_S * rate_hz + 1e-9))
 
 
 def truth_of(model: str, options: Options) -> Truth:
@@ -135,7 +185,7 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
     """
     upright = UPRIGHT_DEG.get(arm.name[:2], (0.0,) * arm.n_joints)
     degrees = upright if options.start_q_deg is None else options.start_q_deg
-    numbers = _numbers(degrees, arm.n_joints)
+    numbers = numbers_of(degrees, arm.n_joints)
     q = np.radians(np.array(numbers or [np.nan]))
     if not ((q >= arm.q_min) & (q <= arm.q_max)).all():
         raise SpecError(
@@ -145,73 +195,7 @@ def start_of(arm: ArmDescription, options: Options) -> FloatArray:
     return np.asarray(q)
 
 
-def gravity_of(mount: str | Sequence[float]) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] for a name of `MOUNTS`, or as given.
-
-    Raises:
-        SpecError: There is no such mount.
-    """
-    if isinstance(mount, str) and mount in MOUNTS:
-        return MOUNTS[mount]
-    gravity = _numbers(mount, 3)
-    if gravity is None:
-        raise SpecError(
-            f"mount {mount!r} is unknown",
-            hint=f"use one of {', '.join(MOUNTS)}, or gravity in the base frame [m/s²]",
-        )
-    x, y, z = gravity
-    return x, y, z
-
-
-def mount_of(options: Options) -> tuple[float, float, float]:
-    """Gravity in the base frame [m/s²] as long as no station says anything.
-
-    Raises:
-        SpecError: There is no such mount.
-    """
-    return MOUNTS["table"] if options.mount is None else gravity_of(options.mount)
-
-
-def require_same_mount(options: Options, station: Sequence[float]) -> None:
-    """Refuse an option `mount` that contradicts the station's gravity (3,) [m/s²].
-
-    Raises:
-        SpecError: They differ: the identification would believe the station, the arm the option.
-    """
-    if options.mount is None:
-        return
-    own = gravity_of(options.mount)
-    if not np.allclose(own, station):
-        raise SpecError(
-            f"the mock robot's option mount: {options.mount} means gravity {list(own)} m/s², but "
-            f"the station's gravity_m_s2 for this robot is {list(station)}",
-            hint=f"leave the option out and set gravity_m_s2: {list(own)} beside driver and model",
-        )
-
-
-def mounted_of(options: Options) -> Payload | None:
-    """What really hangs at the flange, None when it is whatever is declared.
-
-    Raises:
-        SpecError: The mapping is not a payload.
-    """
-    given = options.mounted_payload
-    if given is None or isinstance(given, Payload):
-        return given
-    parts = {"mass_kg": [0.0], "com_m": Payload().com, "inertia_kgm2": Payload().inertia}
-    hint = "give mass_kg ≥ 0, and com_m (3) and inertia_kgm2 (6) if they are not zero"
-    if not isinstance(given, Mapping) or "mass_kg" not in given or set(given) - set(parts):
-        raise _wrong("mounted_payload", given, hint)
-    read: dict[str, Any] = {}
-    for key, zero in parts.items():
-        value = [given[key]] if key == "mass_kg" else given.get(key, zero)
-        read[key] = _numbers(value, len(zero))
-        if read[key] is None or (key == "mass_kg" and read[key][0] < 0):
-            raise _wrong(f"mounted_payload.{key}", given[key], hint)
-    return Payload(read["mass_kg"][0], read["com_m"], read["inertia_kgm2"])
-
-
-def _numbers(value: Any, n: int) -> tuple[float, ...] | None:
+def numbers_of(value: Any, n: int) -> tuple[float, ...] | None:
     """`value` as n finite numbers, None when it is anything else."""
     if isinstance(value, str | Mapping) or not isinstance(value, Sequence | np.ndarray):
         return None
@@ -221,5 +205,6 @@ def _numbers(value: Any, n: int) -> tuple[float, ...] | None:
     return numbers if len(numbers) == n and np.isfinite(numbers).all() else None
 
 
-def _wrong(name: str, value: object, hint: str) -> SpecError:
+def wrong_option(name: str, value: object, hint: str) -> SpecError:
+    """The error that says what one option was and what would be right."""
     return SpecError(f"mock option {name} is {value!r}", hint=hint)

@@ -14,8 +14,8 @@ from hil.payload import Payload
 from hil.typing import FloatArray
 from hil_mock_robot.draw import nominal_rotors, published
 from hil_mock_robot.friction import friction_laws, slip_elements
+from hil_mock_robot.mounting import MOUNTS
 from hil_mock_robot.native import address_of
-from hil_mock_robot.options import MOUNTS
 from hil_mock_robot.plant import Plant, build_plant, nominal_links
 from hil_mock_robot.records import (
     HEAT,
@@ -157,6 +157,14 @@ class Simulation:
         self.samples += done
         self._setpoint = path[done].copy()
         return Samples(values[:done], fault)
+
+    def stand(self, count: int) -> Samples:
+        """Let `count` samples pass with the brakes engaged: nothing moves, no current flows."""
+        values = np.zeros((count, len(CHANNELS), self.arm.n_joints))
+        values[:, CHANNELS.index("q")] = self.position
+        values[:, CHANNELS.index("celsius")] = self.celsius
+        self.samples += count
+        return Samples(values, 0)
 
     def settle(self, seconds: float = 1.0) -> None:
         """Hold the set-point until the arm has sagged into its servo; costs no samples."""
