@@ -70,7 +70,8 @@ def findings_of(errors: Iterable[ErrorDetails], model: Model, source: Source) ->
     )
     unknown = [f for f in findings if f.type == "extra_forbidden"][:MOST_PROBLEMS]
     meant = {(*f.path[:-1], f.meant) for f in unknown}
-    return [f for f in findings if not _is_echo(f, meant)]
+    # Whatever echoes what: something is wrong, and it must be said.
+    return [f for f in findings if not _is_echo(f, meant)] or findings
 
 
 def _finding(error: ErrorDetails, model: Model) -> Finding:
@@ -92,4 +93,7 @@ def _is_echo(finding: Finding, meant: set[tuple[str | int | None, ...]]) -> bool
     if finding.type == "missing":
         return finding.path in meant
     # A list whose items are wrong counts as empty for pydantic.
-    return finding.type == "too_short" and len(finding.value) >= finding.ctx["min_length"]
+    is_list = isinstance(finding.value, list)
+    return (
+        finding.type == "too_short" and is_list and len(finding.value) >= finding.ctx["min_length"]
+    )

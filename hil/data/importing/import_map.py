@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -21,11 +22,17 @@ from hil.spec.findings import findings_of
 from hil.spec.loads import Load
 from hil.spec.messages import explain
 from hil.spec.quantities import Finite, FormatVersion, Positive, Strict, mistake
-from hil.spec.source import Problem, refuse
+from hil.spec.source import Problem, refuse, shown
 from hil.spec.yaml_source import read_source
 
 FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
 Address: TypeAlias = int | str
+
+MOST_COLUMNS = 10_000
+"""A range over more is a slip."""
+
+_SPAN = re.compile(r"([0-9]+):([0-9]+)")
+_MOST_DIGITS = 15
 
 QUANTITIES = tuple(name for name in QUANTITY_DIMENSIONS if name != "t")
 """Everything but time that a map can name."""
@@ -35,10 +42,20 @@ def _expanded(value: Any) -> Any:
     """`7` → [7]; `"2:7"` → [2, …, 7]; a name → [name]."""
     if isinstance(value, bool) or not isinstance(value, int | str):
         return value
-    first, colon, last = str(value).partition(":")
-    if colon and first.strip().isdigit() and last.strip().isdigit():
-        return list(range(int(first), int(last) + 1))
+    if span := _SPAN.fullmatch(str(value).replace(" ", "")):
+        # Python refuses to convert thousands of digits; so many are too large in any case.
+        first, last = (int(number[:_MOST_DIGITS]) for number in span.groups())
+        if not first <= last < first + MOST_COLUMNS:
+            raise mistake(f"a range goes from low to high, over {MOST_COLUMNS} columns at most")
+        return list(range(first, last + 1))
     return [value]
+
+
+def _ascending(rows: str) -> str:
+    span = _SPAN.fullmatch(rows)
+    if span is None or len(rows) > 2 * _MOST_DIGITS or not 1 <= int(span[1]) <= int(span[2]):
+        raise mistake(f"must be FIRST:LAST, counted from 1, such as 120:5000, not {shown(rows)}")
+    return rows
 
 
 def _counted_from_one(addresses: tuple[Address, ...]) -> tuple[Address, ...]:
@@ -73,6 +90,13 @@ PerJoint = Annotated[
     BeforeValidator(_as_list),
     Field(min_length=1),
     _one_or_list(_ONE_NUMBER),
+]
+
+
+Rows = Annotated[
+    str,
+    AfterValidator(_ascending),
+    WithJsonSchema({"type": "string", "pattern": r"^[0-9]{1,15}:[0-9]{1,15}$"}),
 ]
 
 
@@ -134,7 +158,7 @@ class Columns(Strict):
 class Window(Strict):
     """Rows that belong to one trajectory; around it the arm does other things."""
 
-    rows: str = Field(pattern=r"^\d+:\d+$", description="First and last row, counted from 1.")
+    rows: Rows = Field(description="First and last row, counted from 1.")
     file: str = Field("*", description="Name or pattern of the files this holds for.")
     payload: Load | None = Field(None, description="Its own load; by default the map's.")
 
