@@ -139,8 +139,9 @@ VIEW: dict[str, Any] = {
     ("changes", "told"),
     [
         ({}, " 25 %  step 12/50 dwell, pose 5  75.0 s left"),
-        ({"gaps": 2, "missing": 3, "behind_s": 1.5},
-         " 25 %  2 gaps (3 samples)  recorder 1.5 s behind  step 12/50 dwell, pose 5  75.0 s left"),
+        ({"gaps": 2.0, "duplicates": 1, "behind_s": 1.5},
+         " 25 %  2 gaps  1 duplicate  recorder 1.5 s behind  step 12/50 dwell, pose 5  "
+         "75.0 s left"),
         ({"state": "paused", "reason": "lunch"}, "paused: lunch  step 12/50 dwell, pose 5"),
         ({"prompt": "Mount it"}, "asks: Mount it  step 12/50 dwell, pose 5"),
         ({"step": -2}, " 25 %  on the way back  75.0 s left"),

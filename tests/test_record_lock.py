@@ -19,6 +19,7 @@ import pytest
 from other_process import holding_run, other_process
 
 from hil import held_file
+from hil.campaign.view import describe_run
 from hil.errors import DataError, RecordingError
 from hil.record.catalogue import list_runs
 from hil.record.lock import hold_run, is_live, run_holder
@@ -147,6 +148,7 @@ def test_a_live_run_is_listed_as_running_before_and_after_it_has_a_start_documen
         (begun,) = list_runs(tmp_path)
         run.write_start({"uid": "u-1"})
         (going,) = list_runs(tmp_path)
+        assert describe_run(run.path)["status"] == "running"
     (over,) = list_runs(tmp_path)
     assert (begun.status, begun.uid, begun.problem) == ("running", "", "")
     assert (going.status, going.uid) == ("running", "u-1")

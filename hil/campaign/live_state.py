@@ -77,7 +77,9 @@ def standing_in(view: Mapping[str, Any]) -> Standing:
     """Where a run stands, from its live view; what the view does not say keeps its default."""
     standing = Standing()
     for field in fields(Standing):
-        value = view.get(field.name)
-        if isinstance(value, type(getattr(standing, field.name))):
+        value, default = view.get(field.name), getattr(standing, field.name)
+        if isinstance(value, int | float) and isinstance(default, int | float):
+            setattr(standing, field.name, type(default)(value))
+        elif isinstance(value, str) and isinstance(default, str):
             setattr(standing, field.name, value)
     return standing
