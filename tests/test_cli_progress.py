@@ -2,58 +2,196 @@
 
 from __future__ import annotations
 
+import io
+import sys
 from typing import Any
 
 import pytest
 
+from hil.cli.output import fold
 from hil.cli.progress import ProgressLines
 
+CLEAR = "\r\x1b[K"
 
-def progress(step: int, steps: int, device_s: float, wall_s: float = 0.1) -> dict[str, Any]:
+
+class Terminal(io.StringIO):
+    """Standard error that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+    @property
+    def shown(self) -> list[str]:
+        """What is on the screen in the end: a line that was cleared is gone."""
+        return [line.rpartition(CLEAR)[2] for line in self.getvalue().split("\n")]
+
+
+def progress(step: int, **more: Any) -> dict[str, Any]:
     return {
         "kind": "progress",
         "step": step,
-        "steps": steps,
+        "steps": 40,
         "doing": "dwell",
-        "device_s": device_s,
-        "wall_s": wall_s,
-        "duration_s": 100.0,
+        "pose": 17,
+        "trajectory": -1,
+        "device_s": 2.0 * step,
+        "wall_s": 2.0 * step,
+        "duration_s": 80.0,
+        **more,
     }
 
 
-def told(capsys: pytest.CaptureFixture[str], *events: dict[str, Any]) -> list[str]:
+def step(index: int, **more: Any) -> dict[str, Any]:
+    what = {"doing": "dwell", "pose": 17, "trajectory": -1, "load": 0}
+    return {"kind": "step", "step": index, "steps": 40, **what, **more}
+
+
+def state(state: str, reason: str = "") -> dict[str, Any]:
+    return {"kind": "state", "state": state, "reason": reason}
+
+
+def piped(capsys: pytest.CaptureFixture[str], *events: dict[str, Any]) -> list[str]:
     lines = ProgressLines()
     for event in events:
         lines.notify(event)
     return capsys.readouterr().err.splitlines()
 
 
-def test_last_step_is_100_percent_however_long_the_dwells_took(
+def on_terminal(
+    monkeypatch: pytest.MonkeyPatch, *events: dict[str, Any], columns: int = 80
+) -> Terminal:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr("hil.cli.progress.TERMINAL_EVERY_S", 0.0)
+    lines = ProgressLines()
+    for event in events:
+        lines.notify(event)
+    return terminal
+
+
+END = (progress(39, device_s=100.0, wall_s=2.0), state("stopping"), state("done", "completed"))
+
+
+def test_the_line_says_how_far_where_and_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch, progress(10))
+    assert terminal.shown == [" 25 %  step 11/40 dwell, pose 17  60.0 s left"]
+
+
+def test_a_completed_program_is_100_percent_however_long_the_dwells_took(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (line,) = told(capsys, progress(39, 40, 93.0))
-    assert line.startswith("100 %  step 40/40")
-    assert "left" not in line
+    *_, last = piped(capsys, *END)
+    assert last == "100 %  40 steps in 2.0 s  1 min 40 s of motion, 50× real time"
 
 
+@pytest.mark.parametrize("index", [38, 39])
 def test_a_run_that_takes_longer_than_planned_is_not_done_before_its_end(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], index: int
 ) -> None:
-    (line,) = told(capsys, progress(38, 40, 120.0))
+    (line,) = piped(capsys, progress(index, device_s=120.0, wall_s=120.0))
     assert line.startswith(" 99 %")
 
 
-def test_a_run_of_one_step_ends_with_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert len(told(capsys, progress(0, 1, 1.0, wall_s=0.0))) == 1
-
-
-def test_speed_is_told_against_real_time(capsys: pytest.CaptureFixture[str]) -> None:
-    (line,) = told(capsys, progress(39, 40, 100.0, wall_s=2.0))
-    assert "(50× real time), took 2.0 s" in line
+def test_a_run_that_is_stopped_in_its_last_step_is_not_100_percent(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = piped(capsys, progress(39), state("stopping", "stopped by SIGTERM"))
+    assert lines[-1] == "stopping: stopped by SIGTERM"
+    assert not [line for line in lines if line.startswith("100")]
 
 
 def test_a_pipe_gets_a_line_now_and_then_and_the_last_one(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lines = told(capsys, *(progress(i, 40, 2.0 * i) for i in range(40)))
+    events = [event for i in range(40) for event in (step(i), progress(i))]
+    lines = piped(capsys, *events, *END)
     assert [line[:4] for line in lines] == ["  0 ", "100 "]
+
+
+def test_a_pause_and_its_reason_stay_on_the_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = "interlock temperature: elbow_joint at 71.2 °C, limit 70 °C"
+    terminal = on_terminal(
+        monkeypatch, progress(10), state("paused", reason), progress(10, state="paused"), columns=60
+    )
+    assert terminal.shown[:2] == [
+        "paused: interlock temperature: elbow_joint at 71.2 °C, limit",
+        "  70 °C",
+    ]
+    assert terminal.shown[2].startswith(" 25 %  paused: interlock temperature")
+
+
+def test_going_on_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = piped(
+        capsys, state("running"), state("paused", "why"), state("running", "resumed by ann")
+    )
+    assert lines == ["paused: why", "running again: resumed by ann"]
+
+
+def test_paused_time_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = progress(10, device_s=50.0, wall_s=50.0, state="paused")
+    going = progress(11, device_s=54.0, wall_s=54.0, state="running")
+    told = on_terminal(
+        monkeypatch, progress(10), state("paused", "why"), held, state("running"), going
+    )
+    assert told.shown[-1].startswith(" 30 %")  # 20 s before and 4 s after the pause, of 80 s
+    assert "56.0 s left" in told.shown[-1]
+
+
+def test_what_is_wrong_with_the_recording_comes_before_the_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wrong = {"gaps": 2, "missing": 5, "duplicates": 1, "overruns": 0, "behind_s": 0.8}
+    (line,) = on_terminal(monkeypatch, progress(10, **wrong), columns=120).shown
+    said = " 25 %  2 gaps (5 samples missing)  1 duplicate  recorder 0.8 s behind  step 11/40"
+    assert line.startswith(said)
+
+
+def test_a_recorder_that_keeps_up_is_not_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
+    (line,) = on_terminal(monkeypatch, progress(10, gaps=0, behind_s=0.3)).shown
+    assert "recorder" not in line
+    assert "gap" not in line
+
+
+@pytest.mark.parametrize("columns", [20, 40, 60, 120])
+def test_the_moving_line_never_wraps(monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
+    events = [progress(i, gaps=i, missing=i, behind_s=9.0) for i in range(10)]
+    terminal = on_terminal(monkeypatch, *events, columns=columns)
+    drawn = terminal.getvalue().split(CLEAR)
+    assert "\n" not in terminal.getvalue()
+    assert max(map(len, drawn)) < columns
+    assert drawn[-1].endswith("…") == (columns < 120)
+
+
+def test_a_path_is_never_cut_in_two() -> None:
+    path = "/lab/runs/2026-11-21/ur5/0042-fourier-p3kg"
+    assert path in fold(f"running fourier → {path} …", 30).split()
+
+
+def test_the_line_is_out_of_the_way_before_a_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {"kind": "prompt", "text": "Mount the 3 kg disc", "answered_by": ""}
+    terminal = on_terminal(monkeypatch, progress(10), asked, progress(10), progress(10))
+    assert terminal.getvalue().endswith("left\n")  # and nothing is drawn over the answer
+    answered = {**asked, "answered_by": "ann"}
+    terminal = on_terminal(monkeypatch, asked, progress(10), answered, progress(11))
+    assert terminal.shown[0] == "answered by ann: Mount the 3 kg disc"
+    assert "step 12/40" in terminal.shown[1]
+
+
+def test_a_pipe_is_told_what_is_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = {"kind": "prompt", "text": "Mount the 3 kg disc", "answered_by": ""}
+    assert piped(capsys, asked) == ["asking: Mount the 3 kg disc"]
+
+
+@pytest.mark.parametrize("kind", ["stage", "state", "step", "progress", "prompt", "unheard of"])
+def test_events_that_lack_everything_do_no_harm(
+    capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    piped(capsys, {"kind": kind}, progress(10))
+
+
+def test_the_way_back_of_a_resumed_run_has_no_step_number(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (line,) = on_terminal(monkeypatch, step(-1, doing="move", pose=-1)).shown
+    assert line == "  0 %  on the way back"

@@ -69,6 +69,56 @@ def test_a_tripped_run_gives_its_reason(tmp_path):
     assert "interlock speed: J2 fast" in " ".join(summary_lines(run.path))
 
 
+def stopped_early(tmp_path, plan, **stop):
+    """A run that failed, with more in its stop document than the shared writer puts there."""
+    run = write_run(tmp_path, plan, rows=rows_of_plan(plan)[:500], outcome="failed", reason="why")
+    path = run.path / "stop.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | stop))
+    return run
+
+
+def test_a_run_that_ended_early_says_where_and_how_to_go_on(tmp_path):
+    run = stopped_early(tmp_path, fourier_plan(), steps_done=3)
+    text = " ".join(" ".join(summary_lines(run.path)).split())
+    assert "3 of 6 steps; ended in step 4, trajectory 1" in text
+    assert f"to go on: hil resume {run.path}" in text
+
+
+def test_what_was_measured_is_counted_by_the_data(tmp_path):
+    counts = {"trajectory": {"done": 1, "of": 3}, "reference": {"done": 2, "of": 2}}
+    run = stopped_early(tmp_path, fourier_plan(), steps_done=3, complete=counts)
+    assert "1 of 3 trajectories, 2 of 2 references" in " ".join(summary_lines(run.path))
+
+
+def test_what_went_wrong_on_the_way_out_is_a_warning(tmp_path):
+    run = stopped_early(tmp_path, fourier_plan(), problems=["nobody saw the arm come to rest"])
+    assert "Warning: nobody saw the arm come to rest" in summary_lines(run.path)
+
+
+def test_a_run_that_ended_in_preflight_moved_nothing(tmp_path):
+    run = stopped_early(tmp_path, fourier_plan(), steps_done=0)
+    log = run.path / "events.jsonl"
+    log.write_text('{"t": 0, "time": "", "kind": "state", "state": "preflight"}\n')
+    assert "ended in preflight, before anything moved" in " ".join(summary_lines(run.path))
+
+
+def test_a_resumed_run_tells_of_its_last_attempt(tmp_path):
+    run = stopped_early(tmp_path, fourier_plan())
+    stop = json.loads((run.path / "stop.json").read_text())
+    (run.path / "resume-01.json").write_text('{"hil_run": 1, "attempt": 1}')
+    again = stop | {"attempt": 1, "outcome": "stopped", "reason": "another reason"}
+    (run.path / "stop-01.json").write_text(json.dumps(again))
+    text = " ".join(" ".join(summary_lines(run.path)).split())
+    assert "The run was stopped early: another reason" in text
+    assert "why" not in text
+
+
+def test_a_narrow_terminal_gets_narrow_lines(tmp_path):
+    run = judged(tmp_path, name="fourier-with-a-name-that-goes-on")
+    for line in summary_lines(run.path, 60):
+        assert len(line) <= 60 or str(tmp_path) in line, line
+
+
 def test_without_a_report_the_command_for_one_is_shown(tmp_path):
     run = write_run(tmp_path, fourier_plan())
     assert f"hil report {run.path}" in " ".join(summary_lines(run.path))

@@ -14,6 +14,7 @@ import typer
 
 import hil
 from hil.cli import bench, data, live, models, recover, runs, specs, system
+from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.errors import HilError, RecordingError, RobotConnectionError, Stopped, exit_code_of
 
@@ -82,9 +83,10 @@ def _one_blas_thread() -> None:
 def _tell(error: HilError, out: Stream | None) -> int:
     kind, code = type(error).__name__, exit_code_of(error)
     _print_error(out, kind, error.message, error.hint, code)
-    typer.secho(f"{kind}: {error.message}", err=True, fg=typer.colors.RED)
+    width = width_of(sys.stderr)
+    typer.secho(fold(f"{kind}: {error.message}", width), err=True, fg=typer.colors.RED)
     if error.hint:
-        typer.echo(f"  next: {error.hint}", err=True)
+        typer.echo(fold(f"  next: {error.hint}", width), err=True)
     return code
 
 

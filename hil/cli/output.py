@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from textwrap import wrap
+from typing import Annotated, Any, TextIO
 
 import typer
 
@@ -36,6 +39,29 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
     for row in table:
         typer.echo("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+
+
+def fold(text: str, width: int | None) -> str:
+    """Text wrapped between words; as it is where there is no width. Paths stay whole."""
+    if width is None:
+        return text
+    lines = (
+        wrap(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        for line in text.splitlines()
+    )
+    return "\n".join("\n".join(line) for line in lines)
+
+
+def width_of(stream: TextIO) -> int | None:
+    """Columns of the terminal that a stream is, None where it is none; it may change any time."""
+    if not stream.isatty():
+        return None
+    columns = 0
+    with contextlib.suppress(ValueError):
+        columns = int(os.environ.get("COLUMNS", ""))
+    with contextlib.suppress(OSError, ValueError):
+        columns = columns or os.get_terminal_size(stream.fileno()).columns
+    return max(columns or 80, 20)
 
 
 def duration(seconds: float) -> str:

@@ -6,14 +6,10 @@ what the operator is asked, why the run stops. The moving line never wraps: it i
 
 from __future__ import annotations
 
-import contextlib
-import os
-import shutil
 import sys
 import time
-from textwrap import wrap
 
-from hil.cli.output import duration
+from hil.cli.output import duration, fold, width_of
 from hil.engine.observers import Event
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import state_words, step_words
@@ -43,7 +39,7 @@ class ProgressLines:
             self._state()
         elif kind == "prompt":
             self._prompt(event)
-        elif kind in ("step", "progress"):
+        elif kind == "progress" or (kind == "step" and self._tty):
             self._moving()
 
     def _state(self) -> None:
@@ -70,18 +66,17 @@ class ProgressLines:
         if now < self._next or (run.prompt and self._tty) or run.state in ENDING:
             return
         self._next = now + (TERMINAL_EVERY_S if self._tty else PIPED_EVERY_S)
-        if not self._tty:
+        if (width := width_of(sys.stderr)) is None:
             self._line(_progress(run))
             return
-        sys.stderr.write(f"\r\x1b[K{_cut(_progress(run), _width() - 1)}")
+        sys.stderr.write(f"\r\x1b[K{_cut(_progress(run), width - 1)}")
         sys.stderr.flush()
         self._open = True
 
     def _line(self, text: str) -> None:
         """A line that stays; on a terminal it is wrapped between words, in a pipe it is one."""
         start = "\r\x1b[K" if self._open else ""
-        lines = _wrapped(text) if self._tty else [text]
-        sys.stderr.write(start + "".join(f"{line}\n" for line in lines or [""]))
+        sys.stderr.write(f"{start}{fold(text, width_of(sys.stderr))}\n")
         sys.stderr.flush()
         self._open = False
 
@@ -119,26 +114,5 @@ def _speed(run: Standing) -> str:
     return f"{run.pace:.0f}× real time" if run.pace > FASTER_THAN_REAL else ""
 
 
-def _wrapped(text: str) -> list[str]:
-    """Lines of the terminal's width; a path stays whole, so that it can be copied."""
-    return wrap(
-        text,
-        _width() - 1,
-        subsequent_indent="  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
-
 def _cut(text: str, width: int) -> str:
     return text if len(text) <= width else f"{text[: max(0, width - 1)]}…"
-
-
-def _width() -> int:
-    """Columns of the terminal that standard error is; it may be resized at any time."""
-    columns = 0
-    with contextlib.suppress(ValueError):
-        columns = int(os.environ.get("COLUMNS", ""))
-    with contextlib.suppress(OSError, ValueError):
-        columns = columns or os.get_terminal_size(sys.stderr.fileno()).columns
-    return max(columns or shutil.get_terminal_size().columns, 20)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -139,7 +140,7 @@ def _fail(error: HilError, json: bool) -> None:
 def _tell(run: Path) -> None:
     from hil.report.text import summary_lines
 
-    for line in summary_lines(run):
+    for line in summary_lines(run, max(40, min(80, get_terminal_size().columns))):
         typer.echo(line)
 
 

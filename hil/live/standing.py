@@ -111,7 +111,7 @@ class Standing:
     @property
     def troubles(self) -> list[str]:
         """What a recording should not have, in words; nothing when all is well."""
-        missing = f" ({self.missing} samples)" if self.missing else ""
+        missing = f" ({self.missing} samples missing)" if self.missing else ""
         said = [
             _count(self.gaps, "gap") + missing if self.gaps else "",
             _count(self.duplicates, "duplicate"),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.errors import DataError
+from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (
     Document,
@@ -22,6 +23,8 @@ from hil.report.documents import (
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 
+PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
+
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
@@ -30,7 +33,8 @@ class RunFacts:
     Attributes:
         path: The run directory.
         status: `completed`, `stopped`, `tripped`, `failed`, `interrupted` or `damaged`.
-        start, stop, plan, preflight, verdict: The documents; empty where absent or damaged.
+        start, stop, plan, preflight, verdict: The documents; empty where absent or damaged. A
+            resumed run has the stop document of its last attempt.
         spec: The spec as plain YAML; empty where absent or damaged.
         steps: The plan's steps in JSON form.
         events: As logged.
@@ -91,6 +95,30 @@ class RunFacts:
         return max(logged, default=0)
 
     @property
+    def measured(self) -> str:
+        """By the data, such as `6 of 24 dwells, 2 of 6 references`; empty when nobody counted."""
+        counts = as_object(self.stop.get("complete")).items()
+        return ", ".join(
+            f"{as_object(n).get('done')} of {as_object(n).get('of')} "
+            f"{PLURALS.get(kind, f'{kind}s')}"
+            for kind, n in counts
+        )
+
+    @property
+    def ended_in(self) -> str:
+        """Where a run was when it ended early: `preflight`, or `step 28, dwell at pose 5`."""
+        at, states = self.steps_done, [e.get("state") for e in self.events_of("state")]
+        if self.status != "completed" and states and "running" not in states:
+            return "preflight, before anything moved"
+        if self.status == "completed" or self.stop.get("attempt") or not 0 <= at < len(self.steps):
+            return ""
+        step = self.steps[at]
+        pose, trajectory = step.get("pose", -1), step.get("trajectory", -1)
+        where = f" at pose {pose}" if pose != -1 else ""
+        which = f" {trajectory}" if trajectory != -1 else ""
+        return f"step {at + 1}, {step.get('kind')}{which}{where}"
+
+    @property
     def unsettled_steps(self) -> frozenset[int]:
         """Steps whose dwell ran into its time-out."""
         logged = [e.get("step") for e in self.events_of("dwell") if e.get("settled") is False]
@@ -147,7 +175,7 @@ def read_facts(path: Path) -> RunFacts:
         path=path,
         status=_status(run, problems),
         start=start,
-        stop=document(path / "stop.json", problems),
+        stop=document(path / name_of_attempt("stop.json", run.attempts - 1), problems),
         plan=plan,
         preflight=document(path / "preflight.json", problems),
         verdict=document(path / "verdict.json", problems),

@@ -21,6 +21,7 @@ ENDINGS: dict[str, tuple[str, Mark]] = {
     "failed": ("FAILED", "fail"),
     "damaged": ("DAMAGED", "fail"),
 }
+RESUMABLE = ("interrupted", "stopped", "tripped", "failed")
 VERDICTS: dict[bool | None, tuple[str, Mark]] = {
     True: ("PASSED", "pass"),
     False: ("REJECTED", "fail"),
@@ -50,6 +51,8 @@ def sentence_of(facts: RunFacts) -> str:
 def next_command(facts: RunFacts, run: str) -> str:
     """What to type next about the run at `run`; empty when nothing is left to do."""
     wanted = facts.estimators_wanted
+    if facts.status in RESUMABLE and facts.steps:
+        return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
         return f"hil fit {run} --estimator {wanted[0]}"
     return ""
@@ -191,6 +194,9 @@ def _ending(facts: RunFacts) -> str:
 
 
 def _progress(facts: RunFacts) -> str:
+    """How far it came: by what was measured, or by the steps where nobody could count that."""
+    if facts.measured:
+        return f"Measured: {facts.measured}."
     if not facts.steps:
         return ""
     return f"{facts.steps_done} of {len(facts.steps)} steps were done."

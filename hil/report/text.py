@@ -11,6 +11,7 @@ from hil.report.documents import as_float
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
 from hil.report.judgement import (
+    RESUMABLE,
     badge_of,
     failed_fits,
     next_command,
@@ -22,26 +23,45 @@ from hil.report.words import criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
 LABEL = 11
+NAMES = 28
+COLUMN = 11
 
 
-def summary_lines(run: Path) -> list[str]:
+def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
     """What a run was, how it ended and what its models are worth; the samples are not read.
+
+    Args:
+        run: The run directory.
+        width: Of the terminal; the table of a model needs 56 columns.
 
     Raises:
         DataError: It is not a run directory, or was written by a newer hil.
     """
     facts = read_facts(Path(run))
-    lines = [*wrap(f"{badge_of(facts).text}  {facts.name}", WIDTH), ""]
-    lines += [*wrap(sentence_of(facts), WIDTH), ""]
+    lines = [*wrap(f"{badge_of(facts).text}  {facts.name}", width), ""]
+    lines += [*wrap(sentence_of(facts), width), ""]
     for label, value in _details(facts):
-        lines += _labelled(label, value)
+        lines += _labelled(label, value, width)
     for fit in facts.judged_fits:
-        lines += ["", *_fit_lines(fit)]
+        lines += ["", *_fit_lines(fit, width)]
+    for warning in _warnings(facts):
+        lines += ["", *wrap(f"Warning: {warning}", width)]
+    return lines + _commands(facts, run)
+
+
+def _warnings(facts: RunFacts) -> list[str]:
+    told = facts.stop.get("problems")
+    ending = map(str, told) if isinstance(told, list) else ()
     silent = filter(None, map(nrmse_warning, facts.judged_fits))
-    for problem in (*facts.problems, *failed_fits(facts), *silent):
-        lines += ["", *wrap(f"Warning: {problem}", WIDTH)]
-    commands = [next_command(facts, str(run)), "" if _report(facts) else f"hil report {run}"]
-    return lines + [f"next: {command}" for command in commands if command]
+    return [*facts.problems, *ending, *failed_fits(facts), *silent]
+
+
+def _commands(facts: RunFacts, run: Path) -> list[str]:
+    label = "to go on" if facts.status in RESUMABLE else "next"
+    commands = [(label, next_command(facts, str(run)))]
+    if not _report(facts):
+        commands.append(("next", f"hil report {run}"))
+    return [f"{label}: {command}" for label, command in commands if command]
 
 
 def _report(facts: RunFacts) -> str:
@@ -56,7 +76,8 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("started", when(start.get("started"))),
         ("robot", facts.robot_title),
         ("operator", str(start.get("operator") or "")),
-        ("program", f"{facts.steps_done} of {len(facts.steps)} steps" if facts.steps else ""),
+        ("program", _program(facts)),
+        ("measured", facts.measured),
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
         ("verdict", verdict_words(facts)),
         ("report", _report(facts)),
@@ -71,10 +92,18 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
     return [(label, value) for label, value in out if value]
 
 
-def _labelled(label: str, value: str) -> list[str]:
+def _program(facts: RunFacts) -> str:
+    # What a resumed attempt counts are its own steps, which say nothing about the program.
+    if not facts.steps or facts.stop.get("attempt"):
+        return ""
+    ended = f"; ended in {facts.ended_in}" if facts.ended_in else ""
+    return f"{facts.steps_done} of {len(facts.steps)} steps{ended}"
+
+
+def _labelled(label: str, value: str, width: int) -> list[str]:
     return wrap(
         value,
-        WIDTH,
+        width,
         initial_indent=label.ljust(LABEL),
         subsequent_indent=" " * LABEL,
         break_long_words=False,  # a path that is cut in two cannot be copied
@@ -82,7 +111,7 @@ def _labelled(label: str, value: str) -> list[str]:
     )
 
 
-def _fit_lines(fit: FitFacts) -> list[str]:
+def _fit_lines(fit: FitFacts, width: int) -> list[str]:
     columns = [fit.values(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
     columns.append(fit.values("rmse_raw", "trained"))
     means = [fit.mean(metric) for metric in ("rmse_raw", "rmse_filtered", "noise_floor")]
@@ -90,24 +119,26 @@ def _fit_lines(fit: FitFacts) -> list[str]:
     title = f"{fit.label}: RMSE [{fit.unit}] on held-out data, raw on trained"
     if np.isfinite(means[2]):
         title += f"; fast: the measured signal's {fit.fast_part}"
-    lines = wrap(title, WIDTH)
+    lines = wrap(title, width)
     if not fit.is_honest:
-        lines += wrap(f"not judged; {fit.protocol}", WIDTH)
-    lines.append(_row("joint", ["raw", "filtered", "fast", "trained"]))
+        lines += wrap(f"not judged; {fit.protocol}", width)
+    names = max(LABEL, min(NAMES, width - 4 * COLUMN))
+    lines.append(_row("joint", ["raw", "filtered", "fast", "trained"], names))
     for j, name in enumerate(fit.joint_names):
-        lines.append(_row(joint_title(j, name), [number(values[j]) for values in columns]))
-    lines.append(_row("mean", [number(mean) for mean in means]))
-    return lines + [line for row in fit.criteria for line in _criterion(row)]
+        values = [number(column[j]) for column in columns]
+        lines.append(_row(joint_title(j, name), values, names))
+    lines.append(_row("mean", [number(mean) for mean in means], names))
+    return lines + [line for row in fit.criteria for line in _criterion(row, width)]
 
 
-def _row(name: str, values: list[str]) -> str:
-    cut = name if len(name) <= 26 else f"{name[:25]}…"
-    return f"{cut:<28}" + "".join(f"{value:>11}" for value in values)
+def _row(name: str, values: list[str], names: int) -> str:
+    cut = name if len(name) <= names - 2 else f"{name[: names - 3]}…"
+    return cut.ljust(names) + "".join(f"{value:>{COLUMN}}" for value in values)
 
 
-def _criterion(row: object) -> list[str]:
+def _criterion(row: object, width: int) -> list[str]:
     assert isinstance(row, dict)
     word = "pass" if row.get("passed") else "FAIL"
     found = number(as_float(row.get("value")))
     text = f"{word}  {criterion_text(row)}: {found} ({row.get('what')})"
-    return wrap(text, WIDTH, subsequent_indent=" " * 6)
+    return wrap(text, width, subsequent_indent=" " * 6)
