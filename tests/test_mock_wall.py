@@ -13,6 +13,7 @@ from mock_motions import ASIDE, UPRIGHT, move, play
 
 from hil.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
 from hil.robot import Robot, Status
+from hil.testing.conformance import robot_conformance
 from hil_mock_robot.driver import MockRobot
 from hil_mock_robot.journal import read_journal
 
@@ -131,6 +132,19 @@ def test_stop_acts_within_a_block_or_two(make):
     speeds = np.abs(after["qd_target"]).max(axis=1)
     assert speeds[1] < speeds[0] * 0.99
     assert after["status"][-1] == Status.HOLDING
+
+
+def test_a_command_meets_the_arm_where_it_is_by_the_wall(make):
+    mock = make(speed=5.0)
+    begin(mock)
+    busy_until = time.monotonic() + 0.15
+    while time.monotonic() < busy_until:  # holds the interpreter, which slows every thread down
+        pass
+    mock.stop()
+    start, stop = events(mock, "start", "stop")
+    slipped = sum(line["behind_s"] for line in events(mock, "slip"))
+    passed = (stop["monotonic_s"] - start["monotonic_s"] - slipped) * 5.0
+    assert stop["device_time"] - start["device_time"] == pytest.approx(passed, abs=3 * DT)
 
 
 def test_the_arm_moves_on_when_nobody_reads_and_the_oldest_rows_are_lost(make):
@@ -276,6 +290,10 @@ def test_a_signal_handler_may_stop_the_robot_its_own_thread_is_reading(make):
         signal.signal(signal.SIGUSR1, before)
     assert events(mock, "stop")[0]["speed_rad_s"] > 0.5
     wait_for(lambda: events(mock, "rest"))
+
+
+def test_keeps_the_contract_of_the_robot_protocol():
+    assert robot_conformance(lambda: MockRobot("bench", clock="wall", speed=5.0))
 
 
 def test_two_robots_live_side_by_side(make):

@@ -12,13 +12,16 @@ from hil_mock_robot.controller import Controller
 
 
 class Clock(Protocol):
-    """How time passes for one robot. Only `begin` and `end` are called without the lock."""
+    """How time passes for one robot; `catch_up`, `contact` and `forget` need the lock."""
 
     def begin(self) -> None:
         """The robot was connected."""
 
     def end(self) -> None:
         """The robot is closed; returns when its arm rests, as far as time passes for it."""
+
+    def catch_up(self) -> None:
+        """Let everything happen that was due before now."""
 
     def contact(self) -> None:
         """The host has shown itself."""
@@ -47,6 +50,9 @@ class VirtualClock:
 
     def end(self) -> None:
         """See `Clock.end`: here time stands still."""
+
+    def catch_up(self) -> None:
+        """See `Clock.catch_up`: here nothing is ever due."""
 
     def contact(self) -> None:
         """See `Clock.contact`."""

@@ -243,6 +243,7 @@ class MockRobot:
         """Hold the lock while the robot is told something, and put that into the journal."""
         asked = time.monotonic()
         with self._lock:
+            self._clock.catch_up()
             telling = _Telling(self._controller.moment(asked), details)
             try:
                 yield telling

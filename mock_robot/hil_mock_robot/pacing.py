@@ -59,6 +59,9 @@ def pace_of(options: Options, rate_hz: float) -> Pace:
 class WallClock:
     """Advances by itself, by absolute deadlines of the monotonic clock.
 
+    What is due is computed by whoever holds the lock first: the thread, a reader, or a command,
+    which thus acts on the arm as it is now, however late the thread may be.
+
     Args:
         controller: What it advances.
         changed: Its lock; notified when there are rows or the robot is closed.
@@ -69,8 +72,10 @@ class WallClock:
         self._controller, self._changed, self._pace = controller, changed, pace
         self._queue: deque[StructArray] = deque()
         self._queued = self._lost = 0
-        self._contact = 0.0
+        self._began = self._contact = 0.0
+        self._passed = 0
         self._readers = 0
+        self._advancing = False
         self._thread: threading.Thread | None = None
         self._ending = threading.Event()
         self._broken: Exception | None = None
@@ -86,6 +91,7 @@ class WallClock:
             return
         self._ending.clear()
         self._broken = None
+        self._began, self._passed = time.monotonic(), 0
         self.contact()
         name = f"mock robot {self._controller.name}"
         self._thread = threading.Thread(target=self._pass, name=name, daemon=True)
@@ -125,6 +131,7 @@ class WallClock:
             self._readers += 1
             try:
                 while True:
+                    self._advance(self._pace.block)
                     if (rows := self._taken()) is not None:
                         return self._controller.hand_over(rows)
                     left = end - time.monotonic()
@@ -156,33 +163,54 @@ class WallClock:
         self.contact()
         return rows
 
+    def catch_up(self) -> None:
+        """See `Clock.catch_up`."""
+        self._advance(1)
+
     def _pass(self) -> None:
-        """The thread: one block after the other, each when its last sample is due."""
-        due = time.monotonic()
-        while True:
-            due += self._pace.block * self._pace.spacing_s
+        """The thread: wakes whenever a block is due."""
+        block, spacing_s = self._pace.block, self._pace.spacing_s
+        while self._broken is None:
+            due = self._began + (self._passed + block) * spacing_s
             if self._ending.wait(max(0.0, due - time.monotonic())):
                 return
-            behind = time.monotonic() - due
             with self._changed:
-                if behind > SLIP_S:
-                    due += behind
-                    self._controller.note("slip", behind_s=round(behind, 6))
-                try:
-                    self._advance()
-                except Exception as error:  # a bug here must reach whoever reads
-                    self._broken = error
-                self._changed.notify_all()
-                if self._broken is not None:
-                    return
+                self._advance(block)
 
-    def _advance(self) -> None:
-        controller, left = self._controller, self._pace.block
-        self._guard(controller)
-        while left > 0 and not controller.arm.dead:
+    def _advance(self, least: int) -> None:
+        """Let the samples pass that are due, if they are at least so many."""
+        # Advancing already: a signal handler has interrupted this thread in the middle of it.
+        if self._advancing or self._thread is None or self._broken is not None:
+            return
+        due = self._due()
+        if due < least:
+            return
+        self._advancing = True
+        try:
+            self._guard(self._controller)
+            self._produce(due)
+        except Exception as error:  # a bug here must reach whoever reads
+            self._broken = error
+        finally:
+            self._advancing = False
+        self._passed += due
+        self._changed.notify_all()
+
+    def _due(self) -> int:
+        spacing_s, block = self._pace.spacing_s, self._pace.block
+        due = int((time.monotonic() - self._began) / spacing_s + 1e-9) - self._passed
+        if due <= max(block, SLIP_S / spacing_s):
+            return due
+        self._began += (due - block) * spacing_s
+        self._controller.note("slip", behind_s=round((due - block) * spacing_s, 6))
+        return block
+
+    def _produce(self, count: int) -> None:
+        controller = self._controller
+        while count > 0 and not controller.arm.dead:
             before = controller.samples
-            rows = controller.produce(left)
-            left -= controller.samples - before
+            rows = controller.produce(count)
+            count -= controller.samples - before
             if len(rows):
                 self._keep(rows)
 
