@@ -32,11 +32,13 @@ class Arrangement:
         roadmap: How to get about.
         reference: The visit that is repeated to see drift; None for none.
         every: Visits of the program between two visits to the reference.
+        weighing: Visits at which every load is weighed.
     """
 
     roadmap: Roadmap
     reference: Visit | None = None
     every: int = 50
+    weighing: Sequence[Visit] = ()
 
     @property
     def workspace(self) -> Workspace:
@@ -98,6 +100,21 @@ class Arrangement:
             since_reference += 1
         if since_reference:
             yield from self._see_reference(here)
+
+    def tour(self, visits: Sequence[Visit], here: FloatArray) -> list[Action]:
+        """`visits` in the order given, from the position `here` (n,).
+
+        Raises:
+            PlanError: A visit cannot be reached.
+        """
+        out: list[Action] = []
+        for visit in visits:
+            lines = self.roadmap.way(here, visit.entry)
+            if lines is None:
+                raise PlanError(f"{visit.label}: no clear way leads there from {_degrees(here)}")
+            out += _group(lines, visit)
+            here = visit.exit
+        return out
 
     def _next(self, here: FloatArray, visits: Sequence[Visit]) -> tuple[int, list[Line]] | None:
         """The first visit with a straight clear way, else the first with any way."""

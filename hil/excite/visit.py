@@ -16,7 +16,7 @@ from hil.typing import FloatArray
 class Action:
     """A step of a plan that does not know its number and load yet (see `hil.plan.Step`)."""
 
-    kind: Literal["warmup", "move", "dwell", "trajectory", "reference"]
+    kind: Literal["warmup", "move", "dwell", "trajectory", "reference", "weigh"]
     motion: Motion
     pose: int = -1
     trajectory: int = -1
@@ -86,7 +86,7 @@ def pose_visit(
     delta_rad: float,
     *,
     label: str,
-    kind: Literal["dwell", "reference"] = "dwell",
+    kind: Literal["dwell", "reference", "weigh"] = "dwell",
     pose: int = -1,
 ) -> Visit:
     """Dwell at `q` (n,), once per approach.

@@ -22,6 +22,7 @@ from hil.plan.margins import margins_of
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 from hil.plan.quality import condition_number, condition_score
 from hil.plan.surroundings import collision_model
+from hil.plan.weighing import weigh_dwell, weigh_visits
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
@@ -65,7 +66,8 @@ def build_plan(
     excitation: Excitation = kind(spec.excitation, folder or Path())
     program = excitation.program(roadmap)
     reference = _reference(spec, roadmap, program)
-    arrangement = Arrangement(roadmap, reference, spec.reference.every)
+    weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
+    arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)
     steps = tuple(_steps(spec, arrangement, program, start))
     loads = tuple(LoadStep(load.payload(), load.prompt, load.size_m) for load in spec.loads)
     return _complete(spec, station_robot, arm, workspace, steps, loads)
@@ -81,6 +83,7 @@ def _complete(
 ) -> Plan:
     """The plan with its margins; refuses a negative one."""
     measured = [step.motion for step in steps if step.measures and step.motion]
+    weighed = any(step.kind == "weigh" for step in steps)
     margins = margins_of(steps, loads, arm, station_robot.gravity_m_s2, workspace)
     motions = [step.motion for step in steps if step.motion]
     sizes = [load.size_m for load in loads]
@@ -96,6 +99,7 @@ def _complete(
         steps=steps,
         loads=loads,
         dwell=_dwell_rule(spec),
+        weigh_dwell=weigh_dwell(_dwell_rule(spec), workspace.rate_hz) if weighed else None,
         margins=margins,
         condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
     )
@@ -209,17 +213,22 @@ def _sequence(
 ) -> Iterator[tuple[int, Action | None]]:
     """Load and action, the whole program once per load; None stands for changing the load.
 
-    Loads are changed in the home pose; the arm is warmed up once.
+    Loads are changed in the home pose and weighed from there; the arm is warmed up once.
     """
+    home = arrangement.roadmap.home
     for load in range(len(spec.loads)):
         if load > 0:
             yield from ((load - 1, action) for action in arrangement.go_home(here))
-            here = arrangement.roadmap.home
+            here = home
         yield load, None
         actions: list[Action] = []
+        if arrangement.weighing:
+            actions += arrangement.go_home(here)
+            actions += arrangement.tour(arrangement.weighing, home)
+            here = actions[-1].motion.q_end
         if load == 0 and spec.warm_up.duration_s > 0:
             actions += arrangement.go_home(here)
-            actions += arrangement.warm_up(arrangement.roadmap.home, spec.warm_up.duration_s)
+            actions += arrangement.warm_up(home, spec.warm_up.duration_s)
             here = actions[-1].motion.q_end
         actions += arrangement.measure(program, here)
         yield from ((load, action) for action in actions)

@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -24,6 +24,9 @@ PLAN_FORMAT = 1
 
 StepKind = Literal["payload", "weigh", "warmup", "move", "dwell", "trajectory", "reference"]
 
+AT_REST: tuple[StepKind, ...] = ("weigh", "dwell", "reference")
+"""Steps that stand still until the plan's dwell rule is met."""
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -33,9 +36,11 @@ class Step:
         index: Position in the plan; recorded with every sample.
         kind: `move` gets somewhere, `dwell` and `reference` stand still and measure,
             `trajectory` measures in motion, `warmup` moves without measuring, `payload` changes
-            the load (with a prompt for the operator).
+            the load (with a prompt for the operator), `weigh` stands still to see whether it is
+            the load declared.
         motion: The commanded motion; None for `payload`.
-        pose, trajectory: Number of the pose or trajectory, −1 where there is none.
+        pose, trajectory: Number of the pose (weighing poses count for themselves) or trajectory,
+            −1 where there is none.
         approach: +1 when every joint arrived from below, −1 from above, 0 otherwise.
         load: Index into `Plan.loads`.
         checkpoint: True when the run can be paused or resumed before this step.
@@ -52,7 +57,7 @@ class Step:
 
     @property
     def measures(self) -> bool:
-        """True for steps whose samples are used."""
+        """True for steps whose samples are fitted to or judged on."""
         return self.kind in ("dwell", "trajectory", "reference")
 
     def to_dict(self) -> dict[str, Any]:
@@ -71,7 +76,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class DwellRule:
-    """When a dwell is over: ten settled samples, at least `dwell_s`, at most `timeout_s`."""
+    """When a dwell is over: `samples` settled ones, at least `dwell_s`, at most `timeout_s`."""
 
     dwell_s: float = 0.095
     samples: int = 10
@@ -106,6 +111,7 @@ class Plan:
         steps: In order of execution; step i has index i.
         loads: What `Step.load` points into.
         dwell: When a dwell is over.
+        weigh_dwell: When a weighing dwell is over; None in a plan without any.
         margins: Smallest distance to every limit (see `hil plan`), all ≥ 0.
         condition_number: Column-scaled condition number of the base regressor on the plan's
             measuring samples; infinite where they do not determine the parameters.
@@ -118,6 +124,7 @@ class Plan:
     steps: tuple[Step, ...]
     loads: tuple[LoadStep, ...]
     dwell: DwellRule = DwellRule()
+    weigh_dwell: DwellRule | None = None
     margins: dict[str, float] = field(default_factory=dict)
     condition_number: float = math.inf
 
@@ -152,12 +159,17 @@ class Plan:
         """How far, fast and hard each joint goes."""
         return extremes_of(self.motions, self.rate_hz)
 
+    def dwell_rule(self, step: Step) -> DwellRule:
+        """When a step that stands still is over."""
+        return (self.weigh_dwell if step.kind == "weigh" else None) or self.dwell
+
     def step_duration_s(self, step: Step) -> float:
         """Estimated duration of one step [s]; a dwell also needs a moment to settle."""
         if step.motion is None:
             return 0.0
-        if step.kind in ("dwell", "reference"):
-            return max(self.dwell.dwell_s, self.dwell.samples / self.rate_hz) + SETTLING_S
+        if step.kind in AT_REST:
+            rule = self.dwell_rule(step)
+            return max(rule.dwell_s, rule.samples / self.rate_hz) + SETTLING_S
         return step.motion.duration_s
 
     @cached_property
@@ -170,20 +182,16 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form; `from_dict` gives an equal plan back."""
-        return {
+        weigh = {"weigh_dwell": asdict(self.weigh_dwell)} if self.weigh_dwell else {}
+        return weigh | {
             "hil_plan": PLAN_FORMAT,
             "name": self.name,
             "robot_model": self.robot_model,
             "joint_names": list(self.joint_names),
             "rate_hz": self.rate_hz,
-            "dwell": {
-                "dwell_s": self.dwell.dwell_s,
-                "samples": self.dwell.samples,
-                "settle_rad_s": self.dwell.settle_rad_s,
-                "timeout_s": self.dwell.timeout_s,
-            },
+            "dwell": asdict(self.dwell),
             "loads": [_load_to_dict(load) for load in self.loads],
-            "margins": self.margins,
+            "margins": {name: number_or_none(value) for name, value in self.margins.items()},
             "condition_number": number_or_none(self.condition_number),
             "steps": [step.to_dict() for step in self.steps],
         }
@@ -191,7 +199,6 @@ class Plan:
     @staticmethod
     def from_dict(raw: dict[str, Any]) -> Plan:
         """Inverse of `to_dict`."""
-        condition = raw["condition_number"]
         return Plan(
             name=raw["name"],
             robot_model=raw["robot_model"],
@@ -200,8 +207,9 @@ class Plan:
             steps=tuple(Step.from_dict(step) for step in raw["steps"]),
             loads=tuple(_load_from_dict(load) for load in raw["loads"]),
             dwell=DwellRule(**raw["dwell"]),
-            margins=raw["margins"],
-            condition_number=math.inf if condition is None else condition,
+            weigh_dwell=DwellRule(**raw["weigh_dwell"]) if "weigh_dwell" in raw else None,
+            margins={name: _or_infinite(value) for name, value in raw["margins"].items()},
+            condition_number=_or_infinite(raw["condition_number"]),
         )
 
 
@@ -212,6 +220,10 @@ SETTLING_S = 0.1
 def number_or_none(value: float) -> float | None:
     """The value, or None where JSON has no word for it."""
     return value if math.isfinite(value) else None
+
+
+def _or_infinite(value: float | None) -> float:
+    return math.inf if value is None else value
 
 
 def _load_to_dict(load: LoadStep) -> dict[str, Any]:

@@ -38,6 +38,7 @@ from hil.spec.quantities import (
     Strict,
     mistake,
 )
+from hil.spec.weigh import OptionalWeigh, Weigh
 
 __all__ = [
     "Accept",
@@ -66,6 +67,7 @@ __all__ = [
     "TrackingErrorInterlock",
     "Validate",
     "WarmUp",
+    "Weigh",
     "WorkspaceInterlock",
 ]
 
@@ -192,6 +194,9 @@ class ExperimentSpec(Strict):
     excitation: Excitation = Field(description="What the arm does while it is measured.")
     loads: tuple[Load, ...] = Field(
         (Load(),), min_length=1, description="The excitation runs once with each of these."
+    )
+    weigh: OptionalWeigh = Field(
+        Weigh(), description="How the loads are weighed; `false` or `null`: not at all."
     )
     warm_up: WarmUp = Field(WarmUp(), description="Motion before measuring.")
     reference: Reference = Field(Reference(), description="A pose visited again and again.")
