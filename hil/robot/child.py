@@ -75,9 +75,9 @@ class Guard(threading.Thread):
                 return self._let_go(gone=False)
             if self._stops.fileno() in ready and not self._answer():
                 return self._let_go(gone=True)
-            with contextlib.suppress(Exception):
-                self._robot.stop_if_unread()
-            _keep_short(self._log)
+            self._robot.stop_if_unread()
+            with contextlib.suppress(OSError):
+                _keep_short(self._log)
 
     def _answer(self) -> bool:
         """Stop and say so; False when nobody is there any more."""
@@ -119,7 +119,7 @@ def main(arguments: list[str]) -> None:
     for descriptor in (calls_at, stops_at, log):
         # A process that the driver starts must not keep our lines open beyond our end.
         os.set_inheritable(descriptor, False)
-    faulthandler.enable()
+    faulthandler.enable(all_threads=False)
     terminated = _hear_signals()
     calls, stops = Line(socket.socket(fileno=calls_at)), socket.socket(fileno=stops_at)
     robot = HostedRobot()

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -19,6 +17,7 @@ from typing import Any
 from hil.errors import PluginError, RobotConnectionError, RobotTimeout
 from hil.robot.documents import error_from, understood
 from hil.robot.frames import Message, pack
+from hil.robot.spawn import end_of, last_words, new_log, printed_to, spawn
 from hil.robot.stop_line import StopLine
 from hil.robot.wire import EndOfLine, Line
 from hil.typing import StructArray
@@ -26,13 +25,12 @@ from hil.typing import StructArray
 STOP_WITHIN_S = 1.0
 """A driver that has not answered a stop by then is killed: its controller has to notice [s]."""
 
-TERMINATE_AFTER_S = 2.0
-KILL_AFTER_S = 4.0
+TERMINATE_AFTER_S = 1.0
+KILL_AFTER_S = 2.0
 """How long a process that should end is waited for, before and after SIGTERM [s]."""
 
 _TO_BE_SEEN_S = 1.0
-_LAST_LINES = 5
-_LOG_BYTES = 2000
+_mine: weakref.WeakSet[DriverProcess] = weakref.WeakSet()
 
 
 class DriverProcess:
@@ -54,18 +52,18 @@ class DriverProcess:
         self._name = name
         self._numbers = itertools.count()
         self._late: list[StructArray] = []
+        self._lost = False
         calls, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
         # Packets keep stops whole however many threads send them at once.
         stops, their_stops = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._calls, self._stops = Line(calls), StopLine(stops)
-        # A file in memory, not a pipe: printing never waits for us, and outlives us.
-        self._log = os.memfd_create(f"hil-driver-{name}", os.MFD_CLOEXEC)
-        fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
+        self._log = new_log(name)
         with theirs, their_stops:
-            self._process = _spawn((theirs.fileno(), their_stops.fileno(), self._log))
+            self._process = spawn((theirs.fileno(), their_stops.fileno(), self._log))
         self._drop = weakref.finalize(
             self, _drop, self._process, self._calls, self._stops, self._log
         )
+        _mine.add(self)
 
     @property
     def pid(self) -> int:
@@ -74,17 +72,20 @@ class DriverProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
-        return self._drop.alive and self._process.poll() is None
+        """Whether it runs, and was neither let go nor given up."""
+        return self._drop.alive and not self._lost and self._process.poll() is None
+
+    @property
+    def answers(self) -> bool:
+        """Whether calls make sense: it runs, and the line to it is in step."""
+        return self.alive and not self._calls.torn
 
     @property
     def printed(self) -> str:
         """The end of what the driver printed."""
         if not self._drop.alive:
             return ""
-        size = os.fstat(self._log).st_size
-        raw = os.pread(self._log, _LOG_BYTES, max(0, size - _LOG_BYTES))
-        return raw.decode("utf-8", "replace")
+        return printed_to(self._log)
 
     def ask(
         self,
@@ -139,6 +140,7 @@ class DriverProcess:
                 return
             raise self._died() from error
         if answer is None:
+            self._lost = True
             self._process.kill()
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s "
@@ -154,6 +156,12 @@ class DriverProcess:
         """Let the process come to its end, or bring it there, within seconds. Idempotent."""
         self._drop()
 
+    def forget(self) -> None:
+        """Let go of our ends without a word, in a process that is not the one they belong to."""
+        if self._drop.detach():
+            self._calls.close()
+            self._stops.close()
+
     def _with_late(self, call: str, rows: list[StructArray]) -> list[StructArray]:
         if call != "read":
             return rows
@@ -161,28 +169,15 @@ class DriverProcess:
         return late + rows
 
     def _died(self) -> RobotConnectionError:
+        self._lost = True
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_TO_BE_SEEN_S)
-        message = f"{self._name}: the driver's process {_end_of(self._process.returncode)}"
-        last = "\n".join(self.printed.strip().splitlines()[-_LAST_LINES:])
+        message = f"{self._name}: the driver's process {end_of(self._process.returncode)}"
+        last = last_words(self.printed)
         return RobotConnectionError(
             f"{message}; it printed last:\n{last}" if last else message,
             hint="nobody commands the robot now: see to it before going on",
         )
-
-
-def _spawn(ours: Sequence[int]) -> subprocess.Popen[bytes]:
-    """Start the child in a session of its own, where the terminal's signals do not reach it."""
-    log = ours[-1]
-    return subprocess.Popen(  # noqa: S603, our own module by our own interpreter
-        [sys.executable, "-P", "-m", "hil.robot.child", *map(str, ours)],
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=log,
-        pass_fds=ours,
-        start_new_session=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
 
 
 def _drop(process: subprocess.Popen[bytes], calls: Line, stops: StopLine, log: int) -> None:
@@ -200,9 +195,10 @@ def _drop(process: subprocess.Popen[bytes], calls: Line, stops: StopLine, log: i
     os.close(log)
 
 
-def _end_of(code: int | None) -> str:
-    if code is None:
-        return "has closed the line"
-    if code < 0:
-        return f"died (signal {-code}: {signal.strsignal(-code)})"
-    return f"ended (exit code {code})"
+def _forget_in_fork() -> None:
+    """A child made by fork shares our ends: it must neither keep nor use them, nor cut them."""
+    for process in list(_mine):
+        process.forget()
+
+
+os.register_at_fork(after_in_child=_forget_in_fork)

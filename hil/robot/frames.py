@@ -40,7 +40,7 @@ def pack(header: Mapping[str, Any], arrays: Sequence[StructArray] = ()) -> bytes
         RobotConnectionError: It would be larger than the other side accepts.
         TypeError, ValueError: The header cannot be said in JSON.
     """
-    whole = [np.ascontiguousarray(array) for array in arrays]
+    whole = [np.asarray(array) for array in arrays]
     described = [[dtype_text(array.dtype), array.shape] for array in whole]
     head = json.dumps({**header, "arrays": described}).encode()
     body = b"".join(array.tobytes() for array in whole)

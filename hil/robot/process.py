@@ -182,24 +182,19 @@ class RobotProcess:
         if facts.resource is not None:
             self.resource = facts.resource
 
-    def _ask(
-        self,
-        call: str,
-        timeout_s: float,
-        details: Mapping[str, Any] | None = None,
-        arrays: Sequence[StructArray] = (),
-    ) -> Message:
+    def _ask(self, call: str, timeout_s: float, *what: Any) -> Message:
         process = self._process
         if process is None:
             raise self._not_connected()
         with self._one_call:
-            return process.ask(call, timeout_s, details, arrays)
+            return process.ask(call, timeout_s, *what)
 
     def _ask_to_close(self) -> None:
-        # Whoever is stuck in a call keeps the line; the end of it will do, then.
-        if self._process is not None and self._one_call.acquire(timeout=CLOSE_S):
+        process = self._process
+        # Who is stuck in a call keeps the line; the end of it will do, then.
+        if process and process.answers and self._one_call.acquire(timeout=CLOSE_S):
             try:
-                self._process.ask("close", CLOSE_S)
+                process.ask("close", CLOSE_S)
             finally:
                 self._one_call.release()
 

@@ -20,12 +20,15 @@ class Line:
 
     Args:
         end: Connected stream socket; the line owns it.
+
+    Attributes:
+        torn: Half a frame was left behind, or no frame came: the line is of no use any more.
     """
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
         self._buffer = bytearray()
-        self._torn = False
+        self.torn = False
 
     def send(self, frame: bytes, timeout_s: float | None = None) -> None:
         """Send a packed frame.
@@ -36,7 +39,7 @@ class Line:
         """
         self._require_whole()
         # Torn until it is sent: whatever interrupts this leaves half a frame behind.
-        self._torn = True
+        self.torn = True
         try:
             self._end.settimeout(timeout_s)
             self._end.sendall(frame)
@@ -46,7 +49,7 @@ class Line:
             ) from error
         except OSError as error:
             raise EndOfLine(f"the line is cut: {error}") from error
-        self._torn = False
+        self.torn = False
 
     def receive(self, timeout_s: float | None = None) -> Message:
         """The next frame; a time-out loses nothing.
@@ -61,7 +64,7 @@ class Line:
         self._fill(PREFIX.size, until)
         magic, head, body = PREFIX.unpack_from(self._buffer)
         if magic != MAGIC or head > MOST_HEADER or body > MOST_BODY:
-            self._torn = True
+            self.torn = True
             raise garbage(repr(bytes(self._buffer[:40])))
         begin, end = PREFIX.size + head, PREFIX.size + head + body
         self._fill(end, until)
@@ -95,7 +98,7 @@ class Line:
             self._buffer += piece
 
     def _require_whole(self) -> None:
-        if self._torn:
+        if self.torn:
             raise RobotConnectionError(
                 "the line to the driver's process is out of step", hint="close the robot"
             )
