@@ -142,8 +142,9 @@ class Steps:
                 )
 
     def _dwell(self, step: Step) -> None:
-        watch = DwellWatch(self._plan.dwell)
-        deadline = self._reading.deadline(self._plan.dwell.timeout_s + DWELL_GRACE_S)
+        rule = self._plan.dwell_rule(step)
+        watch = DwellWatch(rule)
+        deadline = self._reading.deadline(rule.timeout_s + DWELL_GRACE_S)
         while True:
             block = self._reading.block()
             mine = block[block["segment"] == step.index]

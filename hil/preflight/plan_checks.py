@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from hil.plan.preview import recording_bytes
+from hil.plan.weighing import why_plan_not_weighed
 from hil.preflight.check import CheckResult, Situation
 from hil.typing import FloatArray
 
@@ -49,6 +50,17 @@ def load(situation: Situation) -> CheckResult:
         limit=rated,
         hint="take a lighter load",
     )
+
+
+def weighing(situation: Situation) -> CheckResult:
+    """Says whether loads are going to be weighed; what comes of it is judged when they are.
+
+    A waiver of this name is for that judgement (`hil.campaign.weighing`).
+    """
+    reason = why_plan_not_weighed(situation.plan, situation.robot.capabilities)
+    poses = len({step.pose for step in situation.plan if step.kind == "weigh"})
+    told = f"each load is weighed at {poses} poses before it is measured"
+    return CheckResult("weighing", True, f"no load is weighed: {reason}" if reason else told)
 
 
 def first_move(situation: Situation) -> CheckResult:

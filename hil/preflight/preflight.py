@@ -28,6 +28,7 @@ BUILT_IN: dict[str, Check] = {
     "limits": plan_checks.limits,
     "load": plan_checks.load,
     "payload": robot_checks.payload,
+    "weighing": plan_checks.weighing,
     "rate": plan_checks.rate,
     "temperature": robot_checks.temperature,
     "clock": plan_checks.clock,
