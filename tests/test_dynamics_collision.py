@@ -214,8 +214,8 @@ def test_path_clearance_finds_a_dip_of_a_single_sample():
 def test_path_clearance_skips_what_is_proven_clear():
     model = CollisionModel(load_arm("ur5"), Environment(table_z=0.0))
     asked = []
-    distances = model._distances
-    model._distances = lambda q: asked.append(len(q)) or distances(q)
+    distances = model.distances
+    model.distances = lambda q: asked.append(len(q)) or distances(q)
     q = sampled_path(7, samples=20000)
     model.path_clearance(q)
     assert sum(asked) < 0.1 * len(q)

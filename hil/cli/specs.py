@@ -85,20 +85,20 @@ def plan(
         ("recording", size(shown["recording_bytes"])),
         ("condition number", _figure(shown["condition_number"])),
         *((f"margin: {key}", f"{value:.4g}") for key, value in shown["margins"].items()),
-        *((f"interlock: {one['name']}", _watch(one)) for one in shown["interlocks"]),
+        *(
+            (f"interlock: {one['name']}", f"{one['limit']} → {one['action']}")
+            for one in shown["interlocks"]
+            if one["action"] != "off"
+        ),
         ("picture", str(drawn)),
         ("plan hash", shown["hash"][:12]),
     ]
     print_table(("", ""), rows)
+    for one in shown["interlocks"]:
+        if one["action"] == "off":
+            typer.echo(f"interlock {one['name']} is off: {one['why']}")
     for warning in shown["warnings"]:
         typer.echo(f"warning: {warning}")
-
-
-def _watch(interlock: dict[str, str]) -> str:
-    """Limit and action, or why it does not watch."""
-    if interlock["action"] == "off":
-        return f"off: {interlock['why']}"
-    return f"{interlock['limit']} → {interlock['action']}"
 
 
 def _require_svg(picture: Path | None) -> None:

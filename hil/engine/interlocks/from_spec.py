@@ -131,7 +131,7 @@ def _clearance(spec: Any, context: InterlockContext) -> Interlock | str:
 
 def _recorder(spec: Any, context: InterlockContext) -> Interlock | str:
     if context.clock == "virtual":
-        return "a robot on a virtual clock waits for the recorder"
+        return "a virtual clock waits for it"
     if context.behind_s is None:
         return "nothing is recorded"
     return Backlog(context.behind_s, spec.behind_s, action=spec.action)

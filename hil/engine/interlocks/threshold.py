@@ -43,9 +43,10 @@ class Threshold:
 
     @property
     def watches(self) -> str:
-        """The limit, for people."""
-        shown = ", ".join(f"{limit:.4g}" for limit in np.ravel(self.limit * np.asarray(self.scale)))
-        return f"{shown} {self.unit}"
+        """The limit, for people; from the lowest to the highest where joints differ."""
+        limits = np.ravel(self.limit * np.asarray(self.scale))
+        shown = dict.fromkeys(f"{limit:.4g}" for limit in (limits.min(), limits.max()))
+        return f"{' to '.join(shown)} {self.unit}"
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""
