@@ -52,6 +52,13 @@ def pause(
     _tell(pause_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
 
 
+def let_go_on(run: Path, operator: str, json: bool) -> None:
+    """`hil resume` for a run that is live: it is paused, or has taken no notice of a pause yet."""
+    from hil.campaign.steering import resume_live_run
+
+    _tell(resume_live_run(run, who=operator or _user()), json)
+
+
 def stop(
     run: RunChoice = "",
     runs: RunsOption = Path("runs"),
