@@ -72,15 +72,16 @@ def test_a_prompt_is_answered_from_another_terminal(tmp_path: Path) -> None:
 def test_a_no_stops_the_run(tmp_path: Path) -> None:
     with live_run(tmp_path, "Mount the 3 kg disc") as (run, process):
         until(lambda: read_live(run).get("prompt"))
-        done = hil("answer", run, "no", "--operator", "bert")
-        assert done.returncode == 0, done.stderr
+        assert answer_run(run, False, who="bert").state == "stopped"
         process.wait(5)
     assert RunDirectory.open(run).status == "stopped"
     assert [(event["who"], event["yes"]) for event in controls(run)] == [("bert", False)]
 
 
 def test_the_verbs_speak_json_and_find_the_only_live_run(tmp_path: Path) -> None:
-    with live_run(tmp_path) as (run, _):
+    with live_run(tmp_path, "Mount the 3 kg disc") as (run, _):
+        until(lambda: read_live(run).get("prompt"))
+        assert hil("answer", run, "yes", "--operator", "bert").stdout.startswith(f"{run}: running")
         until(lambda: moving(run))
         assert newest_live(tmp_path) == only_live(tmp_path) == run
         paused = hil("pause", "--runs", tmp_path, "--json")

@@ -81,9 +81,11 @@ def answer_run(run: Path, yes: bool, *, who: str, wait_s: float = WAIT_S) -> Rea
     prompt = str(read_live(run).get("prompt", ""))
     if not prompt:
         raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
-    return _ask(
-        run, "answer", who, wait_s, lambda view: view.get("prompt") != prompt, "", prompt, yes
-    )
+
+    def obeyed(view: View) -> bool:
+        return yes and view.get("prompt") != prompt  # a no ends the run
+
+    return _ask(run, "answer", who, wait_s, obeyed, "", prompt, yes)
 
 
 def _ask(

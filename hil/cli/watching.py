@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.campaign.live_state import standing_in
-from hil.cli.output import duration
+from hil.cli.output import duration, fold
 from hil.holder import plain
 from hil.live.standing import ENDING, Standing
 from hil.live.words import state_words, step_words
@@ -56,14 +56,14 @@ class WatchLines:
             self.line(end_line(item))
 
     def line(self, text: str) -> None:
-        """Print a line that stays."""
+        """Print a line that stays; a terminal wraps it between words, a pipe gets it whole."""
+        text = fold(text, _width()) if self._terminal else text
         sys.stdout.write(f"{self._clear()}{text}\n")
         sys.stdout.flush()
 
     def _live(self, text: str) -> None:
         if self._terminal:
-            width = max(20, shutil.get_terminal_size().columns - 1)
-            sys.stdout.write(f"{self._clear()}{text[:width]}")
+            sys.stdout.write(f"{self._clear()}{text[: _width()]}")
             sys.stdout.flush()
             self._open = True
         elif self._now() >= self._next and text != self._shown:
@@ -154,6 +154,11 @@ def _left(view: Item, run: Standing) -> str:
     if quiet > SILENT_AFTER_S:
         return f"no news for {duration(quiet)}"
     return f"{duration(run.left_s)} left"
+
+
+def _width() -> int:
+    """Columns that a line may have; one less than there are, so that it can be replaced."""
+    return max(20, shutil.get_terminal_size().columns - 1)
 
 
 def _clock(event: Item) -> str:
