@@ -68,7 +68,7 @@ def doctor(station: Annotated[Path | None, typer.Option()] = None, json: JsonFla
 
 
 def plugins(json: JsonFlag = False) -> None:
-    """List drivers, estimators, excitations, checks and mocks; broken ones with the reason."""
+    """List drivers, estimators, excitations, checks, interlocks and mocks; broken ones and why."""
     from hil.plugins import describe_all
 
     found = describe_all()

@@ -1,0 +1,13 @@
+"""Judging every sample costs little: the benchmark, on its smaller problem."""
+
+from __future__ import annotations
+
+from hil import benchmarking
+
+
+def test_the_default_set_is_far_cheaper_than_computing_every_sample() -> None:
+    measured = benchmarking.measure("interlocks", quick=True)
+    assert measured["figures"]["computed_percent"] < 15
+    assert measured["ratios"]["blocks_of_1"] > 4
+    assert measured["ratios"]["blocks_of_16"] > 15
+    assert measured["ratios"]["coal_vs_numpy_one_sample"] > 3
