@@ -44,12 +44,16 @@ class Weighed:
     Attributes:
         mass: More mass than expected, if its centre is where it was said to be [kg].
         mass_deviation: Standard deviation of that [kg].
+        free_mass: More mass than expected, wherever its centre is [kg].
+        free_mass_deviation: Standard deviation of that [kg].
         moment: (3,) first moment that no mass at the declared centre explains [kg·m].
         moment_deviation: Standard deviation along `moment` [kg·m]; infinite when it is zero.
     """
 
     mass: float
     mass_deviation: float
+    free_mass: float
+    free_mass_deviation: float
     moment: FloatArray
     moment_deviation: float
 
@@ -81,15 +85,17 @@ class Balance:
         basis = self._whitened(self.columns @ self._basis)
         seen = basis.T @ self._whitened(surplus[:, :, None])[:, 0]
         info = basis.T @ basis
-        own = info[0, 0]
-        rest = info[1:, 1:] - np.outer(info[1:, 0], info[0, 1:]) / own
+        own, both = info[0, 0], info[1:, 0] / info[0, 0]
+        rest = info[1:, 1:] - own * np.outer(both, both)
         inverse = np.linalg.pinv(rest, rcond=UNDETERMINED, hermitian=True)
-        share = seen[1:] - info[1:, 0] * seen[0] / own
+        share = seen[1:] - both * seen[0]
         moment: FloatArray = inverse @ share
         length, significance = float(np.linalg.norm(moment)), float(np.sqrt(share @ moment))
         return Weighed(
             mass=float(seen[0] / own),
-            mass_deviation=float(1.0 / np.sqrt(own)),
+            mass_deviation=float(np.sqrt(1 / own)),
+            free_mass=float(seen[0] / own - both @ moment),
+            free_mass_deviation=float(np.sqrt(1 / own + both @ inverse @ both)),
             moment=moment,
             moment_deviation=length / significance if significance > 0 else np.inf,
         )

@@ -12,6 +12,7 @@ from hil.report.decimate import Shown
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts
 from hil.report.recording import Drift, Recording
+from hil.report.weighing import weighings
 from hil.report.words import count, duration, joint_title, number
 from hil.typing import FloatArray
 
@@ -28,6 +29,7 @@ def health(
     unit = facts.effort_unit
     blocks: list[Block] = [
         _continuity(facts, recording),
+        *_weighings(facts),
         _ranges(recording, drift, names, unit),
         Plots("Over time", "", tuple(_panels(facts, recording, drift, names))),
     ]
@@ -50,6 +52,12 @@ def _continuity(facts: RunFacts, recording: Recording) -> Facts:
         "speed": _speed(float(recording.t[-1]), wall),
     }
     return Facts("Continuity", items(said))
+
+
+def _weighings(facts: RunFacts) -> list[Block]:
+    """What was weighed; nothing for a run without a sweep over loads."""
+    told = weighings(facts)
+    return [Facts("Loads as weighed", items(told))] if told else []
 
 
 def _speed(device: float, wall: float) -> str | None:

@@ -12,6 +12,7 @@ from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
 from hil.report.judgement import failed_fits, nrmse_warning
 from hil.report.recording import Drift, Recording
+from hil.report.weighing import waived_weighings
 from hil.report.words import count, duration, listed, number
 from hil.robot import Status
 
@@ -69,7 +70,13 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     if poses := facts.unsettled:
         which = listed([str(pose) for pose in poses], 12)
         out.append(f"{len(poses)} dwell(s) did not settle before the time-out: poses {which}.")
-    return out + _waived(facts) + failed_fits(facts) + fit_warnings(facts.fits)
+    return (
+        out
+        + _waived(facts)
+        + waived_weighings(facts)
+        + failed_fits(facts)
+        + fit_warnings(facts.fits)
+    )
 
 
 def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:

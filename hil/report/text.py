@@ -19,6 +19,7 @@ from hil.report.judgement import (
     sentence_of,
     verdict_words,
 )
+from hil.report.weighing import waived_weighings, weighings
 from hil.report.words import criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
@@ -53,7 +54,7 @@ def _warnings(facts: RunFacts) -> list[str]:
     told = facts.stop.get("problems")
     ending = map(str, told) if isinstance(told, list) else ()
     silent = filter(None, map(nrmse_warning, facts.judged_fits))
-    return [*facts.problems, *ending, *failed_fits(facts), *silent]
+    return [*facts.problems, *ending, *waived_weighings(facts), *failed_fits(facts), *silent]
 
 
 def _commands(facts: RunFacts, run: Path) -> list[str]:
@@ -79,6 +80,7 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("program", _program(facts)),
         ("measured", facts.measured),
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
+        ("weighed", "; ".join(f"{load}: {told}" for load, told in weighings(facts).items())),
         ("verdict", verdict_words(facts)),
         ("report", _report(facts)),
     ]

@@ -1,0 +1,42 @@
+"""What the weighing of the loads came to, in words; from the event log."""
+
+from __future__ import annotations
+
+from hil.report.documents import Document, as_float
+from hil.report.facts import RunFacts
+
+
+def weighings(facts: RunFacts) -> dict[str, str]:
+    """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
+    told: dict[str, str] = {}
+    for event in facts.events_of("weighing"):
+        result = event.get("result")
+        if result == "skipped":
+            told["loads"] = f"not weighed: {event.get('reason')}"
+        elif result != "first":
+            told.pop("loads", None)
+            told[f"load {event.get('load')}"] = _words(event)
+    return told
+
+
+def waived_weighings(facts: RunFacts) -> list[str]:
+    """A sentence for every load that is not the declared one and was measured all the same."""
+    newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
+    return [
+        f"The failed weighing was waived: {_first_line(event)}."
+        for event in newest.values()
+        if event.get("result") == "waived"
+    ]
+
+
+def _words(event: Document) -> str:
+    if event.get("result") != "passed":
+        return _first_line(event).removeprefix(f"load {event.get('load')}: ")
+    declared, weighed, deviation = (
+        as_float(event.get(key)) for key in ("declared_kg", "weighed_kg", "deviation_kg")
+    )
+    return f"{declared:.2f} kg declared, {weighed:.2f} ± {deviation:.2f} kg weighed"
+
+
+def _first_line(event: Document) -> str:
+    return str(event.get("problem") or "").partition("\n")[0]
