@@ -11,10 +11,11 @@ from __future__ import annotations
 import contextlib
 import os
 from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO
 
-from hil import __version__
 from hil.errors import DataError, RecordingError
 from hil.record.files import fsync_directory, sha256_of
 from hil.record.rebuild import Salvage, rebuild, survey
@@ -135,7 +136,7 @@ def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path) -> Salv
         "whole_bytes": str(layout.good_bytes),
         "problem": layout.problem,
         "recovered": datetime.now(UTC).isoformat(timespec="seconds"),
-        "hil": __version__,
+        "hil": _version(),
     }
     with draft.open("xb") as out:
         salvage = rebuild(file, names.source, layout, out, note)
@@ -146,6 +147,14 @@ def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path) -> Salv
         # What is compared shall come from the disk, not from the kernel's memory.
         os.posix_fadvise(out.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
     return salvage
+
+
+@cache
+def _version() -> str:
+    try:
+        return version("hil")
+    except PackageNotFoundError:
+        return ""
 
 
 def _nothing(source: Path, layout: Layout, salvage: Salvage) -> DataError:
