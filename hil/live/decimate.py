@@ -51,7 +51,9 @@ class Decimation:
         chosen = rows[(len(rows) - 1) % every :: every]
         elapsed = self._spend(len(chosen))
         age = chosen["device_time"][-1] - chosen["device_time"]
-        return chosen, age * min(1.0, elapsed / max(float(age[0]), 1e-9))
+        # The oldest comes after the newest of the last time: no viewer's time runs backwards.
+        longest = elapsed * (1 - 1 / len(chosen))
+        return chosen, age * min(1.0, longest / max(float(age[0]), 1e-9))
 
     def _spend(self, n: int) -> float:
         """Book `n` rows; returns the time since the last ones [s]."""

@@ -6,6 +6,7 @@ oldest messages of its own queue; nothing waits for it.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import ipaddress
 import json
@@ -18,7 +19,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import PluginError
+from hil.engine.bounded import bounded
+from hil.errors import HilError, PluginError
 from hil.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.live.decimate import Decimation
 from hil.live.standing import Standing
@@ -36,6 +38,7 @@ DEFAULT_PORT = 8765
 """Where Foxglove and Lichtblick look by default."""
 
 PORTS_TRIED = 10
+STOP_WITHIN_S = 1.0
 STEPS_TOLD_EVERY_S = 0.05
 LAYOUT = Path(__file__).with_name("hil-layout.json")
 _IN_USE = re.compile(rf"os error ({errno.EADDRINUSE}|10048)\)")
@@ -99,11 +102,16 @@ class FoxgloveLive:
         self._server = self._listen(sdk, context)
 
     def stop(self) -> None:
-        """Close every connection and the port. Idempotent."""
+        """Close every connection and the port, within a second. Idempotent.
+
+        A client that is connected and does not read keeps the SDK waiting for it, perhaps for
+        ever: such a one is left behind, and goes with the process.
+        """
         server, self._server = self._server, None
         self._channels, self._context = {}, None
         if server is not None:
-            server.stop()
+            with contextlib.suppress(HilError):
+                bounded(server.stop, STOP_WITHIN_S, "closing the live view")
 
     def __enter__(self) -> FoxgloveLive:
         self.start()
