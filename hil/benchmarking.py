@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import inspect
+import sys
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -37,12 +39,16 @@ def _first_line(file: Path) -> str:
     return told.partition("\n")[0]
 
 
-def measure(name: str, *, quick: bool = False) -> dict[str, Any]:
+def measure(name: str, *, quick: bool = False, **options: Any) -> dict[str, Any]:
     """Run one benchmark and return `{name, figures, ratios}`.
 
     Args:
         name: As listed by `names`.
         quick: Use the smaller problem, for tests.
+        options: What else this benchmark can be told, such as `kills` of `crash`.
+
+    Raises:
+        PluginError: There is no such benchmark, or it has no such option.
     """
     if name not in names():
         close = get_close_matches(name, names(), n=1)
@@ -55,6 +61,13 @@ def measure(name: str, *, quick: bool = False) -> dict[str, Any]:
     assert module_spec is not None
     assert module_spec.loader is not None
     module = importlib.util.module_from_spec(module_spec)
+    sys.modules[module_spec.name] = module  # where dataclasses look their types up
     module_spec.loader.exec_module(module)
-    document: dict[str, Any] = module.run(quick=quick)
+    known = inspect.signature(module.run).parameters
+    if unknown := [option for option in options if option not in known]:
+        raise PluginError(
+            f"the benchmark {name} has no option {unknown[0]}",
+            hint=f"it has {', '.join(known)}",
+        )
+    document: dict[str, Any] = module.run(quick=quick, **options)
     return document

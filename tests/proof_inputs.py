@@ -12,7 +12,12 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 LOCK = Path(__file__).with_name("proof.lock")
 FOLDERS = ("hil", "mock_robot", "drivers", "benchmarks", "experiments")
-FILES = ("pyproject.toml", "constraints.txt", "tests/test_proof.py")
+FILES = (
+    "pyproject.toml",
+    "constraints.txt",
+    "tests/test_proof.py",
+    "tests/test_proof_recording.py",
+)
 
 
 def inputs() -> list[Path]:

@@ -23,6 +23,7 @@ ROOT = Path(__file__).parent.parent
         "experiments/stations/mock.yaml",
         "tests/plan_parts.py",
         "tests/test_proof.py",
+        "tests/test_proof_recording.py",
         "pyproject.toml",
         "constraints.txt",
     ],
@@ -34,7 +35,8 @@ def test_what_the_long_runs_depend_on_is_an_input(name: str) -> None:
 def test_neither_caches_nor_other_tests_are_inputs() -> None:
     names = [path.relative_to(ROOT).as_posix() for path in proof_inputs.inputs()]
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
-    assert [name for name in names if "/test_" in name] == ["tests/test_proof.py"]
+    proofs = ["tests/test_proof.py", "tests/test_proof_recording.py"]
+    assert [name for name in names if "/test_" in name] == proofs
 
 
 def test_a_changed_input_changes_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,15 @@ def register(app: typer.Typer) -> None:
 def bench(
     name: Annotated[str, typer.Argument(help="Benchmark; `list` names them, `all` runs all.")],
     quick: Annotated[bool, typer.Option("--quick", help="A smaller problem.")] = False,
+    kills: Annotated[
+        int | None, typer.Option("--kills", min=1, help="crash: how often to kill.")
+    ] = None,
+    hours: Annotated[
+        float | None, typer.Option("--hours", min=0.01, help="soak: how much to simulate.")
+    ] = None,
+    mock: Annotated[
+        bool, typer.Option("--mock", help="soak: rows of a moving mock UR5e; takes longer.")
+    ] = False,
     json: JsonFlag = False,
 ) -> None:
     """Measure; every ratio is against its peer in the same run."""
@@ -25,8 +34,10 @@ def bench(
     if name == "list":
         _list(benchmarking.describe(), json)
         return
+    given = {"kills": kills, "hours": hours, "mock": mock}
+    options = {option: value for option, value in given.items() if value}
     chosen = benchmarking.names() if name == "all" else [name]
-    documents = [benchmarking.measure(one, quick=quick) for one in chosen]
+    documents = [benchmarking.measure(one, quick=quick, **options) for one in chosen]
     if json:
         print_json(documents if name == "all" else documents[0])
     else:

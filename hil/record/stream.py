@@ -3,7 +3,7 @@
 `mcap.writer.Writer` takes messages one by one (10 µs each) and keeps an object per chunk until
 the end; at ten chunks a second its index of a 1 GB recording takes 0.4 s to write, during which
 a control thread gets the interpreter 6 ms late. Here a block of messages is one numpy operation
-and the index lies ready in bytes (decision 0013). What is written once is left to `mcap.records`.
+and the index lies ready in bytes (decision 0012). What is written once is left to `mcap.records`.
 Format: mcap.dev/spec, version 0.
 """
 
