@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from hil.campaign.experiment import Experiment
@@ -44,7 +45,7 @@ def write_beginning(
             "experiment": experiment.spec.name,
             "plan_hash": plan.hash,
             "spec_hash": spec_hash(experiment.spec),
-            "station": experiment.station_source,
+            "station": _whole(experiment.station_source),
             "robot_name": experiment.spec.robot,
             "robot": describe_robot(robot, experiment.robot),
             "loads": [
@@ -109,6 +110,11 @@ def open_recorder(
         rotate_bytes=experiment.spec.record.rotate_mb * 1e6,
         on_backlog="wait" if can.clock == "virtual" else "raise",
     )
+
+
+def _whole(station: str) -> str:
+    """A station's file as anybody finds it: resuming starts somewhere else, perhaps."""
+    return str(Path(station).resolve()) if Path(station).is_file() else station
 
 
 def _media_type(name: str) -> str:

@@ -7,28 +7,24 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hil.campaign.attempt import Attempt, Recorded, finish
 from hil.campaign.beginning import open_recorder
 from hil.campaign.control import Control
-from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.live_state import LiveState
 from hil.campaign.operator import prompt_on
 from hil.campaign.robots import close_robot
-from hil.campaign.sink import COUNTED, RunSink, counts_of
-from hil.data.completeness import Completeness, completeness_of
-from hil.engine import Engine, Observers, Outcome, Prompt, RunResult
+from hil.campaign.sink import RunSink
+from hil.campaign.weighing import CHECK as WEIGHING
+from hil.campaign.weighing import Weighing
+from hil.data.completeness import recorded_steps
+from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError
-from hil.plan.plan import Plan
 from hil.preflight import preflight_context, require_preflight
 from hil.record.parts import name_of_attempt
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
 from hil.robot import Robot
-
-NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +39,7 @@ class Attendance:
         operator: Who is at the robot; empty for the user of this process.
         waivers: Preflight check → why its failure is accepted.
         wait_s: How long to wait for a robot that somebody else holds [s].
+        until_judged: What is to stay open until the run has been judged and reported.
     """
 
     observers: Observers
@@ -52,60 +49,11 @@ class Attendance:
     operator: str = ""
     waivers: Mapping[str, str] = field(default_factory=dict)
     wait_s: float = 0.0
+    until_judged: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def stage(self, text: str) -> None:
         """Tell observers what is being done."""
         self.observers.publish({"kind": "stage", "stage": text})
-
-
-@dataclass(frozen=True, slots=True)
-class Before:
-    """What earlier attempts of a run recorded.
-
-    Attributes:
-        counts: Of the robot record, see `Recorded.counts`.
-        device_s: Device time of their samples [s].
-    """
-
-    counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
-    device_s: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """What is about to be executed.
-
-    Attributes:
-        directory: The run; everything before the motion is written.
-        number: 0 for the first attempt.
-        experiment: Spec and station.
-        plan: Of the whole run.
-        todo: What of it is to be executed now, from where the robot stands.
-        before: What the attempts before this one recorded.
-    """
-
-    directory: RunDirectory
-    number: int
-    experiment: Experiment
-    plan: Plan
-    todo: Plan
-    before: Before = field(default_factory=lambda: Before())
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """What the motion left behind.
-
-    Attributes:
-        directory: The run directory, complete up to its stop document.
-        result: How the run ended; a recording that could not be kept makes it `failed`.
-        counts: `samples`, `gaps`, `missing`, `duplicates`, `overruns` of the robot record, over
-            all attempts.
-    """
-
-    directory: RunDirectory
-    result: RunResult
-    counts: Mapping[str, int]
 
 
 def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
@@ -128,6 +76,9 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
             folder=directory.path,
             behind_s=lambda: recorder.behind_s,
         )
+        open_files.callback(interlocks.close)
+        sink.event("interlocks", watching=interlocks.describe())
+        weighing = _weighing(attempt, robot, sink, attendance)
     except BaseException as error:
         open_files.close()
         with contextlib.suppress(HilError):
@@ -142,18 +93,35 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         observers=attendance.observers,
         prompt=prompt,
         go_on=attendance.go_on,
+        measured=weighing.measured,
         health=sink.health,
         stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan),
     )
     attendance.signals.bind(engine, robot)
     live = LiveState(directory.path)
+    attendance.until_judged.callback(live.close)
     attendance.observers.add(live)
     with contextlib.closing(interlocks), Control(directory.path, engine, sink.event, prompt):
         result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
-    live.close()
     result = replace(result, notes=(*result.notes, *close_robot(robot)))
-    return _finish(attempt, result, recorder, sink, attendance.observers)
+    return finish(attempt, result, recorder, sink, attendance.observers)
+
+
+def _weighing(attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance) -> Weighing:
+    """The judge of what is mounted; in a resumed run it knows what the first load weighed."""
+    experiment = attempt.experiment
+    weighing = Weighing(
+        attempt.plan,
+        experiment.robot.gravity_m_s2,
+        robot.capabilities,
+        experiment.spec.weigh,
+        event=sink.event,
+        waived=WEIGHING in attendance.waivers,
+    )
+    if attempt.number:
+        weighing.restore(recorded_steps(attempt.directory.recordings, "weigh", attempt.plan))
+    return weighing
 
 
 def _quietly(close: Callable[[], object]) -> None:
@@ -172,40 +140,3 @@ def _preflight(attempt: Attempt, robot: Robot, waivers: tuple[str, ...]) -> Call
         require_preflight(attempt.todo, robot, context, keep=keep)
 
     return check
-
-
-def _finish(
-    attempt: Attempt, result: RunResult, recorder: Recorder, sink: RunSink, observers: Observers
-) -> Recorded:
-    """Close everything, then write the stop document, whatever went wrong in closing."""
-    lost = sink.close()
-    complete, problem = _completeness(attempt)
-    notes = (*result.notes, *(e.message for e in lost), *problem, *observers.problems())
-    result = replace(result, notes=notes)
-    if lost and result.error is None:
-        error = lost[0]
-        result = replace(result, outcome=Outcome.FAILED, reason=error.message, error=error)
-    own = counts_of(recorder.counts[STATE_TOPIC])
-    counts = {name: own[name] + attempt.before.counts[name] for name in COUNTED}
-    document = {
-        **counts,
-        "steps_done": len(attempt.plan) - (len(attempt.todo) - result.steps_done),
-        "unsettled": sorted(complete.unsettled) if complete else list(result.unsettled),
-        "complete": complete.to_dict() if complete else {},
-        "device_s": result.device_s + attempt.before.device_s,
-        "wall_s": result.wall_s,
-        "problems": list(notes),
-    }
-    attempt.directory.write_stop(
-        result.outcome.value, result.reason, document, attempt=attempt.number
-    )
-    return Recorded(attempt.directory, result, counts)
-
-
-def _completeness(attempt: Attempt) -> tuple[Completeness | None, list[str]]:
-    """What was measured, from the data, and what a run that came to its end is missing."""
-    try:
-        complete = completeness_of(attempt.plan, attempt.directory.recordings)
-    except HilError as error:
-        return None, [f"the recording could not be read back: {error.message}"]
-    return complete, []

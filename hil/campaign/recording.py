@@ -6,8 +6,9 @@ import contextlib
 from pathlib import Path
 
 from hil import plugins
+from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
-from hil.campaign.execute import Attempt, Attendance, Recorded, execute
+from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
@@ -38,9 +39,9 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         plan = plan_for(experiment, robot)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
-        with attendance.signals.guard(), contextlib.ExitStack() as open_files:
+        with attendance.signals.guard():
             directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-            open_files.enter_context(hold_run(directory.path))
+            attendance.until_judged.enter_context(hold_run(directory.path))
             lease.note_run(directory.path)
             try:
                 write_beginning(

@@ -12,7 +12,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.execute import NOTHING, Attempt, Attendance, Before, Recorded, execute
+from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
+from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
@@ -102,7 +103,8 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         todo = _todo(unfinished, robot, cold=cold)
         require_attended(todo, prompt_on(robot, attendance.prompt))
         before = _before(directory, plan.rate_hz)
-        with attendance.signals.guard(), hold_run(directory.path):
+        with attendance.signals.guard():
+            attendance.until_judged.enter_context(hold_run(directory.path))
             lease.note_run(directory.path)
             number = directory.next_attempt()
             directory.write_resume(

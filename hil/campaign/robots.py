@@ -10,6 +10,7 @@ import numpy as np
 
 from hil import plugins
 from hil.campaign.experiment import Experiment
+from hil.engine.bounded import bounded
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot
@@ -18,6 +19,9 @@ from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
 AT_SET_POINT_RAD = 0.01
+
+CLOSE_WITHIN_S = 15.0
+"""What a driver may take to let a robot go, its arm being at rest or on the way there [s]."""
 
 
 @runtime_checkable
@@ -105,7 +109,7 @@ def held(
 def close_robot(robot: Robot) -> list[str]:
     """Close a robot (again, if need be); returns what went wrong."""
     try:
-        robot.close()
+        bounded(robot.close, CLOSE_WITHIN_S, "closing the robot")
     except Exception as error:  # a driver may fail in any way it likes
         return [f"closing the robot: {error}"]
     return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
 
 if TYPE_CHECKING:
-    from hil.campaign.execute import Attendance, Recorded
+    from hil.campaign.attempt import Recorded
+    from hil.campaign.execute import Attendance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,10 +141,19 @@ def _attended(
     watching, signals = Observers(tuple(observers)), SignalWatch()
     at = desk or console_desk(operator)
     try:
-        with signals:
+        with signals, contextlib.ExitStack() as until_judged:
             try:
                 recorded = motion(
-                    Attendance(watching, signals, at.prompt, at.go_on, operator, waivers, at.wait_s)
+                    Attendance(
+                        watching,
+                        signals,
+                        at.prompt,
+                        at.go_on,
+                        operator,
+                        waivers,
+                        at.wait_s,
+                        until_judged,
+                    )
                 )
             except (Exception, StopSignal):
                 # A library that was interrupted may raise an error of its own instead.

@@ -42,7 +42,7 @@ class RunSink:
     def health(self) -> Mapping[str, float]:
         """How the recording is doing, for progress events."""
         counts = self._recorder.counts[STATE_TOPIC]
-        told = {name: float(getattr(counts, name)) for name in COUNTED if name != "samples"}
+        told = {name: int(getattr(counts, name)) for name in COUNTED if name != "samples"}
         return told | {"behind_s": self._recorder.behind_s}
 
     def close(self) -> list[HilError]:

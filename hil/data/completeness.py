@@ -8,7 +8,7 @@ trajectory when its rows reach its end without a hole.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -81,16 +81,36 @@ def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
                 continue
             done.add(index)
             unsettled.discard(index)
-            if step.kind != "trajectory" and not dwell_settles(rows, plan.dwell):
+            if step.kind != "trajectory" and not dwell_settles(rows, plan.dwell_rule(step)):
                 unsettled.add(index)
     return Completeness(frozenset(done), frozenset(unsettled), tuple(expected.values()))
+
+
+def recorded_steps(
+    recordings: Iterable[Path], kind: str, plan: Plan
+) -> Callable[[int], StructArray | None]:
+    """Gives the rows of steps of one kind by their index: of the newest attempt that has any.
+
+    Args:
+        recordings: `RunDirectory.recordings`.
+        kind: Of the steps wanted.
+        plan: Of the run.
+
+    Raises:
+        DataError: A recording is no MCAP file at all, or of a newer hil.
+    """
+    wanted = {step.index for step in plan if step.kind == kind}
+    found: dict[int, StructArray] = {}
+    for _, files in groupby(recordings, attempt_of) if wanted else ():
+        found |= {index: rows for index, rows in _steps_in(files) if index in wanted}
+    return found.get
 
 
 def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
     """Whether the rows of one step, of one attempt and in order, are all that it needs."""
     if step.kind == "trajectory":
         return _trajectory_is_whole(rows, plan.step_duration_s(step), 1 / plan.rate_hz)
-    return dwell_is_over(rows, plan.dwell)
+    return dwell_is_over(rows, plan.dwell_rule(step))
 
 
 def dwell_is_over(rows: StructArray, rule: DwellRule) -> bool:
