@@ -95,10 +95,12 @@ class WallArm:
         spawns: bool = False,
         late_s: float = 0.0,
         babbles: bool = False,
+        crashes: str = "",
     ) -> None:
         self._journal = Path(journal)
         self._rate, self._hang, self._hold, self._spawns = rate_hz, hang, hold, spawns
         self._late_s, self._babbles = late_s, babbles
+        self._crashes = crashes
         self._lock = threading.Lock()
         self._connected = False
         self._began = time.monotonic()
@@ -128,8 +130,7 @@ class WallArm:
         self._connected = True
 
     def set_payload(self, payload: Payload) -> Payload:
-        if payload.mass > 4:
-            ctypes.string_at(0)
+        self._misbehave("set_payload")
         return payload
 
     def prepare(self, segment: Segment) -> None:
@@ -200,6 +201,8 @@ class WallArm:
             raise RobotConnectionError("not connected")
 
     def _misbehave(self, member: str) -> None:
+        if member == self._crashes:
+            ctypes.string_at(0)
         if member in self._hang:
             self._note(f"hangs in {member}")
             threading.Event().wait()

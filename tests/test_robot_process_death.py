@@ -22,6 +22,7 @@ from hil.errors import RobotConnectionError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Segment, Status, driver_process, process
 from hil.robot.driver_process import KILL_AFTER_S, STOP_WITHIN_S, TERMINATE_AFTER_S
+from hil.robot.frames import pack
 from hil.robot.process import READ_GRACE_S, RobotProcess
 
 pytestmark = pytest.mark.wire
@@ -252,10 +253,17 @@ def test_the_death_of_the_driver_is_told_by_whatever_comes_next(make: Make) -> N
 
 
 def test_a_crash_in_a_vendors_library_is_told_with_where_it_was(make: Make) -> None:
-    robot = make()
+    robot = make(crashes="set_payload")
     with pytest.raises(RobotConnectionError, match="signal 11") as caught:
-        robot.set_payload(Payload(5.0))
+        robot.set_payload(Payload())
     assert "process_drivers.py" in caught.value.message
+
+
+def test_a_driver_that_crashes_in_close_is_told(make: Make) -> None:
+    robot = make(crashes="close")
+    with pytest.raises(RobotConnectionError, match="signal 11"):
+        robot.close()
+    robot.close()
 
 
 def test_what_the_driver_has_started_does_not_hide_its_death(make: Make) -> None:
@@ -389,6 +397,22 @@ def test_a_driver_that_hangs_when_hil_goes_ends_all_the_same(
     driver._calls.cut()
     driver._stops.close()
     wait_for_end(driver.pid, 3.0)
+
+
+@pytest.mark.parametrize("repeat", range(4))
+def test_a_motion_commanded_with_the_last_breath_is_stopped_too(
+    make: Make, journal: Path, repeat: int
+) -> None:
+    robot = make()
+    robot.prepare(long_way())
+    driver = robot.process
+    assert driver is not None
+    driver._calls.send(pack({"id": 99, "call": "start"}))
+    driver._calls.cut()
+    driver._stops.close()
+    wait_for_end(driver.pid)
+    noted = events(journal)
+    assert noted.get("start", 0.0) < noted["stop"] < noted["close"]
 
 
 def test_garbage_on_the_line_stops_the_arm(make: Make, journal: Path) -> None:

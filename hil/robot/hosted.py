@@ -63,6 +63,8 @@ class HostedRobot:
         doing = str(asked.get("call"))
         self._busy = True
         try:
+            if self._let_go:
+                raise RobotConnectionError("the driver's process is about to end")
             if doing not in self._members:
                 raise RobotError(f"a driver's process is asked to {doing!r}, which it cannot")
             said, rows = self._members[doing](asked.get("with", {}), arrays)
@@ -93,7 +95,7 @@ class HostedRobot:
         self._complaint = (
             f"the arm moved and was not read for {unread:.1f} s: its driver stopped it"
         )
-        self.stop()
+        _tell(self.stop)
 
     def let_go(self, *, gone: bool) -> None:
         """Stop the arm because nobody commands it any more; once, from any thread.
@@ -113,6 +115,8 @@ class HostedRobot:
         """Follow an arm that was let go to its rest, then release it."""
         if self._robot is None or self._closed:
             return
+        # Again: a call that was on its way when the other side went may have started a motion.
+        _tell(self.stop)
         _tell(self._come_to_rest)
         _tell(self._robot.close)
 

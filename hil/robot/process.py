@@ -1,6 +1,6 @@
 """A robot whose driver lives in a process of its own: it may hang or die, and the arm is stopped.
 
-Decision record 0012 says why, what happens when either side goes, and what a call costs.
+Decision record 0014 says why, what happens when either side goes, and what a call costs.
 """
 
 from __future__ import annotations
@@ -148,20 +148,16 @@ class RobotProcess:
         process = self._process
         if process is None:
             return
-        there = process.alive
-        problems = []
         try:
-            for step in (process.stop, self._ask_to_close):
-                try:
-                    step()
-                except HilError as error:
-                    problems.append(error)
+            problem = _problem(process.stop)
+            if isinstance(problem, RobotConnectionError) and not process.alive:
+                problem = None  # it was dead before: nothing is left to be released
+            problem = _problem(self._ask_to_close) or problem
         finally:
             process.end()
             self._process = self._identity = None
-        # Of a process that was dead before there is nothing to release, and its death was told.
-        if problems and there:
-            raise problems[0]
+        if problem:
+            raise problem
 
     def _open(self) -> None:
         process = DriverProcess(self._name)
@@ -205,3 +201,11 @@ class RobotProcess:
 
     def _not_connected(self) -> RobotConnectionError:
         return RobotConnectionError(f"{self._name} is not connected", hint="call connect() first")
+
+
+def _problem(step: Callable[[], object]) -> HilError | None:
+    try:
+        step()
+    except HilError as error:
+        return error
+    return None

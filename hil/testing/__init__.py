@@ -1,1 +1,1 @@
-"""pytest plug-in for people who test against hil's mocks."""
+"""For people who test drivers: the contract of a robot as checks."""

@@ -30,7 +30,7 @@ class NotConforming(AssertionError):
 
 
 def robot_conformance(make_robot: MakeRobot, *, leave_out: Sequence[str] = ()) -> tuple[str, ...]:
-    """Check a driver against the robot protocol, moving its last joint by less than half a radian.
+    """Check a driver against the robot protocol, moving its last joint by up to 0.4 rad at a time.
 
     Args:
         make_robot: Gives a robot that is not connected, a fresh one each time. It is connected,
