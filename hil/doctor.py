@@ -22,6 +22,7 @@ EXTRAS = {
     "learn": ("torch",),
     "fleet": ("distributed",),
     "bags": ("rosbags",),
+    "live": ("foxglove",),
 }
 LOW_DISK_BYTES = 2e9
 
