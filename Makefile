@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast wire lint types walls proof proof-if-changed bench clean
+.PHONY: help demo test test-fast wire lint types walls proof proof-if-changed matrix fault-matrix soak bench clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -36,13 +36,22 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 	$(BIN)/hil run experiments/ur5_dwell_650.yaml --runs $(RUNS)
 	$(BIN)/hil runs --runs $(RUNS)
 
-test: test-fast wire ## all tests (lint, types and walls are `make lint types walls`)
+test: test-fast wire matrix ## all tests (lint, types and walls are `make lint types walls`)
 
 test-fast: $(VENV)/.dev
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not proof"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not matrix and not proof"
 
 wire: $(VENV)/.dev
 	$(BIN)/python -m pytest -m "wire and not proof" || [ $$? -eq 5 ]
+
+matrix: $(VENV)/.dev ## the fault matrix: everything that may go wrong at every kind of step
+	$(BIN)/python -m pytest -n 3 -m matrix
+
+fault-matrix: $(VENV)/.dev ## the same, and its table in docs/reference/fault-matrix.md
+	$(BIN)/python tests/faults/table.py
+
+soak: $(VENV)/.dev ## a simulated day at 500 Hz through the recorder
+	$(BIN)/hil bench soak --hours 24
 
 lint: $(VENV)/.dev ## ruff: style, docstrings, formatting
 	$(BIN)/ruff check .

@@ -11,7 +11,7 @@ from hil.engine.dwell import DwellWatch
 from hil.engine.reading import Reading, Sink
 from hil.errors import CommandRefused, RobotTimeout, Stopped
 from hil.excite.motion import Motion
-from hil.plan.plan import Plan, Step, StepKind
+from hil.plan.plan import AT_REST, Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
 from hil.typing import StructArray
 
@@ -23,9 +23,6 @@ SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
     "weigh": "hold",
     "trajectory": "trajectory",
 }
-DWELLS = frozenset({"dwell", "reference", "weigh"})
-"""Kinds that stand still and measure until the arm has settled."""
-
 PARKED = -1
 """Segment of samples that belong to no step: before the first one, while paused or asked."""
 
@@ -119,7 +116,7 @@ class Steps:
     def _move(self, step: Step, motion: Motion) -> None:
         self._robot.prepare(segment_of(step, motion, self._plan.rate_hz))
         self._robot.start()
-        if step.kind in DWELLS:
+        if step.kind in AT_REST:
             self._dwell(step)
         else:
             self._follow(step, motion)

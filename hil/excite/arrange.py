@@ -70,7 +70,7 @@ class Arrangement:
         left_s = duration_s
         while left_s > 0:
             line, index = self._far_away(here, used)
-            out.append(Action("warmup", line, checkpoint=not out))
+            out.append(Action("warmup", line, checkpoint=True))
             used[index] += 1
             left_s -= line.duration_s
             here = line.q_end
