@@ -128,6 +128,17 @@ def test_going_on_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines == ["paused: why", "running again: resumed by ann"]
 
 
+def test_who_asks_for_a_pause_is_heard_before_the_checkpoint(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    asked = progress(10, pausing="SIGINT: Enter goes on, Ctrl-C again stops")
+    lines = piped(capsys, progress(9), asked, asked, state("paused", "SIGINT"), progress(10))
+    assert lines[1:] == [
+        "pausing at the next checkpoint: SIGINT: Enter goes on, Ctrl-C again stops",
+        "paused: SIGINT",
+    ]
+
+
 def test_paused_time_is_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     held = progress(10, device_s=50.0, wall_s=50.0, state="paused")
     going = progress(11, device_s=54.0, wall_s=54.0, state="running")

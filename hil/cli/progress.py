@@ -28,6 +28,7 @@ class ProgressLines:
         self._next = 0.0
         self._open = False
         self._paused = False
+        self._pausing = ""
 
     def notify(self, event: Event) -> None:
         """Print the event if it is news, and where the run stands if it is time to."""
@@ -40,6 +41,7 @@ class ProgressLines:
         elif kind == "prompt":
             self._prompt(event)
         elif kind == "progress" or (kind == "step" and self._tty):
+            self._announce()
             self._moving()
 
     def _state(self) -> None:
@@ -51,6 +53,12 @@ class ProgressLines:
             self._line(state_words(run))
         elif was_paused:
             self._line(f"running again: {run.reason}" if run.reason else "running again")
+
+    def _announce(self) -> None:
+        """Whoever asks for a pause hears at once that it was heard: a trajectory may take long."""
+        before, self._pausing = self._pausing, self._standing.pausing
+        if self._pausing and not before:
+            self._line(f"pausing at the next checkpoint: {self._pausing}")
 
     def _prompt(self, event: Event) -> None:
         # On a terminal whoever asks prints the question; only the line must be out of its way.

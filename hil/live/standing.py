@@ -30,6 +30,7 @@ class Standing:
         duration_s: Planned, pauses and prompts left out [s].
         samples, gaps, missing, duplicates, overruns: Of the robot record.
         behind_s: How far the recorder is behind [s].
+        pausing: Why it will pause at the next checkpoint, empty while it will not.
         prompt: What the operator is being asked, empty while nothing.
         paused_s: Device time spent paused or waiting for an answer [s].
     """
@@ -52,6 +53,7 @@ class Standing:
     duplicates: int = 0
     overruns: int = 0
     behind_s: float = 0.0
+    pausing: str = ""
     prompt: str = ""
     paused_s: float = 0.0
 
@@ -63,6 +65,7 @@ class Standing:
         elif kind == "state":
             self.state = str(event.get("state", self.state))
             self.reason = str(event.get("reason", ""))
+            self.pausing = ""
         elif kind == "prompt":
             self.prompt = "" if event.get("answered_by") else str(event.get("text", ""))
         elif kind in ("step", "progress"):
