@@ -130,3 +130,29 @@ def test_ranges_of_a_map_that_are_none(old: str, new: str) -> None:
     text = (ROOT / "maps" / "ur10e_columns.yaml").read_text("utf-8")
     assert old in text
     assert len(refusal(text.replace(old, new, 1).encode(), load_map)) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e-9"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e300"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 0.01\n  periods: 1000"),
+        ("ci_fourier_2", "fundamental_hz: 0.2", "fundamental_hz: 1e400"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 1000000000000"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 1e400"),
+        ("ci_dwell_12", "dwell_s: 0.095", "dwell_s: 1e12"),
+        ("ci_dwell_12", "samples_per_dwell: 10", "samples_per_dwell: 10000000"),
+        ("ci_dwell_12", "waypoints: 12", "waypoints: 12\n  settle_timeout_s: 1e300"),
+        ("ci_dwell_12", "excitation:", "record: {rotate_mb: 1e400}\nexcitation:"),
+        ("ci_dwell_12", "duration_s: 5", "duration_s: 1e12"),
+        ("ci_dwell_12", "robot:", "loads: [{mass_kg: 1, com_m: [1e300, 0, 0]}]\nrobot:"),
+    ],
+    ids=lambda text: text[-24:].replace("\n", " "),
+)
+def test_programs_without_a_sensible_end_are_refused_before_anything_is_planned(
+    name: str, old: str, new: str
+) -> None:
+    text = (ROOT / f"{name}.yaml").read_text("utf-8")
+    assert old in text
+    assert len(refusal(text.replace(old, new, 1).encode(), load_spec)) == 1

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from hil.spec.quantities import IS_NUMBER, JointRange, Positive, Seed, Strict
+from hil.spec.quantities import IS_NUMBER, JointRange, Positive, Seed, Strict, mistake
+
+LONGEST_TRAJECTORY_S = 3600.0
+"""All set-points of one trajectory are in memory together."""
 
 
 class Dwell(Strict):
@@ -31,7 +34,7 @@ class Dwell(Strict):
     settle_rad_s: Positive = Field(
         0.002, description="All joints slower than this over the samples means settled."
     )
-    settle_timeout_s: Positive = Field(
+    settle_timeout_s: Annotated[float, Field(gt=0, le=600), IS_NUMBER] = Field(
         3.0, description="After this the pose is marked as not settled and left."
     )
     seed: Seed = Field(7, description="Decides which poses are drawn, and their order.")
@@ -58,7 +61,7 @@ class Fourier(Strict):
     harmonics: Annotated[int, Field(ge=2, le=50), IS_NUMBER] = Field(
         5, description="Order of the series: so many sines and cosines per joint."
     )
-    fundamental_hz: Positive = Field(
+    fundamental_hz: Annotated[float, Field(ge=0.001, le=10), IS_NUMBER] = Field(
         0.1, description="Frequency of the first harmonic; its inverse is the period."
     )
     periods: Annotated[int, Field(ge=1, le=1000), IS_NUMBER] = Field(
@@ -79,6 +82,17 @@ class Fourier(Strict):
         description="Joint ranges the trajectories stay in, one pair per joint; by default those "
         "of the arm.",
     )
+
+    @model_validator(mode="after")
+    def _a_trajectory_ends(self) -> Fourier:
+        lasts = self.periods / self.fundamental_hz
+        if lasts > LONGEST_TRAJECTORY_S:
+            message = (
+                f"a trajectory of {self.periods} periods of {1 / self.fundamental_hz:g} s lasts "
+                f"{lasts:g} s, longer than {LONGEST_TRAJECTORY_S:g} s: use more trajectories"
+            )
+            raise mistake(message, "periods")
+        return self
 
 
 Excitation = Annotated[Dwell | Fourier, Field(discriminator="kind")]

@@ -75,7 +75,9 @@ __all__ = [
 class WarmUp(Strict):
     """Motion before measuring, so that friction has settled at working temperature."""
 
-    duration_s: NonNegative = Field(60.0, description="How long; 0 switches it off.")
+    duration_s: Annotated[float, Field(ge=0, le=14_400), IS_NUMBER] = Field(
+        60.0, description="How long; 0 switches it off."
+    )
 
 
 class Reference(Strict):

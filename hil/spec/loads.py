@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
 from hil.payload import Payload
-from hil.spec.quantities import Finite, NonNegative, Positive, Strict, Vector3, mistake
+from hil.spec.quantities import IS_NUMBER, Finite, NonNegative, Strict, mistake
+
+# What is longer than ten metres is a slip of the unit, and no flange carries it.
+Lever = Annotated[float, Field(ge=-10, le=10), IS_NUMBER]
+Extent = Annotated[float, Field(gt=0, le=10), IS_NUMBER]
 
 
 def _is_inertia_of_a_body(inertia: tuple[float, ...]) -> bool:
@@ -30,12 +36,14 @@ class Load(Strict):
     """A body mounted at the flange for one pass of the excitation."""
 
     mass_kg: NonNegative = Field(0.0, description="Mass; 0 is the bare flange.")
-    com_m: Vector3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the flange frame.")
+    com_m: tuple[Lever, Lever, Lever] = Field(
+        (0.0, 0.0, 0.0), description="Centre of mass in the flange frame."
+    )
     inertia_kgm2: tuple[Finite, Finite, Finite, Finite, Finite, Finite] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         description="Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, flange axes.",
     )
-    size_m: tuple[Positive, Positive] | None = Field(
+    size_m: tuple[Extent, Extent] | None = Field(
         None,
         description="Length and radius of the payload's body along the flange axis, for collision "
         "checks; a body is assumed from the mass when this is absent.",
