@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.errors import DataError
+import numpy as np
+
+from hil.errors import DataError, HilError
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (
@@ -22,6 +24,7 @@ from hil.report.documents import (
     yaml_document,
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
+from hil.spec.load import load_spec
 
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
 
@@ -151,9 +154,18 @@ class RunFacts:
         return [i for i, step in enumerate(self.steps) if step.get("kind") in kinds]
 
     def interlock_limit(self, kind: str, key: str) -> float:
-        """The limit an interlock of the spec has; NaN when the spec does not name it."""
-        limits = as_objects(self.spec.get("interlocks"))
-        return next((as_float(i.get(key)) for i in limits if i.get("kind") == kind), float("nan"))
+        """The strictest limit of an interlock that watched, defaults included; NaN for none."""
+        try:
+            watching = load_spec(self.path / "spec.yaml", look_up=False).interlocks
+        except HilError:
+            return float("nan")
+        limits = (
+            getattr(i, key, None)
+            for i in watching
+            if i.kind == kind and getattr(i, "enabled", True)
+        )
+        values = [np.min(limit) for limit in limits if limit is not None]
+        return float(min(values, default=np.nan))
 
 
 def read_facts(path: Path) -> RunFacts:
