@@ -33,6 +33,7 @@ from hil.typing import FloatArray, StructArray
 
 NAMES = tuple(f"j{i + 1}" for i in range(6))
 NOW = 1.9e9
+FACTS = ("rate_hz", "joint_names", "clock", "effort_kind")
 
 
 class ScriptedRobot(KinematicRobot):
@@ -49,7 +50,7 @@ class ScriptedRobot(KinematicRobot):
 
     @property
     def capabilities(self) -> Capabilities:
-        changes = {k: v for k, v in self.facts.items() if k in ("rate_hz", "joint_names", "clock")}
+        changes = {k: v for k, v in self.facts.items() if k in FACTS}
         return replace(super().capabilities, **changes)
 
     @property
@@ -278,3 +279,27 @@ def test_a_load_the_operator_has_yet_to_mount_is_not_declared_before(tmp_path: P
     before = robot.calls.count("set_payload")
     preflight(plan, robot, context(tmp_path))
     assert robot.calls.count("set_payload") == before
+
+
+def sweep() -> Plan:
+    hold = Hold((0.3,) * 6)
+    steps = (*small_plan().steps, Step(3, "weigh", hold, pose=0, approach=1, load=1))
+    return small_plan(steps=steps, loads=(LoadStep(Payload()), LoadStep(Payload(1.0))))
+
+
+def test_it_is_said_before_motion_whether_loads_will_be_weighed(tmp_path: Path) -> None:
+    def told(plan: Plan, kind: str) -> str:
+        robot = ScriptedRobot(effort_kind=kind)
+        results = preflight(plan, robot, context(tmp_path))
+        (result,) = (r for r in results if r.name == "weighing")
+        assert result.passed
+        return result.message
+
+    assert told(sweep(), "torque") == "each load is weighed at 1 pose first"
+    assert "no load is weighed: the robot's drive gains are not known" in told(sweep(), "current")
+    assert "no load is weighed: there are no two loads" in told(small_plan(), "torque")
+
+
+def test_the_weighing_to_come_can_be_waived(tmp_path: Path) -> None:
+    results = require_preflight(sweep(), ScriptedRobot(), context(tmp_path, waivers=("weighing",)))
+    assert failing(results) == []

@@ -131,7 +131,9 @@ def compare(
     found: FloatArray = readings[1].torque - readings[0].torque
     variance = readings[0].variance + readings[1].variance
     deviation = np.sqrt(np.maximum(variance, LEAST_NM**2))
-    seen: Weighed = Balance(columns, declared, deviation, load.com).weigh(found - declared)
+    # What turns out heavier than declared comes with the gain errors of what it is.
+    torque = np.where(np.abs(found) > np.abs(declared), found, declared)
+    seen: Weighed = Balance(columns, torque, deviation, load.com).weigh(found - declared)
     per_kg = np.nan if load.is_empty else 1 / load.mass
     return Comparison(
         declared=load,

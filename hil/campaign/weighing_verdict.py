@@ -21,8 +21,8 @@ class Verdict:
     """A comparison and how far off it may be.
 
     A weighing that is less certain than the tolerances ask for (a short reach, stiff joints) is
-    judged by its own certainty. Where the centre of mass is not the declared one, the mass that
-    counts is the one that takes no notice of where that is.
+    judged by its own certainty. Where there is no declared centre of mass, or the load's is
+    another, the mass that counts is the one that takes no notice of where that is.
     """
 
     found: Comparison
@@ -31,13 +31,13 @@ class Verdict:
     @property
     def weighed_kg(self) -> float:
         """The mass that counts."""
-        return self.found.weighed_kg if self.com_passed else self.found.free_kg
+        return self.found.weighed_kg if self._centre_known else self.found.free_kg
 
     @property
     def deviation_kg(self) -> float:
         """Standard deviation of `weighed_kg`."""
         found = self.found
-        return found.deviation_kg if self.com_passed else found.free_deviation_kg
+        return found.deviation_kg if self._centre_known else found.free_deviation_kg
 
     @property
     def mass_limit_kg(self) -> float:
@@ -100,6 +100,10 @@ class Verdict:
         if not self.com_passed:
             told += f"; {self._centre()}"
         return "\n".join([told, *_by_joint(found, joint_names)])
+
+    @property
+    def _centre_known(self) -> bool:
+        return self.com_passed and not self.found.declared.is_empty
 
     def _centre(self) -> str:
         found = self.found

@@ -52,11 +52,9 @@ def why_not_weighed(masses: Sequence[float], poses: int) -> str:
     """Why a sweep over these masses [kg] is planned without weighing; empty when it is with."""
     if max(masses) == min(masses):
         return "there are no two loads of different mass"
-    if poses == 0:
-        return "the spec switches weighing off"
     if masses[0] > min(masses):
         return "the first load, which the others are compared with, is not the lightest"
-    return ""
+    return "" if poses else "the spec switches weighing off"
 
 
 def why_plan_not_weighed(plan: Plan, robot: Capabilities) -> str:
@@ -126,7 +124,7 @@ class _Candidates:
         held = [np.abs(model.with_payload(load).gravity(self._q)) for load in loads]
         bearable = (np.max(held, axis=0) <= EFFORT_SHARE * arm.effort_max).all(axis=1)
         self._columns = static_columns(model, self._q)
-        self._expected = self._columns @ static_parameters(self._heaviest)
+        self._torque = self._columns @ static_parameters(self._heaviest)
         self._open = np.flatnonzero(bearable).tolist()
         self._chosen: list[int] = []
 
@@ -143,8 +141,8 @@ class _Candidates:
         from hil.dynamics.weighing import Balance
 
         rows = [*self._chosen, i]
-        columns, expected = self._columns[rows], self._expected[rows]
-        balance = Balance(columns, expected, self._deviation, self._heaviest.com)
+        columns, torque = self._columns[rows], self._torque[rows]
+        balance = Balance(columns, torque, self._deviation, self._heaviest.com)
         return float(np.linalg.slogdet(PRIOR + balance.information)[1])
 
     def _visit(self, q: FloatArray, number: int) -> Visit | None:

@@ -59,7 +59,7 @@ def weighing(situation: Situation) -> CheckResult:
     """
     reason = why_plan_not_weighed(situation.plan, situation.robot.capabilities)
     poses = len({step.pose for step in situation.plan if step.kind == "weigh"})
-    told = f"each load is weighed at {poses} poses before it is measured"
+    told = f"each load is weighed at {poses} {'pose' if poses == 1 else 'poses'} first"
     return CheckResult("weighing", True, f"no load is weighed: {reason}" if reason else told)
 
 

@@ -1,0 +1,144 @@
+"""What a weighing makes of the dwells it is handed, one by one; no robot, made-up torques."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from weighing_parts import CYLINDER, Scales, bodies, sweep
+
+from hil.errors import PreflightFailed
+from hil.payload import Payload
+from hil.plan.plan import Plan
+from hil.robot import Status
+
+GAINS = (10.0, 12.0, 9.0, 8.0, 8.5, 7.5)
+
+
+@cache
+def plan() -> Plan:
+    return sweep({}, CYLINDER)
+
+
+def light(load: Payload) -> Payload:
+    return replace(load, mass=load.mass / 3)
+
+
+@pytest.mark.parametrize(("kind", "gains"), [("torque", ()), ("current", GAINS)])
+def test_torques_and_currents_are_weighed_alike(kind: str, gains: tuple[float, ...]) -> None:
+    scales = Scales(plan(), effort_kind=kind, gains=gains)
+    scales.weigh()
+    assert scales.events[-1]["weighed_kg"] == pytest.approx(3.0, abs=1e-3)
+    assert scales.events[-1]["shift_m"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+
+
+def test_friction_of_either_approach_cancels_and_makes_the_result_less_certain() -> None:
+    smooth, stiff = Scales(plan(), friction_nm=0.1), Scales(plan(), friction_nm=8.0)
+    smooth.weigh()
+    stiff.weigh()
+    assert stiff.events[-1]["weighed_kg"] == pytest.approx(3.0, abs=1e-3)
+    assert stiff.events[-1]["deviation_kg"] > 1.5 * smooth.events[-1]["deviation_kg"]
+    assert stiff.events[0]["half_difference_nm"][0] == pytest.approx([8.0] * 6)
+
+
+def test_the_message_says_what_was_declared_and_weighed_joint_by_joint() -> None:
+    scales = Scales(plan(), light)
+    with pytest.raises(PreflightFailed) as failed:
+        scales.weigh()
+    told = failed.value.message.splitlines()
+    assert told[0].startswith("weighing: load 1: 3.00 kg declared, 1.00 ± 0.")
+    model, step = scales.model, scales.steps(1)[0]
+    assert step.motion is not None
+    q = step.motion.q_end[None]
+    shoulder = (model.with_payload(scales.plan.loads[1].payload).gravity(q) - model.gravity(q))[0]
+    assert f"shoulder_lift_joint: {shoulder[1]:.1f}, " in told[2]
+    assert f"N·m declared, {shoulder[1] / 3:.1f}, " in told[2]
+    assert "--waive" in failed.value.hint
+
+
+def test_what_goes_wrong_while_the_arm_settles_does_not_count() -> None:
+    scales = Scales(plan())
+    scales.weigh()
+    restored = Scales(plan())
+    rows = {step.index: restored.rows(step) for step in restored.steps(0)}
+    restored.weighing.restore(rows.get)
+    restored.weigh(1)
+    assert restored.events == [scales.events[-1]]
+
+
+def test_a_first_load_that_is_not_in_the_recording_leaves_nothing_to_compare_with() -> None:
+    scales = Scales(plan())
+    scales.weighing.restore(lambda index: None)
+    with pytest.raises(PreflightFailed, match=r"the first load is missing: .*nothing was recorded"):
+        scales.weigh(1)
+
+
+def test_a_load_that_is_weighed_again_is_judged_again() -> None:
+    scales = Scales(plan(), light)
+    with pytest.raises(PreflightFailed):
+        scales.weigh()
+    scales.mounted = lambda load: load
+    scales.weigh(1)
+    assert [event["result"] for event in scales.events] == ["first", "failed", "passed"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "told"),
+    [
+        ("qd", 0.01, "did not come to rest"),
+        ("effort", np.nan, "no usable effort"),
+        ("status", int(Status.MASKED), "no usable effort"),
+    ],
+)
+def test_a_dwell_that_says_nothing_fails(field: str, value: float, told: str) -> None:
+    scales = Scales(plan())
+    scales.weigh(0)
+    *steps, last = scales.steps(1)
+    for step in steps:
+        scales.weighing.measured(step, scales.settled(step))
+    rows = scales.settled(last)
+    rows[field] = value
+    with pytest.raises(PreflightFailed, match=f"weighing pose 2 from above, .*{told}"):
+        scales.weighing.measured(last, rows)
+
+
+def test_other_dwells_are_no_business_of_the_weighing() -> None:
+    scales = Scales(plan())
+    dwell = next(step for step in plan() if step.kind == "dwell")
+    scales.weighing.measured(dwell, scales.rows(dwell))
+    assert scales.events == []
+
+
+@pytest.mark.parametrize(
+    ("loads", "changes", "kind", "reason"),
+    [
+        (bodies(0, 3), {}, "current", "drive gains are not known"),
+        (bodies(3, 0), {}, "torque", "is not the lightest"),
+        (bodies(0, 3), {"weigh": False}, "torque", "switches weighing off"),
+    ],
+)
+def test_loads_that_cannot_be_weighed_are_not_and_that_is_said(
+    loads: list[dict[str, object]], changes: dict[str, object], kind: str, reason: str
+) -> None:
+    scales = Scales(sweep(*loads, **changes), light, effort_kind=kind)
+    (event,) = scales.events
+    assert event["result"] == "skipped"
+    assert reason in event["reason"]
+    scales.weigh()
+    scales.weighing.restore(lambda index: None)
+    assert scales.events == [event]
+
+
+def test_a_single_load_is_not_worth_a_word() -> None:
+    assert Scales(sweep(CYLINDER)).events == []
+
+
+def test_events_are_plain_json() -> None:
+    scales = Scales(sweep({}, CYLINDER, {}), friction_nm=0.0)
+    scales.weigh()
+    assert json.loads(json.dumps(scales.events, allow_nan=False)) == scales.events
+    assert [event["declared_kg"] for event in scales.events[1:]] == [3.0, 0.0]
+    assert "shift_m" not in scales.events[2]
