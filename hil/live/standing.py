@@ -101,9 +101,9 @@ class Standing:
 
     @property
     def pace(self) -> float:
-        """Device seconds per second of wall time."""
-        if self.wall_s > PACE_KNOWN_AFTER_S and self.device_s > 0:
-            return self.device_s / self.wall_s
+        """Device seconds per second of wall time, at least 1: a start takes its time once."""
+        if self.wall_s > PACE_KNOWN_AFTER_S:
+            return max(1.0, self.device_s / self.wall_s)
         return 1.0
 
     @property
