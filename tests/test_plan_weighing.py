@@ -194,3 +194,9 @@ def test_weighing_is_no_part_of_what_is_measured() -> None:
     assert plan().condition_number == pytest.approx(bare.condition_number)
     assert plan().waypoints == bare.waypoints == 1
     assert preview(plan()).steps["weigh"] == 12
+
+
+def test_a_sweep_that_is_not_weighed_is_warned_of() -> None:
+    assert not any("weighed" in warning for warning in preview(plan()).warnings)
+    (*_, warning) = preview(sweep(CYLINDER, {})).warnings
+    assert warning.startswith("no load is weighed: the first load")

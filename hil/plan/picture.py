@@ -66,6 +66,7 @@ def _heading(plan: Plan) -> str:
         f"{facts.waypoints} poses, {counts['dwell']} dwells" if "dwell" in counts else "",
         f"{counts['trajectory']} trajectories" if "trajectory" in counts else "",
         f"{counts['reference']} reference dwells" if "reference" in counts else "",
+        f"{counts['weigh']} weighing dwells" if "weigh" in counts else "",
         f"{facts.duration_s / 60:.1f} min",
         f"about {facts.recording_bytes / 1e6:.0f} MB",
         _condition(facts.condition_number),

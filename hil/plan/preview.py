@@ -9,6 +9,7 @@ from typing import Any
 
 from hil.plan.concerns import concerns
 from hil.plan.plan import Plan, number_or_none
+from hil.plan.weighing import why_not_weighed
 from hil.robot import state_dtype
 
 COMPRESSION = 0.71
@@ -75,9 +76,15 @@ def preview(plan: Plan, interlocks: Iterable[Mapping[str, str]] = ()) -> PlanPre
         hash=plan.hash,
         steps=dict(Counter(step.kind for step in plan)),
         samples=_samples(plan),
-        warnings=tuple(concerns(plan.condition_number, plan.duration_s, size)),
+        warnings=(*concerns(plan.condition_number, plan.duration_s, size), *_not_weighed(plan)),
         interlocks=tuple(interlocks),
     )
+
+
+def _not_weighed(plan: Plan) -> list[str]:
+    masses = [load.payload.mass for load in plan.loads]
+    reason = why_not_weighed(masses, sum(step.kind == "weigh" for step in plan))
+    return [f"no load is weighed: {reason}"] if reason and len(set(masses)) > 1 else []
 
 
 def recording_bytes(plan: Plan) -> int:
