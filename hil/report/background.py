@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from hil.report.blocks import Block, Cell, Column, Facts, Section, Table, cells, items
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
@@ -121,12 +119,17 @@ def _loads(loads: Any) -> Table:
         cells(
             str(i),
             number(as_float(load.get("mass_kg"))),
-            ", ".join(f"{c:g}" for c in np.atleast_1d(load.get("com_m", ()))) or "–",
+            _vector(load.get("com_m")),
             str(load.get("prompt") or "–"),
         )
         for i, load in enumerate(loads)
     )
     return Table("Declared payloads", columns, rows)
+
+
+def _vector(value: Any) -> str:
+    given = value if isinstance(value, list) else ()
+    return ", ".join(f"{as_float(item):g}" for item in given) or "–"
 
 
 def _waiver(waiver: Any) -> str:

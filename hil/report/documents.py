@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import yaml
-
-from hil.errors import DataError
+from hil.errors import DataError, SpecError
 from hil.record.files import read_json
+from hil.spec.yaml_source import read_source
 
 Document: TypeAlias = Mapping[str, Any]
 
@@ -31,9 +30,9 @@ def yaml_document(path: Path, problems: list[str]) -> Document:
     if not path.is_file():
         return {}
     try:
-        return as_object(yaml.safe_load(path.read_text("utf-8")))
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        problems.append(f"{path} cannot be read: {error}")
+        return as_object(read_source(path).data)
+    except SpecError as error:
+        problems.append(f"{path} cannot be read: {error.message}")
         return {}
 
 
@@ -49,7 +48,16 @@ def as_objects(value: Any) -> Sequence[Document]:
 
 def as_float(value: Any) -> float:
     """A value where a number is expected; anything else is NaN."""
-    return float(value) if isinstance(value, int | float) else float("nan")
+    try:
+        return float(value) if isinstance(value, int | float) else float("nan")
+    except OverflowError:  # a whole number of hundreds of digits
+        return float("nan")
+
+
+def as_index(value: Any, default: int = -1) -> int:
+    """A value where a small whole number is expected; anything else is the default."""
+    fits = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**31
+    return value if fits else default
 
 
 def as_names(value: Any) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from hil.record.continuity import Counts
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
+from hil.report.documents import as_index
 from hil.report.facts import RunFacts
 from hil.typing import FloatArray, IntArray, StructArray
 
@@ -93,7 +94,7 @@ def drift_of(facts: RunFacts, recording: Recording) -> Drift | None:
     segment = recording.rows["segment"].astype(np.int64)
     stays = _stays(segment, visits)
     steps = [facts.steps[int(segment[first])] for first, _ in stays]
-    kinds = [(int(step.get("load", 0)), int(step.get("approach", 0))) for step in steps]
+    kinds = [(as_index(step.get("load"), 0), as_index(step.get("approach"), 0)) for step in steps]
     if len(set(kinds)) == len(kinds):
         return None
     effort = np.array([_last_mean(recording.rows["effort"], *stay) for stay in stays])
@@ -110,7 +111,7 @@ def dwell_poses(facts: RunFacts, recording: Recording) -> tuple[IntArray, FloatA
     poses, where = [], []
     segment = recording.rows["segment"].astype(np.int64)
     for _, last in _stays(segment, np.array(facts.indices("dwell"), dtype=np.int64)):
-        poses.append(int(facts.steps[int(segment[last - 1])].get("pose", -1)))
+        poses.append(as_index(facts.steps[int(segment[last - 1])].get("pose")))
         where.append(recording.rows["q"][last - 1])
     if not poses:
         return np.empty(0, np.int64), np.empty((0, 0))
