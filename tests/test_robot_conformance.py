@@ -28,19 +28,21 @@ def mock_in_wall_time() -> Robot:
     return MockRobot("bench", "ur5", clock="wall")
 
 
-def mock_in_its_own_process() -> Robot:
-    return RobotProcess("mock", "bench", "lab6", {"seed": 2})
+def kinematic_in_its_own_process() -> Robot:
+    return RobotProcess("process_drivers:Kinematic", "bench", "ur5")
 
 
 def mock_in_wall_time_in_its_own_process() -> Robot:
-    return RobotProcess("mock", "bench", "ur5", {"clock": "wall"})
+    return RobotProcess("mock", "bench", "lab6", {"clock": "wall"})
 
 
 def other_arm_in_its_own_process() -> Robot:
     return RobotProcess("process_drivers:WallArm", "bench", "ur5")
 
 
-@pytest.mark.parametrize("make_robot", [KinematicRobot, embedded_mock, mock_in_its_own_process])
+@pytest.mark.parametrize(
+    "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
+)
 def test_a_robot_on_a_virtual_clock_conforms(make_robot: Callable[[], Robot]) -> None:
     assert len(robot_conformance(make_robot)) == len(BEFORE_AND_AFTER) + len(CONNECTED)
 

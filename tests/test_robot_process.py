@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -265,6 +267,13 @@ def test_the_environment_of_the_driver_is_the_one_hil_was_started_with(
     robot = make("Environment")
     robot.connect()
     assert robot.identity.details["PYTHONPATH"] == "/nowhere"
+
+
+def test_a_drivers_process_starts_light() -> None:
+    code = "import sys, hil.robot.child; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[0] for name in done.stdout.split()}
+    assert loaded.isdisjoint({"mcap", "pydantic", "scipy", "pinocchio", "mujoco", "yaml", "typer"})
 
 
 def test_a_whole_run_goes_through_a_driver_in_its_own_process(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from process_drivers import events
 from hil.errors import RobotConnectionError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Segment, Status, driver_process, process
-from hil.robot.driver_process import KILL_AFTER_S, STOP_WITHIN_S, TERMINATE_AFTER_S
+from hil.robot.driver_process import STOP_WITHIN_S
 from hil.robot.frames import pack
 from hil.robot.process import READ_GRACE_S, RobotProcess
 
@@ -334,7 +334,9 @@ def test_stop_from_many_threads_at_once_is_answered_to_each(make: Make) -> None:
 def test_a_read_that_hangs_times_out_and_stop_still_works(
     make: Make, monkeypatch: pytest.MonkeyPatch, journal: Path
 ) -> None:
-    monkeypatch.setattr(process, "CLOSE_S", 0.5)
+    monkeypatch.setattr(process, "CLOSE_S", 0.3)
+    monkeypatch.setattr(driver_process, "TERMINATE_AFTER_S", 0.3)
+    monkeypatch.setattr(driver_process, "KILL_AFTER_S", 0.3)
     robot = make(hang=["read"])
     asked = time.monotonic()
     with pytest.raises(RobotTimeout, match="has not answered read"):
@@ -345,7 +347,7 @@ def test_a_read_that_hangs_times_out_and_stop_still_works(
     asked, pid = time.monotonic(), pid_of(robot)
     with pytest.raises(RobotTimeout, match="has not answered close"):
         robot.close()
-    assert time.monotonic() - asked < 0.5 + TERMINATE_AFTER_S + KILL_AFTER_S + 0.5
+    assert time.monotonic() - asked < 3 * 0.3 + 0.5
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
 
