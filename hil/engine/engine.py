@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from hil.engine.bounded import bounded
 from hil.engine.interlocks import Interlock
@@ -69,7 +70,8 @@ class Engine:
         self._ask = prompt
         self._machine = StateMachine()
         self._requests = Requests()
-        self._telling = Telling(plan, observers or Observers(), health, steps)
+        self._health = health
+        self._telling = Telling(plan, observers or Observers(), self._told_health, steps)
         self._watchdog = Watchdog(self._hung, on=robot.capabilities.clock == "wall")
         self._reading = Reading(
             robot,
@@ -157,6 +159,9 @@ class Engine:
         self._machine.to(state)
         self._sink.event("state", state=str(state), **({"reason": reason} if reason else {}))
         self._telling.state(state, reason)
+
+    def _told_health(self) -> Mapping[str, Any]:
+        return {**self._health(), "pausing": self._requests.why_paused}
 
     def _block(self, rows: StructArray) -> None:
         self._watchdog.feed()

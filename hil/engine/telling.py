@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from hil.engine.observers import Observers
 from hil.engine.reading import Progress
@@ -14,7 +15,7 @@ from hil.typing import StructArray
 EVERY_S = 0.2
 """Wall time between two progress events [s]."""
 
-Health = Callable[[], Mapping[str, float]]
+Health = Callable[[], Mapping[str, Any]]
 """Gaps, duplicates, … of the recording so far, and how far it is behind; cheap."""
 
 
