@@ -54,8 +54,9 @@ def test_the_message_says_what_was_declared_and_weighed_joint_by_joint() -> None
     assert step.motion is not None
     q = step.motion.q_end[None]
     shoulder = (model.with_payload(scales.plan.loads[1].payload).gravity(q) - model.gravity(q))[0]
-    assert f"shoulder_lift_joint: {shoulder[1]:.1f}, " in told[2]
-    assert f"N·m declared, {shoulder[1] / 3:.1f}, " in told[2]
+    assert told[1].strip() == "torque it adds, pose by pose [N·m]:"
+    assert f"shoulder_lift_joint: {shoulder[1]:.1f}, " in told[3]
+    assert f"declared, {shoulder[1] / 3:.1f}, " in told[3]
     assert "--waive" in failed.value.hint
 
 

@@ -52,7 +52,7 @@ def test_one_kilogram_instead_of_three_is_found_and_named(profile: str) -> None:
     )
     assert isinstance(light.result.error, PreflightFailed)
     assert light.result.outcome is Outcome.FAILED
-    first, *joints = light.message.splitlines()
+    first, _, *joints = light.message.splitlines()
     assert first.startswith("weighing: load 1: 3.00 kg declared, ")
     assert "centre of mass" not in first
     assert [line.split(":")[0].strip() for line in joints] == list(cylinder().joint_names)

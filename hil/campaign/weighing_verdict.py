@@ -125,10 +125,11 @@ def _by_joint(found: Comparison, joint_names: Sequence[str]) -> list[str]:
         [", ".join(f"{round(value, 1) + 0.0:.1f}" for value in column) for column in torque.T]
         for torque in (found.declared_nm, found.found_nm)
     )
-    return [
-        f"  {name}: {a} N·m declared, {b} N·m weighed"
+    lines = [
+        f"  {name}: {a} declared, {b} weighed;"
         for name, a, b in zip(joint_names, declared, weighed, strict=True)
     ]
+    return ["  torque it adds, pose by pose [N·m]:", *lines[:-1], lines[-1].rstrip(";")]
 
 
 def _point(at: Sequence[float] | FloatArray) -> str:
