@@ -159,7 +159,8 @@ def _moment(case: Case, folder: Path, journal: list[dict[str, Any]]) -> float:
 def _rest(stop: dict[str, Any], later: list[dict[str, Any]]) -> float | None:
     if _is_slow(stop):
         return 0.0
-    rest = next((note for note in later if note["event"] == "rest"), None)
+    # An arm that nobody can stop may also end its motion by itself: then it was seen at rest.
+    rest = next((note for note in later if note["event"] == "rest" or _is_slow(note)), None)
     return None if rest is None else float(rest["device_time"] - stop["device_time"])
 
 

@@ -71,11 +71,14 @@ Happened = Callable[[], None]
 
 
 def _signal(number: signal.Signals, times: int = 1) -> Callable[[Happened], None]:
+    """The last of several counts; they are so far apart that the kernel makes no two into one."""
+
     def send(happened: Happened) -> None:
-        happened()
-        for _ in range(times):
+        for _ in range(times - 1):
             os.kill(os.getpid(), number)
-            time.sleep(0.001)
+            time.sleep(0.05)
+        happened()
+        os.kill(os.getpid(), number)
 
     return send
 
