@@ -17,7 +17,9 @@ from hil.record.cdr import CDR_HEADER
 from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, parse
 from hil.typing import BoolArray, IntArray, StructArray
 
-_LARGEST_CHUNK_BYTES = 1 << 30
+_LARGEST_CHUNK_BYTES = 1 << 28
+
+_IN_CHUNKS = (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
 
 MESSAGE_HEAD = np.dtype(
     [
@@ -144,13 +146,15 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
     """(opcode, offset, length of content) of every record in a chunk.
 
     Raises:
-        Torn: The chunk ends within a record.
+        Torn: The chunk ends within a record, or holds what no chunk holds.
     """
     offset, end, head = 0, len(data), RECORD_HEADER.size
     while offset < end:
         if offset + head > end:
             raise Torn("a chunk that ends within a record")
         opcode, length = RECORD_HEADER.unpack_from(data, offset)
+        if opcode not in _IN_CHUNKS:
+            raise Torn(f"a chunk with something else than messages in it ({opcode:#04x})")
         if offset + head + length > end:
             raise Torn("a chunk that ends within a record")
         yield opcode, offset, length
