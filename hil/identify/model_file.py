@@ -79,17 +79,39 @@ def load_model_file(folder: Path) -> RobotEstimator:
     document = _read_document(folder / MODEL_FILE)
     arrays = _read_arrays(folder / ARRAYS_FILE, str(document.get("arrays_sha256", "")))
     try:
-        model = estimator(document["estimator"], **document["parameters"])
+        model = estimator(_text(document["estimator"]), **document["parameters"])
         model.robot_ = restore_robot(document["robot"], folder)
         model.restore(arrays, document["fitted"])
+        _require_sound(model)
         # Models of an older hil do not say what they were trained on.
         if document.get("training"):
             model.training_ = Training.restored(document["training"], arrays)
-    except (KeyError, TypeError, ValueError, SpecError) as error:
+    except _GARBLED as error:
         raise DataError(
             f"{folder / MODEL_FILE} lacks or garbles {error}", hint="fit the model again"
         ) from error
     return model
+
+
+_GARBLED = (
+    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, SpecError,
+)  # fmt: skip
+"""What reading a damaged document may end with; estimators are plug-ins and check little."""
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r:.60} is no text")
+    return value
+
+
+def _require_sound(model: RobotEstimator) -> None:
+    """Refuse names and units that are none before a prediction stumbles over them."""
+    names = [_text(name) for name in model.joint_names_]
+    if not len(names) == len(model.sigma_) == len(model.torque_scale_):
+        raise ValueError(f"joint_names: {len(names)} for {len(model.sigma_)} joints")
+    if model.effort_kind_ not in ("current", "torque"):
+        raise ValueError(f"effort_kind: {model.effort_kind_!r:.60}")
 
 
 def json_bytes(document: Mapping[str, Any]) -> bytes:
@@ -131,7 +153,7 @@ def _read_document(path: Path) -> dict[str, Any]:
         raise DataError(
             f"{path.parent} is no model folder: cannot read {path.name}: {error.strerror}"
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not valid JSON: {error}") from error
     version = document.get("hil_model") if isinstance(document, dict) else None
     if not isinstance(version, int):
