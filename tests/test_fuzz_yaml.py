@@ -54,7 +54,7 @@ def as_yaml(document: Any) -> bytes:
 
 
 @kinds
-@examples(120)
+@examples(30)
 @given(data=st.data())
 def test_damaged_document(kind: str, data: st.DataObject) -> None:
     texts, load = KINDS[kind]
@@ -63,14 +63,14 @@ def test_damaged_document(kind: str, data: st.DataObject) -> None:
 
 
 @kinds
-@examples(60)
+@examples(15)
 @given(data=st.data())
 def test_any_document_in_its_place(kind: str, data: st.DataObject) -> None:
     refusal(as_yaml(data.draw(ANYTHING)), KINDS[kind][1])
 
 
 @kinds
-@examples(80)
+@examples(25)
 @given(data=st.data())
 def test_text_with_bytes_replaced(kind: str, data: st.DataObject) -> None:
     texts, load = KINDS[kind]
@@ -85,7 +85,6 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
-@kinds
 @pytest.mark.parametrize(
     "content",
     [
@@ -109,8 +108,8 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     ],
     ids=lambda text: text[:12].replace("\n", " "),
 )
-def test_what_was_made_to_break_a_parser(kind: str, content: str) -> None:
-    assert refusal(content.encode(), KINDS[kind][1])
+def test_what_was_made_to_break_a_parser(content: str) -> None:
+    assert refusal(content.encode(), load_spec)
 
 
 @pytest.mark.parametrize(

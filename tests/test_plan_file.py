@@ -21,7 +21,7 @@ from hil.plan.plan_file import read_plan
 from hil.record.files import json_document
 
 
-@examples(150)
+@examples(50)
 @given(plans())
 def test_every_plan_comes_back_equal_from_its_json_text(plan: Plan) -> None:
     document = plan.to_dict()
@@ -34,7 +34,7 @@ def test_every_plan_comes_back_equal_from_its_json_text(plan: Plan) -> None:
     assert json_document(again.to_dict()) == text
 
 
-@examples(60)
+@examples(15)
 @given(plans())
 def test_a_plan_file_is_read_back_as_the_plan_that_was_written(plan: Plan) -> None:
     with quick_folder() as folder:
@@ -45,7 +45,7 @@ def test_a_plan_file_is_read_back_as_the_plan_that_was_written(plan: Plan) -> No
 SMALL = json.loads(json_document(small_plan().to_dict()))
 
 
-@examples(400)
+@examples(100)
 @given(damaged([SMALL]))
 def test_a_damaged_document_is_a_plan_or_refused(document: Any) -> None:
     with quick_folder() as folder:
@@ -62,7 +62,7 @@ def test_a_damaged_document_is_a_plan_or_refused(document: Any) -> None:
         assert str(path) in told
 
 
-@examples(150)
+@examples(40)
 @given(
     st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "ignore"))
 )

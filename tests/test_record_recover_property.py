@@ -122,7 +122,7 @@ def flipped(content: bytes, where: list[tuple[float, int]]) -> bytes:
     return bytes(damaged)
 
 
-@examples(400)
+@examples(150)
 @given(where=flips)
 def test_flipped_bits_in_a_whole_file_give_every_row_or_a_refusal(
     where: list[tuple[float, int]],
@@ -138,7 +138,7 @@ def test_flipped_bits_in_a_whole_file_give_every_row_or_a_refusal(
     assert salvaged is None or is_part_of(salvaged, rows)
 
 
-@examples(300)
+@examples(120)
 @given(where=flips, cut=st.floats(0.3, 1))
 def test_flipped_bits_in_a_torn_file_are_recovered_as_true_rows_or_refused(
     where: list[tuple[float, int]],

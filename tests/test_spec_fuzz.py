@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hypothesis import given, settings
+from fuzzing import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.errors import SpecError
@@ -19,8 +20,7 @@ ROOT = Path(__file__).parents[1]
 SHIPPED = [path.read_text("utf-8") for path in sorted((ROOT / "experiments").glob("*.yaml"))]
 STATION = (ROOT / "experiments" / "stations" / "mock.yaml").read_text("utf-8")
 
-# A shipped spec takes 5 ms: the deadline catches what never ends, not a busy machine.
-bounded = settings(max_examples=150, deadline=20_000)
+bounded = examples(30)
 
 yaml_like = st.text(alphabet="ab:01.-e \n\t[]{},&*!|>?'\"#%@~<_x", max_size=200)
 plain = st.recursive(

@@ -83,12 +83,12 @@ def _run(facts: RunFacts) -> Mapping[str, Any]:
 
 def _code(facts: RunFacts) -> Mapping[str, Any]:
     start, git = facts.start, as_object(facts.start.get("git"))
-    changed = {True: "yes", False: "no"}.get(git.get("dirty"))  # type: ignore[arg-type]
+    dirty = git.get("dirty")
     return {
         "spec hash": start.get("spec_hash"),
         "plan hash": start.get("plan_hash"),
         "git commit": git.get("sha"),
-        "uncommitted changes": changed,
+        "uncommitted changes": ("yes" if dirty else "no") if isinstance(dirty, bool) else None,
         "python": start.get("python"),
         "platform": start.get("platform"),
     }

@@ -16,7 +16,7 @@ from hil.spec.source import Mark, Path, Problem, Source, refuse, shown
 MOST_BYTES = 256 * 1024
 """Larger files are no specs; poses belong into a CSV beside the spec."""
 
-MOST_EXPANDED = 4 * MOST_BYTES
+MOST_EXPANDED = 2 * MOST_BYTES
 """Values plus characters after every alias was followed: stops 'billion laughs'."""
 
 LARGEST_INTEGER = 2**63 - 1
