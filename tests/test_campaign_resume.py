@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.campaign import resuming
 from hil.data.completeness import completeness_of
 from hil.data.load import load_source
 from hil.engine.steps import Steps
@@ -181,6 +184,28 @@ def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> 
     assert again.outcome == "completed"
     assert (report.run / "verdict.json").exists()
     assert len(RunDirectory.open(report.run).recordings) == 1
+
+
+def test_nobody_else_resumes_a_run_that_is_being_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    refused: list[str] = []
+    held = resuming.held
+
+    @contextlib.contextmanager
+    def meanwhile(*arguments: Any, **options: Any) -> Iterator[Any]:
+        # The first one has read what is missing and waits for its robot.
+        with pytest.raises(DataError, match="is live") as caught:
+            hil.resume(run)
+        refused.append(str(caught.value))
+        with held(*arguments, **options) as robot:
+            yield robot
+
+    monkeypatch.setattr(resuming, "held", meanwhile)
+    assert hil.resume(run).outcome == "completed"
+    assert len(refused) == 1
+    assert RunDirectory.open(run).attempts == 2
 
 
 def test_a_complete_run_has_nothing_to_go_on_with(tmp_path: Path) -> None:

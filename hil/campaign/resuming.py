@@ -27,7 +27,6 @@ from hil.plan.approach import Approach
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
-from hil.record.lock import hold_run
 from hil.record.parts import attempt_of
 from hil.record.provenance import utc_now
 from hil.record.reader import read_topic
@@ -85,7 +84,7 @@ def open_unfinished(path: Path) -> Unfinished:
 
 
 def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded:
-    """Measure what is missing, in a new attempt of the same run.
+    """Measure what is missing, in a new attempt of the same run, which this process holds.
 
     Raises:
         SpecError, PluginError, RobotError: The robot cannot be reached or used.
@@ -104,7 +103,6 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         require_attended(todo, prompt_on(robot, attendance.prompt))
         before = _before(directory, plan.rate_hz)
         with attendance.signals.guard():
-            attendance.until_judged.enter_context(hold_run(directory.path))
             lease.note_run(directory.path)
             number = directory.next_attempt()
             directory.write_resume(

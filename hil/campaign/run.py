@@ -15,6 +15,8 @@ from hil.campaign.view import verdict_word
 from hil.engine import Observer, Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
+from hil.record.lock import hold_run
+from hil.record.rundir import RunDirectory
 
 if TYPE_CHECKING:
     from hil.campaign.attempt import Recorded
@@ -117,14 +119,17 @@ def resume_experiment(
     """
     from hil.campaign.resuming import open_unfinished, recorded_before, resume_recording
 
-    unfinished = open_unfinished(run)
+    RunDirectory.open(run)
+    # Held before anything is looked at: what is missing must not be measured by two at once.
+    with hold_run(run):
+        unfinished = open_unfinished(run)
 
-    def motion(attendance: Attendance) -> Recorded:
-        if unfinished.complete.missing:
-            return resume_recording(unfinished, attendance)
-        return recorded_before(unfinished)
+        def motion(attendance: Attendance) -> Recorded:
+            if unfinished.complete.missing:
+                return resume_recording(unfinished, attendance)
+            return recorded_before(unfinished)
 
-    return _attended(unfinished.experiment, motion, operator, observers, waivers or {}, desk)
+        return _attended(unfinished.experiment, motion, operator, observers, waivers or {}, desk)
 
 
 def _attended(
