@@ -214,6 +214,15 @@ def test_positions_that_are_not_measured_trip_while_the_arm_moves() -> None:
     assert interlock.check(rows(q=HOME, moving=True)) is None
 
 
+def test_positions_that_are_not_measured_trip_where_the_set_point_changes() -> None:
+    interlock = LeastDistance("clearance", SampleDistances(bodies()), 0.01)
+    block = rows(q=HOME, q_target=HOME)
+    assert interlock.check(block) is None
+    block["q"][:, 2] = np.nan
+    assert interlock.check(block) is None
+    assert interlock.check(rows(q=np.nan, q_target=HOME + 1e-4)) is not None
+
+
 def test_it_is_clear_again_some_way_beyond_the_least_distance() -> None:
     least = float(bodies().clearance(HOME[None])[0])
     assert LeastDistance("c", bodies(), least - 0.001).check(rows(q=HOME)) is None

@@ -65,13 +65,28 @@ def test_what_is_not_measured_trips_while_the_arm_moves_temperatures_excepted(
     entry: Any, context: Any, field: str, limit: float, unit: str, told: float
 ) -> None:
     interlock = made(context, **entry)
-    assert interlock.check(with_value(field, np.nan)) is None
-    trip = interlock.check(with_value(field, np.nan, moving=True))
+    unknown: Any = {"row": slice(None)}
+    assert interlock.check(with_value(field, np.nan, **unknown)) is None
+    trip = interlock.check(with_value(field, np.nan, moving=True, **unknown))
     if entry["kind"] == "temperature":
         assert trip is None
     else:
         assert trip is not None
         assert "j4 not measured" in trip.text(NAMES)
+
+
+@pytest.mark.parametrize("of_a_block", [4, 1])
+def test_an_arm_whose_set_point_changes_moves_whatever_its_status_says(of_a_block: int) -> None:
+    interlock = made(kind="speed", limit_deg_s=90)
+    block = rows(8, qd=np.nan)
+    block["q_target"][5:, 1] = 1e-4
+    trips = [interlock.check(block[i : i + of_a_block]) for i in range(0, 8, of_a_block)]
+    (trip,) = [trip for trip in trips if trip is not None]
+    assert trip.device_time == 5 / 125
+
+
+def test_a_set_point_that_is_not_reported_moves_nothing() -> None:
+    assert made(kind="speed", limit_deg_s=90).check(rows(qd=np.nan, q_target=np.nan)) is None
 
 
 def test_the_first_violation_is_the_one_reported() -> None:
@@ -151,8 +166,38 @@ def test_a_pause_for_temperature_ends_when_every_joint_has_cooled_down(
     assert interlock.clear(with_value("temperature", cool))
 
 
-def test_a_temperature_that_is_not_measured_keeps_no_run_paused() -> None:
-    assert made(kind="temperature", action="pause").clear(rows(temperature=np.nan))
+def test_a_temperature_that_was_never_measured_keeps_no_run_paused() -> None:
+    interlock = made(kind="temperature", action="pause")
+    assert interlock.check(rows(temperature=np.nan, moving=True)) is None
+    assert interlock.clear(rows(temperature=np.nan))
+
+
+def test_a_temperature_sensor_that_dies_ends_no_pause() -> None:
+    interlock = made(kind="temperature", limit_c=70, action="pause")
+    assert interlock.check(rows(temperature=80.0)) is not None
+    assert interlock.check(rows(temperature=np.nan)) is None, "at rest"
+    assert not interlock.clear(rows(temperature=np.nan))
+    assert not interlock.clear(with_value("temperature", np.nan, row=0))
+    assert interlock.clear(rows(temperature=40.0))
+
+
+def test_a_temperature_sensor_that_dies_trips_while_the_arm_moves() -> None:
+    interlock = made(kind="temperature", limit_c=70)
+    never = rows(moving=True)
+    never["temperature"][:, 1] = np.nan
+    assert interlock.check(never) is None, "joint 2 has no sensor"
+    dies = never.copy()
+    dies["temperature"][1:, 3] = np.nan
+    assert [interlock.check(dies) is not None for _ in range(3)] == [True] * 3
+    trip = interlock.check(dies)
+    assert trip is not None
+    assert "j4 was measured, is not any more, limit 70 °C" in trip.text(NAMES)
+    assert interlock.check(never) is None
+
+
+def test_a_temperature_may_be_late_at_the_start() -> None:
+    block = with_value("temperature", np.nan, row=0, moving=True)
+    assert made(kind="temperature").check(block) is None
 
 
 def test_a_pause_for_temperature_ends_per_joint() -> None:

@@ -25,6 +25,7 @@ class Trip:
         device_time: Of the sample [s].
         subject: What `value` is of, where it is not the joint's.
         least: Whether the value must be above the limit instead of below.
+        lost: Whether what is not measured was measured before.
     """
 
     interlock: str
@@ -35,12 +36,13 @@ class Trip:
     device_time: float
     subject: str = ""
     least: bool = False
+    lost: bool = False
 
     def text(self, joint_names: Sequence[str]) -> str:
         """The trip in words."""
         what = self.subject or joint_names[self.joint]
-        unknown = math.isnan(self.value)
-        found = "not measured" if unknown else f"at {self.value:.4g} {self.unit}"
+        missing = "was measured, is not any more" if self.lost else "not measured"
+        found = missing if math.isnan(self.value) else f"at {self.value:.4g} {self.unit}"
         bound = "at least" if self.least else "limit"
         return (
             f"interlock {self.interlock}: {what} {found}, {bound} {self.limit:.4g} {self.unit}, "

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.engine.interlocks.context import Distances
 from hil.engine.interlocks.interlock import Action, Trip
-from hil.robot import Status
+from hil.engine.interlocks.moving import moving
 from hil.typing import FloatArray, StructArray
 
 CLEAR_BY_M = 0.005
@@ -47,12 +47,25 @@ class LeastDistance:
         self.computed = 0
         self._measured = measured
         self._least = least_m
+        self._before: StructArray | None = None
         self._n = measured.reach.shape[1]
         # Nothing was computed yet: nothing is proven anywhere.
         self._at, self._spent = np.zeros(self._n), np.full(self._n, np.nan)
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""
+        trip = self._first(block)
+        self._before = block
+        return trip
+
+    def clear(self, block: StructArray) -> bool:
+        """See `Interlock.clear`."""
+        q = block["q"]
+        known = bool(np.isfinite(q).all())
+        return known and bool((self._measured.distances(q) >= self._least + CLEAR_BY_M).all())
+
+    def _first(self, block: StructArray) -> Trip | None:
+        """The first violation."""
         q = block["q"]
         row = self._next_in_doubt(q, 0)
         while row < len(q):
@@ -60,12 +73,6 @@ class LeastDistance:
                 return trip
             row = self._next_in_doubt(q, row + 1)
         return None
-
-    def clear(self, block: StructArray) -> bool:
-        """See `Interlock.clear`."""
-        q = block["q"]
-        known = bool(np.isfinite(q).all())
-        return known and bool((self._measured.distances(q) >= self._least + CLEAR_BY_M).all())
 
     def _next_in_doubt(self, q: FloatArray, begin: int) -> int:
         """The first row from `begin` that is not proven to be far enough; len(q) without one."""
@@ -81,9 +88,9 @@ class LeastDistance:
         """The verdict on one row, computed; it then proves what lies around it."""
         q = block["q"][row]
         if not np.isfinite(q).all():
-            moving = block["status"][row] & Status.MOVING
             joint = int(np.argmin(np.isfinite(q)))
-            return self._trip(block, row, float("nan"), joint=joint) if moving else None
+            moves = moving(block, self._before)[row]
+            return self._trip(block, row, float("nan"), joint=joint) if moves else None
         distances = self._measured.distances(q[None])[:, 0]
         self.computed += 1
         spare = distances - self._least

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from hil.engine.interlocks.interlock import Action, Trip
-from hil.robot import Status
-from hil.typing import FloatArray, StructArray
+from hil.engine.interlocks.moving import moving
+from hil.typing import BoolArray, FloatArray, StructArray
 
 CLEAR_SHARE = 0.9
 """A quantity below this share of its limit is well inside again."""
 
 PerJoint = float | FloatArray
 
+_ALL = np.array(True)
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(slots=True, eq=False)
 class Threshold:
-    """Trips when |value| of a joint exceeds `limit`.
+    """Trips when |value| of a joint exceeds `limit`, or is missing where it must not be.
 
     Attributes:
         name: Shown when it trips.
         field: Field of the state record; `minus` is subtracted from it when given.
         limit: In the unit of the record; one number, or (n,).
         unit, scale: For people: `limit * scale` is in `unit`.
-        required: Whether NaN (not measured) trips while the arm moves.
+        required: Whether NaN (not measured) trips while the arm moves. If not, it does so only
+            for joints that were measured before.
         action: What a trip does.
         resume: Below this, in the unit of the record, the quantity is well inside again; by
             default 90 % of the limit.
@@ -40,6 +44,12 @@ class Threshold:
     required: bool = True
     action: Action = "stop"
     resume: PerJoint | None = None
+    _expected: BoolArray = dataclasses.field(init=False)
+    _before: StructArray | None = dataclasses.field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        # Of which joints a value is to come: of all, or of those that one came of.
+        self._expected = np.array(self.required)
 
     @property
     def watches(self) -> str:
@@ -50,29 +60,39 @@ class Threshold:
 
     def check(self, block: StructArray) -> Trip | None:
         """See `Interlock.check`."""
+        if not len(block):
+            return None
+        before, self._before = self._before, block
         magnitude = self._magnitude(block)
-        return None if self._inside(magnitude, self.limit) else self._trip(block, magnitude)
+        if (magnitude <= self.limit).all():
+            self._expected = _ALL
+            return None
+        return self._trip(block, before, magnitude)
 
     def clear(self, block: StructArray) -> bool:
         """See `Interlock.clear`."""
         resume = CLEAR_SHARE * self.limit if self.resume is None else self.resume
-        return self._inside(self._magnitude(block), resume)
+        magnitude = self._magnitude(block)
+        return not ((magnitude > resume) | self._missing(magnitude)).any()
 
     def _magnitude(self, block: StructArray) -> FloatArray:
         values: FloatArray = block[self.field]
         return np.abs(values - block[self.minus] if self.minus else values)
 
-    def _inside(self, magnitude: FloatArray, limit: PerJoint) -> bool:
-        """Whether nothing is beyond the limit; NaN is when it must not be missing."""
-        if self.required:
-            return bool((magnitude <= limit).all())
-        return not (magnitude > limit).any()
+    def _missing(self, magnitude: FloatArray) -> BoolArray:
+        """(N, n) what is NaN although a value is to come of that joint."""
+        unknown = np.isnan(magnitude)
+        expected = np.logical_or.accumulate(~unknown, axis=0) | self._expected
+        self._expected = expected[-1]
+        missing: BoolArray = unknown & expected
+        return missing
 
-    def _trip(self, block: StructArray, magnitude: FloatArray) -> Trip | None:
-        bad = magnitude > self.limit
-        if self.required:
-            moving = (block["status"] & Status.MOVING) != 0
-            bad |= np.isnan(magnitude) & moving[:, None]
+    def _trip(
+        self, block: StructArray, before: StructArray | None, magnitude: FloatArray
+    ) -> Trip | None:
+        bad, missing = magnitude > self.limit, self._missing(magnitude)
+        if missing.any():
+            bad |= missing & moving(block, before)[:, None]
         if not bad.any():
             return None
         row, joint = np.argwhere(bad)[0]
@@ -84,4 +104,5 @@ class Threshold:
             float(limit[joint] * scale[joint]),
             self.unit,
             float(block["device_time"][row]),
+            lost=bool(missing[row, joint]) and not self.required,
         )
