@@ -376,6 +376,19 @@ def test_one_hopeless_recording_does_not_keep_the_others_from_being_recovered(
     assert "nothing to rescue" in str(result.error)
 
 
+@pytest.mark.parametrize("discard", [False, True])
+@pytest.mark.parametrize("cut", [0, 9])
+def test_recovered_run_still_agrees_with_its_checksums(
+    tmp_path: Path, whole: tuple[StructArray, bytes], discard: bool, cut: int
+) -> None:
+    run = RunDirectory(a_run(tmp_path, {"00.mcap.partial": whole[1][: len(whole[1]) - cut]}))
+    run.write_stop("failed", "the disk was full")
+    recover(run.path, discard=discard)
+    assert run.verify() == []
+    (run.path / "recording" / "00.mcap").unlink()
+    assert len(run.verify()) == (1 if discard or not cut else 0)
+
+
 def test_live_run_is_refused(tmp_path: Path, whole: tuple[StructArray, bytes]) -> None:
     run = a_run(tmp_path, {"00.mcap.partial": whole[1][:-9]})
     with hold_run(run):

@@ -36,6 +36,7 @@ from hil.record.files import (
 from hil.record.numbering import claim, name_for_path, number_of
 from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now
+from hil.record.torn_names import lives_on
 
 RUN_FORMAT_VERSION = 1
 
@@ -263,6 +264,6 @@ class RunDirectory:
 
 def _changed(path: Path, name: str, digest: object, length: object) -> str:
     if not path.is_file():
-        return f"{name} is missing"
+        return "" if lives_on(path, digest) else f"{name} is missing"
     known = length if isinstance(length, int) else None
     return "" if sha256_of(path, known) == digest else f"{name} has changed since the run ended"

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import IO
 
 from hil.errors import DataError, RecordingError
-from hil.record.files import fsync_directory
+from hil.record.files import fsync_directory, sha256_of
+from hil.record.reader import read_info
+from hil.record.tally import RECOVERED_METADATA
 from hil.record.writer import PARTIAL_SUFFIX
 
 TORN_SUFFIX = ".torn"
@@ -111,6 +113,25 @@ def require_room(names: Names) -> None:
         f"{kept} exists already, and a torn file is never replaced",
         hint="move it away, or give another name: -o FILE",
     )
+
+
+def lives_on(torn: Path, digest: object) -> bool:
+    """Whether a torn recording that is gone was recovered: set aside, renamed or made whole.
+
+    Args:
+        torn: Where it was.
+        digest: Its SHA-256 then.
+    """
+    if not torn.name.endswith(PARTIAL_SUFFIX):
+        return False
+    final = torn.with_name(torn.name.removesuffix(PARTIAL_SUFFIX))
+    aside = final.with_name(final.name + TORN_SUFFIX)
+    if any(path.is_file() and sha256_of(path) == digest for path in (aside, final)):
+        return True
+    with contextlib.suppress(DataError):
+        told = read_info(final).metadata.get(RECOVERED_METADATA, {})
+        return not aside.exists() and told.get("from_sha256") == digest
+    return False
 
 
 def remove_drafts(final: Path) -> None:
