@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from hil.errors import DataError, RecordingError
+from hil.record.empty_part import never_got_a_message
 from hil.record.files import fsync_directory, sha256_of
 from hil.record.rebuild import Salvage, rebuild, survey
 from hil.record.recovery import Did, Recovery
@@ -34,7 +35,9 @@ from hil.record.torn_names import (
 )
 
 
-def recover_file(path: Path, out: Path | None = None, *, discard: bool = False) -> Recovery:
+def recover_file(
+    path: Path, out: Path | None = None, *, discard: bool = False, part: bool = False
+) -> Recovery:
     """Make a torn or damaged MCAP file whole.
 
     Args:
@@ -42,13 +45,15 @@ def recover_file(path: Path, out: Path | None = None, *, discard: bool = False) 
         out: Where the whole file goes; nothing else is touched then. By default the whole file
             takes the final name, and the torn one is kept beside it with `.torn` behind its name.
         discard: Delete the torn file once what was made of it has been read back.
+        part: It is part of a run: a kill before its first message leaves an empty recording, and
+            that is what it becomes.
 
     Returns:
         What was kept and lost. A file that is whole is left as it is.
 
     Raises:
-        DataError: It is missing or no MCAP file, not one message in it is whole, another process
-            is recovering it, or a file of the final name is there and holds something else.
+        DataError: It is missing or no MCAP file, not one message in it is whole, somebody is
+            writing or recovering it, or a file of the final name is there and holds something else.
         RecordingError: The disk refuses, or what was written reads back different. The torn file
             is as it was then.
     """
@@ -64,9 +69,11 @@ def recover_file(path: Path, out: Path | None = None, *, discard: bool = False) 
             return _finish_an_older_one(file, names, layout, discard)
         found = _sound(file, names, layout) if layout.complete else None
         if found is None:
-            return _rebuilt(file, names, layout, discard)
+            return _rebuilt(file, names, layout, discard, part)
     if discard and names.kept is not None and names.kept.exists():
-        return recover_file(names.kept, discard=True)  # a kill came before it was deleted
+        return recover_file(
+            names.kept, discard=True, part=part
+        )  # a kill came before it was deleted
     return found
 
 
@@ -97,17 +104,18 @@ def _sound(file: IO[bytes], names: Names, layout: Layout) -> Recovery | None:
     if names.kept is None or names.source == names.final:
         return Recovery(names.source, "nothing", names.source, salvage=found)
     with disk_named(names):
+        os.fsync(file.fileno())  # its writer may have died before it did that
         names.source.rename(names.final)
         fsync_directory(names.final.parent)
     return Recovery(names.source, "renamed", names.final, salvage=found)
 
 
-def _rebuilt(file: IO[bytes], names: Names, layout: Layout, discard: bool) -> Recovery:
+def _rebuilt(file: IO[bytes], names: Names, layout: Layout, discard: bool, part: bool) -> Recovery:
     require_room(names)
     draft = names.final.with_name(f".{names.final.name}.{os.getpid()}.draft")
     try:
         with disk_named(names):
-            salvage = _written(file, names, layout, draft)
+            salvage = _written(file, names, layout, draft, part)
         _compare(draft, names, salvage)
         with disk_named(names):
             install(draft, names)
@@ -115,7 +123,8 @@ def _rebuilt(file: IO[bytes], names: Names, layout: Layout, discard: bool) -> Re
         with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
     torn = names.source if names.kept is None else set_aside(names, discard)
-    return Recovery(names.source, "rebuilt", names.final, torn, *_lost(layout, salvage), salvage)
+    did: Did = "rebuilt" if salvage.tally.messages else "empty"
+    return Recovery(names.source, did, names.final, torn, *_lost(layout, salvage), salvage)
 
 
 def _lost(layout: Layout, salvage: Salvage) -> tuple[str, int]:
@@ -128,7 +137,7 @@ def _lost(layout: Layout, salvage: Salvage) -> tuple[str, int]:
     return layout.problem or "damaged: its index leads elsewhere than to its messages", 0
 
 
-def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path) -> Salvage:
+def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path, part: bool) -> Salvage:
     note = {
         "from": names.source.name,
         "from_sha256": sha256_of(names.source),
@@ -140,7 +149,8 @@ def _written(file: IO[bytes], names: Names, layout: Layout, draft: Path) -> Salv
     }
     with draft.open("xb") as out:
         salvage = rebuild(file, names.source, layout, out, note)
-        if not salvage.tally.messages:
+        empty = part and never_got_a_message(file, layout, salvage)
+        if not salvage.tally.messages and not empty:
             raise _nothing(names.source, layout, salvage)
         out.flush()
         os.fsync(out.fileno())

@@ -66,8 +66,9 @@ def recover(source: Path, out: Path | None = None, *, discard: bool = False) -> 
     """
     source = Path(source)
     if not source.is_dir():
-        with _held(_run_of(source), writing=out is None) as run:
-            one = recover_file(source, out, discard=discard)
+        belongs_to = _run_of(source)
+        with _held(belongs_to, writing=out is None) as run:
+            one = recover_file(source, out, discard=discard, part=belongs_to is not None)
             _log(run, [one])
         return Recoveries(source, (one,))
     RunDirectory.open(source)
@@ -87,7 +88,7 @@ def _all_of(
     problems: list[tuple[Path, HilError]] = []
     for file in files:
         try:
-            done.append(recover_file(file, _inside(out, file), discard=discard))
+            done.append(recover_file(file, _inside(out, file), discard=discard, part=True))
         except (DataError, RecordingError) as error:
             problems.append((file, error))
     return done, problems

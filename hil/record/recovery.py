@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from hil.record.rebuild import Damage, Salvage
 
-Did = Literal["nothing", "renamed", "rebuilt", "discarded"]
+Did = Literal["nothing", "renamed", "rebuilt", "empty", "discarded"]
 
 _MOST_DAMAGES_TOLD = 5
 _LAST_SECOND_OF_9999 = 253402300799.0
@@ -23,7 +23,8 @@ class Recovery:
     Attributes:
         path: The file as it was given.
         did: `nothing`, because it is whole; `renamed`, because only its name was missing;
-            `rebuilt`; or `discarded`, because it had been rebuilt before.
+            `rebuilt`; `empty`, rebuilt too, but it never got a message; or `discarded`, because
+            it had been rebuilt before.
         out: The whole file.
         torn: Where the torn file is now; None when there is none any more.
         problem: Where and why it was torn or damaged, empty when it was whole.
@@ -66,6 +67,9 @@ class Recovery:
         if self.did == "discarded":
             return [f"{self.path} is deleted: {self.out} holds all that is whole in it"]
         lines = [f"{self.path} is {self.problem}"]
+        if self.did == "empty":
+            told = "nothing: the kill came before its first samples reached it"
+            return [*lines, f"  lost  {told}", f"  → {self.out}, an empty recording"]
         lines += [f"  kept  {kept.to_line()}" for kept in kept_by_topic(self.salvage)]
         lines += [f"  lost  {line}" for line in self._lost()]
         kept = f"; the torn file is {self.torn}" if self.torn else "; the torn file is deleted"
