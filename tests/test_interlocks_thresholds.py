@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -151,6 +152,49 @@ def test_the_robots_own_torque_limit_is_watched_only_where_it_can_be() -> None:
         assert len(interlocks) == 0
         assert [off.name for off in interlocks.off] == ["torque"]
         assert "not known" in interlocks.off[0].why
+
+
+@pytest.mark.parametrize("unknown", [np.inf, np.nan, 0.0])
+@pytest.mark.parametrize("what", ["effort_max", "drive_gains"])
+def test_a_joint_without_a_torque_limit_of_its_own_is_named_and_the_others_are_watched(
+    what: str, unknown: float
+) -> None:
+    known = getattr(GEARED, what)
+    interlocks = from_spec(
+        [spec_of(kind="torque")], replace(GEARED, **{what: (*known[:5], unknown)})
+    )
+    assert [off.name for off in interlocks.off] == ["torque"]
+    assert "not known for j6" in interlocks.off[0].why
+    (watching,) = interlocks
+    assert interlocks.describe()[0]["limit"] == "26.6 to 142.5 N·m"
+    assert watching.check(with_value("effort", 99.0, joint=5, moving=True)) is None
+    trip = watching.check(with_value("effort", 99.0, joint=4))
+    assert trip is not None
+    assert (trip.value, trip.limit) == (pytest.approx(99 * 8), pytest.approx(26.6))
+
+
+@pytest.mark.parametrize("unknown", [np.inf, np.nan, 0.0])
+def test_torque_is_off_where_no_joint_has_a_limit(unknown: float) -> None:
+    interlocks = from_spec([spec_of(kind="torque")], replace(TORQUE, effort_max=(unknown,) * 6))
+    assert len(interlocks) == 0
+    assert "not known for j1, j2, j3, j4, j5, j6" in interlocks.off[0].why
+
+
+def test_a_torque_limit_that_is_given_needs_the_gain_of_every_joint() -> None:
+    gains = (10.0, 10.0, np.nan, 8.0, 8.0, 8.0)
+    with pytest.raises(PlanError, match="drive gains are not known for j3"):
+        made(replace(GEARED, drive_gains=gains), kind="torque", limit_nm=20)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_currents_that_count_the_other_way_round_are_watched_alike(sign: int) -> None:
+    context = replace(GEARED, drive_gains=tuple(-gain for gain in GEARED.drive_gains))
+    for entry in ({"kind": "torque"}, {"kind": "torque", "limit_nm": 26.6}):
+        interlock = made(context, **entry)
+        assert interlock.check(with_value("effort", sign * 3.3)) is None
+        trip = interlock.check(with_value("effort", sign * 3.4))
+        assert trip is not None
+        assert (trip.value, trip.limit) == (pytest.approx(27.2), pytest.approx(26.6))
 
 
 @pytest.mark.parametrize(

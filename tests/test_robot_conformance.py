@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from kinematic_robot import KinematicRobot
 
-from hil.robot import Robot, Segment
+from hil.robot import Capabilities, Limits, Robot, Segment
 from hil.robot.process import RobotProcess
 from hil.testing.conformance import NotConforming, robot_conformance
 from hil.testing.robot_checks import BEFORE_AND_AFTER, CONNECTED
@@ -103,9 +104,23 @@ class ForgetsThePayload(KinematicRobot):
         return type(payload)()
 
 
+class KnowsNoLimit(KinematicRobot):
+    @property
+    def limits(self) -> Limits:
+        return replace(super().limits, effort_max=np.array([10.0, 10, 10, 10, 10, np.inf]))
+
+
+class LacksGains(KinematicRobot):
+    @property
+    def capabilities(self) -> Capabilities:
+        return replace(super().capabilities, drive_gains=(8.0, 8.0, 8.0, 8.0, 8.0, 0.0))
+
+
 @pytest.mark.parametrize(
     ("robot", "check"),
     [
+        (KnowsNoLimit, "every_joint_has_limits_and_gains"),
+        (LacksGains, "every_joint_has_limits_and_gains"),
         (SlowToStop, "stop_works_before_connecting"),
         (SlowToStop, "stop_works_at_rest_and_again"),
         (StopsNothing, "stop_ends_a_motion"),

@@ -61,7 +61,7 @@ class Limits:
     qd_max: FloatArray
     qdd_max: FloatArray
     effort_max: FloatArray
-    """Torque limits [N·m]."""
+    """Torque limits [N·m]; infinite or NaN where unknown, which is then not watched."""
     payload_max_kg: float
 
 

@@ -40,6 +40,23 @@ def names_rates_and_limits_are_known_before_connecting(robot: Robot) -> None:
     assert (limits.q_min < limits.q_max).all(), "limits.q_min is not below q_max"
 
 
+def every_joint_has_limits_and_gains(robot: Robot) -> None:
+    """Numbers above 0, as what watches over a run compares with them; gains may be unknown.
+
+    A driver that cannot know a limit leaves this out, and its documentation says which.
+    """
+    can, limits = robot.capabilities, robot.limits
+    for name in ("qd_max", "qdd_max", "effort_max"):
+        known = np.isfinite(getattr(limits, name)) & (getattr(limits, name) > 0)
+        lacking = [can.joint_names[i] for i in np.flatnonzero(~known)]
+        assert not lacking, f"limits.{name} says nothing of {', '.join(lacking)}"
+    gains = np.array(can.drive_gains)
+    assert len(gains) in (0, len(can.joint_names)), (
+        f"{len(gains)} drive gains for {len(can.joint_names)} joints"
+    )
+    assert (np.isfinite(gains) & (gains != 0)).all(), f"drive gains {can.drive_gains}"
+
+
 def nobody_is_there_before_connecting(robot: Robot) -> None:
     """`identity` and `read` raise `RobotConnectionError`."""
     _raises(RobotConnectionError, lambda: robot.identity, "identity before connect")
@@ -164,6 +181,7 @@ def stop_works_while_another_thread_reads(robot: Robot) -> None:
 
 BEFORE_AND_AFTER: tuple[Check, ...] = (
     names_rates_and_limits_are_known_before_connecting,
+    every_joint_has_limits_and_gains,
     nobody_is_there_before_connecting,
     stop_works_before_connecting,
     connecting_twice_is_connecting_once,

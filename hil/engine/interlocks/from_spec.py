@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from hil.engine.interlocks.threshold import PerJoint, Threshold
 from hil.errors import PlanError
 from hil.spec.interlocks import COOLER_C, KINDS
 from hil.suggest import did_you_mean
+from hil.typing import BoolArray
 
 GROUP = "hil.interlocks"
 MEMBERS = ("name", "action", "check", "clear")
@@ -28,7 +29,16 @@ OWN_LIMIT_SHARE = 0.95
 DEGREES = 180 / np.pi
 
 Limit = float | tuple[float, ...]
-Build = Callable[[Any, InterlockContext], Interlock | str]
+
+
+class Partly(NamedTuple):
+    """An interlock that does not watch every joint, and why."""
+
+    interlock: Interlock
+    why: str
+
+
+Build = Callable[[Any, InterlockContext], Interlock | str | Partly]
 """Makes an interlock from its entry in the spec, or says why it does not watch here."""
 
 
@@ -61,6 +71,9 @@ def from_spec(specs: Sequence[Any], context: InterlockContext | None = None) -> 
             continue
         if isinstance(made, str):
             off.append(Off(spec.kind, made))
+        elif isinstance(made, Partly):
+            watching.append(made.interlock)
+            off.append(Off(spec.kind, made.why))
         else:
             watching.append(made)
     if problems:
@@ -69,7 +82,7 @@ def from_spec(specs: Sequence[Any], context: InterlockContext | None = None) -> 
     return Interlocks(watching, min(stale, default=STALE_AFTER_S), off)
 
 
-def _made(spec: Any, context: InterlockContext) -> Interlock | str:
+def _made(spec: Any, context: InterlockContext) -> Interlock | str | Partly:
     if not getattr(spec, "enabled", True):
         return "switched off in the spec"
     return _BUILDERS.get(spec.kind, _plugged)(spec, context)
@@ -98,20 +111,32 @@ def _current(spec: Any, context: InterlockContext) -> Interlock:
     return Threshold(spec.kind, "effort", _limit(spec.limit_a, context), "A")
 
 
-def _torque(spec: Any, context: InterlockContext) -> Interlock | str:
+def _torque(spec: Any, context: InterlockContext) -> Interlock | str | Partly:
     gains: PerJoint = 1.0
     if context.effort_kind == "current":
         if not context.drive_gains:
             why = "this robot measures currents, and its drive gains are not known"
             return _only_if_left_out(spec.limit_nm, f"{why}: use kind: current with limit_a")
-        gains = np.array(context.drive_gains)
+        # An arm whose currents count the other way round has gains below zero.
+        gains = np.abs(context.drive_gains)
     if spec.limit_nm is not None:
         limit = _limit(spec.limit_nm, context)
     elif context.effort_max:
         limit = OWN_LIMIT_SHARE * np.array(context.effort_max)
     else:
         return "the robot's own torque limits are not known"
-    return Threshold(spec.kind, "effort", limit / gains, "N·m", gains)
+    unknown = ~(_known(limit) & _known(gains))
+    if not unknown.any():
+        return Threshold(spec.kind, "effort", limit / gains, "N·m", gains)
+    whose = _names(unknown, context)
+    _only_if_left_out(spec.limit_nm, f"the drive gains are not known for {whose}")
+    why = f"the robot's own torque limits or drive gains are not known for {whose}"
+    if unknown.all():
+        return why
+    known_gains = np.where(unknown, 1.0, gains)
+    limit = np.where(unknown, np.inf, limit)
+    watching = Threshold(spec.kind, "effort", limit / known_gains, "N·m", known_gains)
+    return Partly(watching, f"{why}; it watches the other joints")
 
 
 def _workspace(spec: Any, context: InterlockContext) -> Interlock:
@@ -179,6 +204,16 @@ def _limit(limit: Limit, context: InterlockContext) -> PerJoint:
     if context.joint_names and len(limit) != len(context.joint_names):
         raise PlanError(f"{len(limit)} limits for {len(context.joint_names)} joints")
     return np.array(limit)
+
+
+def _known(values: PerJoint) -> BoolArray:
+    """Where there is a number that a quantity can be compared with."""
+    return np.isfinite(values) & np.greater(values, 0)
+
+
+def _names(chosen: BoolArray, context: InterlockContext) -> str:
+    names = context.joint_names or tuple(f"joint {i + 1}" for i in range(len(chosen)))
+    return ", ".join(name for name, one in zip(names, chosen, strict=True) if one)
 
 
 def _only_if_left_out(limit: object, why: str) -> str:

@@ -21,5 +21,6 @@ def moving(block: StructArray, before: StructArray | None) -> BoolArray:
     first = target[:1] if before is None or not len(before) else before["q_target"][-1:]
     # A set-point that the robot does not report is NaN, and says nothing: NaN is not above 0.
     steps = np.abs(np.diff(target, axis=0, prepend=first))
-    told: BoolArray = (steps > 0).any(axis=1)
-    return told | ((block["status"] & Status.MOVING) != 0)
+    stepped = np.any(steps > 0, axis=1)
+    moves: BoolArray = np.logical_or(stepped, block["status"] & Status.MOVING)
+    return moves

@@ -53,8 +53,12 @@ class Threshold:
 
     @property
     def watches(self) -> str:
-        """The limit, for people; from the lowest to the highest where joints differ."""
+        """The limit, for people; from the lowest to the highest where joints differ.
+
+        A limit that is infinite is none.
+        """
         limits = np.ravel(self.limit * np.asarray(self.scale))
+        limits = limits[np.isfinite(limits)]
         shown = dict.fromkeys(f"{limit:.4g}" for limit in (limits.min(), limits.max()))
         return f"{' to '.join(shown)} {self.unit}"
 
