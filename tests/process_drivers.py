@@ -97,6 +97,7 @@ class WallArm:
         babbles: bool = False,
         crashes: str = "",
     ) -> None:
+        self.resource = f"process-drivers://{name}"
         self._journal = Path(journal)
         self._rate, self._hang, self._hold, self._spawns = rate_hz, hang, hold, spawns
         self._late_s, self._babbles = late_s, babbles

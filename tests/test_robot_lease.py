@@ -14,7 +14,7 @@ import pytest
 from kinematic_robot import KinematicRobot
 from other_process import other_process
 
-from hil.errors import RobotConnectionError
+from hil.errors import RobotConnectionError, SpecError
 from hil.robot import Capabilities, HasResource
 from hil.robot.lease import (
     Lease,
@@ -101,6 +101,27 @@ def test_a_station_is_the_same_file_from_every_folder(
     full = resource_of(RealRobot(), station=str(tmp_path / "bench.yaml"), **about)
     monkeypatch.chdir(tmp_path)
     assert resource_of(RealRobot(), station="bench.yaml", **about) == full
+
+
+def test_a_station_file_that_is_not_there_is_no_station_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SpecError, match=r"no station file bench\.yaml in ") as caught:
+        leased(RealRobot(), name="ur5", driver="ur", station="bench.yaml")
+    assert "whole path" in caught.value.hint
+    assert held_leases() == []
+
+
+def test_a_run_can_be_resumed_whose_station_file_is_gone(
+    tmp_path: Path,
+) -> None:
+    gone = tmp_path / "bench.yaml"
+    gone.touch()
+    about = {"name": "ur5", "driver": "ur", "station": str(gone)}
+    before = resource_of(RealRobot(), **about)
+    gone.unlink()
+    assert resource_of(RealRobot(), **about) == before
 
 
 def test_every_resource_has_a_file_of_its_own() -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from hil.errors import RobotConnectionError
+from hil.errors import RobotConnectionError, SpecError
 from hil.held_file import HeldFile, hold, holder_of
 from hil.holder import Holder, this_process
 from hil.robot.protocol import HasResource, Robot
@@ -36,13 +36,29 @@ def resource_of(robot: Robot, *, name: str, driver: str, station: str) -> str:
         name: Of the robot in its station.
         driver: Name of its driver.
         station: The station's file, or what it is called.
+
+    Raises:
+        SpecError: The station is named as a file that is not there.
     """
     if isinstance(robot, HasResource):
         return robot.resource
     if robot.capabilities.clock == "virtual":
         return ""
+    return f"{driver}:{name}@{_same_everywhere(station)}"
+
+
+def _same_everywhere(station: str) -> str:
+    """The station's file by its whole path, from whatever folder it was named."""
     file = Path(station)
-    return f"{driver}:{name}@{file.resolve() if file.is_file() else station}"
+    if file.is_file() or file.is_absolute():
+        return str(file.resolve())
+    if file.suffix in (".yaml", ".yml"):
+        # By its bare name it would be another station than the one it is in its own folder.
+        raise SpecError(
+            f"there is no station file {station} in {Path.cwd()}",
+            hint="give its whole path, such as Path(__file__).with_name('bench.yaml')",
+        )
+    return station
 
 
 def leases_folder() -> Path:
@@ -117,6 +133,7 @@ def leased(
 
     Raises:
         RobotConnectionError: Another process holds the robot, or leases cannot be kept.
+        SpecError: See `resource_of`.
     """
     resource = resource_of(robot, name=name, driver=driver, station=station)
     if not resource:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.errors import HilError, RobotConnectionError, RobotError, RobotTimeout
 from hil.payload import Payload
-from hil.robot import Robot, Status, state_dtype
+from hil.robot import HasResource, Robot, Status, state_dtype
 from hil.testing.moves import REST_RAD_S, begin, follow, hold, move, settle, standing_at
 
 Check: TypeAlias = Callable[[Robot], None]
@@ -55,6 +55,19 @@ def every_joint_has_limits_and_gains(robot: Robot) -> None:
         f"{len(gains)} drive gains for {len(can.joint_names)} joints"
     )
     assert (np.isfinite(gains) & (gains != 0)).all(), f"drive gains {can.drive_gains}"
+
+
+def a_robot_in_wall_time_says_which_one_it_is(robot: Robot) -> None:
+    """`resource` is known, and the same from every station file; else two may drive one arm.
+
+    A simulation that is private to its process leaves this out.
+    """
+    if robot.capabilities.clock == "virtual":
+        return
+    assert isinstance(robot, HasResource), "it has no `resource`, such as its address"
+    said = robot.resource
+    assert isinstance(said, str), f"its `resource` is {said!r}, no text"
+    assert said.strip(), "its `resource` is empty"
 
 
 def nobody_is_there_before_connecting(robot: Robot) -> None:
@@ -182,6 +195,7 @@ def stop_works_while_another_thread_reads(robot: Robot) -> None:
 BEFORE_AND_AFTER: tuple[Check, ...] = (
     names_rates_and_limits_are_known_before_connecting,
     every_joint_has_limits_and_gains,
+    a_robot_in_wall_time_says_which_one_it_is,
     nobody_is_there_before_connecting,
     stop_works_before_connecting,
     connecting_twice_is_connecting_once,
