@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -259,6 +261,33 @@ def test_older_torn_file_is_never_replaced(torn: Path) -> None:
     with pytest.raises(DataError, match="never replaced"):
         recover_file(torn)
     assert torn.with_name("00.mcap.torn").read_bytes() == b"precious"
+
+
+PEAK = """
+import sys
+from pathlib import Path
+from hil.record.recover import recover_file
+recover_file(Path(sys.argv[1]))
+# Not ru_maxrss: that of a child counts what its parent had before the exec.
+lines = Path("/proc/self/status").read_text().splitlines()
+print(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+"""
+
+
+def peak_of_recovering(folder: Path, rows: int) -> int:
+    """Most memory that recovering a file of so many rows needs, in a process of its own."""
+    record_state(folder / f"{rows}.mcap", rows, rows_per_chunk=50)
+    path = folder / f"{rows}.mcap"
+    path.write_bytes(path.read_bytes()[:-1000])
+    done = subprocess.run([sys.executable, "-c", PEAK, str(path)], capture_output=True, check=True)
+    return int(done.stdout) * 1024
+
+
+def test_memory_is_bounded_by_a_chunk_and_not_by_the_file(tmp_path: Path) -> None:
+    small, large = (peak_of_recovering(tmp_path, rows) for rows in (5_000, 50_000))
+    size = (tmp_path / "50000.mcap").stat().st_size
+    assert size > 15e6
+    assert large - small < size / 3
 
 
 def test_disk_that_refuses_leaves_the_torn_file(

@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import breakup_chunk
 
 from hil.errors import RecordingError
+from hil.record.scan import RECORD_HEADER
 
 if TYPE_CHECKING:
     from hashlib import _Hash
@@ -104,13 +109,7 @@ def tally_of(path: Path) -> Tally:
     try:
         with path.open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
-            for schema, channel, message in reader.iter_messages(log_time_order=False):
-                definition = Definition(
-                    channel.topic,
-                    channel.message_encoding,
-                    tuple(channel.metadata.items()),
-                    *((schema.name, schema.encoding, schema.data) if schema else ("", "", b"")),
-                )
+            for definition, message in _messages(file, reader):
                 tally.kept(definition).add(
                     message.sequence, message.log_time, message.publish_time, message.data
                 )
@@ -123,3 +122,30 @@ def tally_of(path: Path) -> Tally:
     except (OSError, McapError, ValueError, KeyError, struct.error) as error:
         raise RecordingError(f"{path} cannot be read back: {error}") from error
     return tally
+
+
+def _messages(file: IO[bytes], reader: McapReader) -> Iterator[tuple[Definition, Message]]:
+    """Every message, found through the index of chunks; one chunk at a time.
+
+    (`iter_messages(log_time_order=False)` of mcap 1.6 holds the whole file before it yields.)
+    """
+    summary = reader.get_summary()
+    if summary is None:
+        raise McapError("it has no index")
+    definitions = {
+        channel.id: _definition(channel, summary.schemas.get(channel.schema_id))
+        for channel in summary.channels.values()
+    }
+    for index in summary.chunk_indexes:
+        file.seek(index.chunk_start_offset + RECORD_HEADER.size)
+        chunk = Chunk.read(ReadDataStream(file))
+        for record in breakup_chunk(chunk, validate_crc=True):
+            if isinstance(record, Message):
+                yield definitions[record.channel_id], record
+
+
+def _definition(channel: Channel, schema: Schema | None) -> Definition:
+    how = (channel.topic, channel.message_encoding, tuple(channel.metadata.items()))
+    if schema is None:
+        return Definition(*how, "", "", b"")
+    return Definition(*how, schema.name, schema.encoding, schema.data)
