@@ -171,10 +171,19 @@ def _shown(
         data = held_out.get(fit.label)
         try:
             if data is not None:
+                _require_same_joints(fit, data)
                 out[fit.label] = show(fit.folder, data)
         except HilError as error:
             problems.append(f"The plots of {fit.label} are left out: {error.message}")
     return out
+
+
+def _require_same_joints(fit: FitFacts, data: Dataset) -> None:
+    if len(fit.joint_names) != len(data.joint_names):
+        raise DataError(
+            f"its evaluation is of {len(fit.joint_names)} joints, the data have "
+            f"{len(data.joint_names)}"
+        )
 
 
 def _footer(path: Path) -> str:
