@@ -24,8 +24,8 @@ from hil.typing import FloatArray
 APPROACH_DEG = 3.0
 
 DWELL_S = 1.0
-"""Long enough for the controller and the friction to come to rest: dwells of 0.1 s leave twice as
-much friction in the mean of both approaches (mock, docs/explanation/weighing.md)."""
+"""Long enough for the controller and the friction to come to rest: dwells of 0.1 s leave twice the
+error (on the mock: docs/explanation/weighing.md)."""
 
 SETTLED_S = 0.2
 """The last part of the dwell, whose samples are averaged."""
@@ -92,7 +92,7 @@ def weigh_visits(
 
 def weigh_dwell(dwell: DwellRule, rate_hz: float) -> DwellRule:
     """When a weighing dwell is over, `dwell` being the rule of the program's own dwells."""
-    samples = max(dwell.samples, round(SETTLED_S * rate_hz))
+    samples = max(2, round(SETTLED_S * rate_hz))
     return DwellRule(DWELL_S, samples, dwell.settle_rad_s, DWELL_S + dwell.timeout_s)
 
 
