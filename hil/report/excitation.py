@@ -9,7 +9,7 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.report import figures
 from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
-from hil.report.documents import as_float, as_object
+from hil.report.documents import as_float, as_index, as_object
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording, dwell_poses, rows_of_steps
 from hil.report.words import joint_title, number, with_unit_apart
@@ -42,7 +42,7 @@ def excitation(
 
 def _plan(facts: RunFacts) -> Facts:
     kinds = [str(step.get("kind")) for step in facts.steps]
-    poses = {step.get("pose") for step in facts.steps if step.get("kind") == "dwell"}
+    poses = {as_index(step.get("pose")) for step in facts.steps if step.get("kind") == "dwell"}
     said: dict[str, object] = {
         "steps": f"{facts.steps_done} of {len(kinds)} done" if kinds else None,
         "poses": len(poses) or None,
