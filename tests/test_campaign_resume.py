@@ -19,13 +19,15 @@ import numpy as np
 import pytest
 
 import hil
-from hil.campaign import resuming
+from hil.campaign import operator, resuming
+from hil.data import completeness
 from hil.data.completeness import completeness_of
 from hil.data.load import load_source
 from hil.engine.steps import Steps
-from hil.errors import DataError, PreflightFailed
+from hil.errors import DataError, PreflightFailed, RecordingError
 from hil.plan.plan import Plan
 from hil.record.reader import read_topic
+from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 
 SPEC = """
@@ -242,6 +244,110 @@ def test_a_run_that_ended_before_its_plan_says_so(
     run = stopped_run(tmp_path, monkeypatch, step=30)
     (run / "plan.json").unlink()
     with pytest.raises(DataError, match=r"no plan\.json"):
+        hil.resume(run)
+
+
+@pytest.mark.parametrize("size", [0, 8, 200, 3000])
+def test_a_kill_before_the_first_sample_costs_nothing_but_that_attempt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=8)
+    torn(run, keep=1.0)
+    file = RunDirectory.open(run).recordings[0]
+    file.write_bytes(file.read_bytes()[:size])
+    assert hil.resume(run).outcome == "completed"
+    assert len(load_source(run, ("dwell",)).conditions) == 8
+
+
+LOADS = """
+hil: 1
+name: sweep
+robot: ur5
+excitation: {kind: dwell, waypoints: 1, approach: positive, seed: 3}
+warm_up: {duration_s: 0}
+reference: {every: 0}
+weigh: false
+loads: [{mass_kg: 0}, {mass_kg: 2, prompt: "Mount 2 kg"}]
+"""
+
+
+class Told:
+    """Notes what the robot and the operator are told, in order."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.said: list[str] = []
+        from hil_mock_robot.driver import MockRobot
+
+        set_payload = MockRobot.set_payload
+
+        def declared(robot: MockRobot, payload: Any) -> Any:
+            self.said.append(f"{payload.mass:g} kg")
+            return set_payload(robot, payload)
+
+        def asked(text: str, meanwhile: Any) -> str:
+            self.said.append(text)
+            return "Ada"
+
+        monkeypatch.setattr(MockRobot, "set_payload", declared)
+        monkeypatch.setattr(operator, "mock_mounts", asked)
+
+
+def test_no_other_load_is_declared_before_the_one_in_force_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    last = len(plan_of_spec(tmp_path, LOADS)) - 1
+    run = stopped_run(tmp_path, monkeypatch, step=last, text=LOADS)
+    told = Told(monkeypatch)
+    hil.resume(run)
+    assert told.said == ["Mount 2 kg", "2 kg"]
+
+
+def test_going_back_to_an_earlier_load_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of_spec(tmp_path, LOADS)
+    run = stopped_run(tmp_path, monkeypatch, step=len(plan) - 1, text=LOADS)
+    dwell = next(step.index for step in plan if step.kind == "dwell")
+    monkeypatch.setattr(completeness, "step_is_complete", lambda step, *_: step.index > dwell)
+    told = Told(monkeypatch)
+    hil.resume(run)
+    assert told.said[0].startswith("Take the load off again")
+    assert told.said[1:] == ["0 kg", "Mount 2 kg", "2 kg"]
+
+
+def plan_of_spec(folder: Path, text: str) -> Plan:
+    path = folder / "plan.yaml"
+    path.write_text(text, "utf-8")
+    return hil.plan(hil.load(path))
+
+
+def test_motion_that_came_to_its_end_without_its_data_is_no_success(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        put = Recorder.put
+
+        def loses(recorder: Recorder, topic: str, rows: Any) -> None:
+            kept = rows[(rows["segment"] < 20) | (rows["segment"] > 30)]
+            put(recorder, topic, kept)
+
+        patch.setattr(Recorder, "put", loses)
+        report = hil.run(hil.load(small_spec(tmp_path)), runs=tmp_path / "runs")
+    assert report.outcome == "failed"
+    assert isinstance(report.error, RecordingError)
+    assert "hil resume" in report.error.hint
+    assert not (report.run / "verdict.json").exists()
+    again = hil.resume(report.run)
+    assert again.outcome == "completed"
+    assert measured(report.run) == all_steps(report.run)
+
+
+def test_another_mounting_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    station = json.loads((run / "station.yaml").read_text("utf-8").partition("\n")[2])
+    station["robots"]["ur5"]["gravity_m_s2"] = [0.0, 0.0, 9.81]
+    (run / "station.yaml").write_text(json.dumps(station), "utf-8")
+    with pytest.raises(PreflightFailed, match="gravity"):
         hil.resume(run)
 
 

@@ -56,21 +56,35 @@ class ScriptedOperator:
         self._answers = tuple(answers)
         self._source = source or Source("answers")
         self._next = 0
+        self._skipping = False
 
     def __call__(self, text: str, meanwhile: Callable[[], object]) -> str:
         """See `hil.engine.Prompt`; a prompt without its answer raises `SpecError`."""
         meanwhile()
+        while self._skipping and self._misses(self._next, text):
+            self._next += 1
         i, self._next = self._next, self._next + 1
         if problem := self._problem(i, text):
             raise SpecError(problem, hint=_HINT)
         return self._answers[i].who if self._answers[i].yes else ""
 
-    def require_match(self, prompts: Sequence[str]) -> None:
+    def _misses(self, i: int, text: str) -> bool:
+        return i < len(self._answers) and not self._answers[i].fits(text)
+
+    def require_match(self, prompts: Sequence[str], *, skipping: bool = False) -> None:
         """Check the answers against everything a run is going to ask; a no ends both.
+
+        Args:
+            prompts: In order.
+            skipping: Answers that fit nothing are left out: those of a run that is resumed.
 
         Raises:
             SpecError: A prompt has no answer, or an answer no prompt; with file, line and column.
         """
+        self._skipping = skipping
+        if skipping:
+            self._require_some(prompts)
+            return
         problems = [
             p for i, text in enumerate(self._asked(prompts)) if (p := self._problem(i, text))
         ]
@@ -81,6 +95,18 @@ class ScriptedOperator:
         ]
         if problems:
             raise SpecError("\n".join(problems), hint=_HINT)
+
+    def _require_some(self, prompts: Sequence[str]) -> None:
+        i = 0
+        for text in prompts:
+            while self._misses(i, text):
+                i += 1
+            if i >= len(self._answers):
+                raise SpecError(
+                    f"{self._source.name}: no answer is there for the prompt '{shown(text)}'",
+                    hint=_HINT,
+                )
+            i += 1
 
     def _asked(self, prompts: Sequence[str]) -> Iterator[str]:
         for i, text in enumerate(prompts):

@@ -9,7 +9,7 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.sink import COUNTED, RunSink, counts_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
-from hil.errors import HilError, exit_code_of
+from hil.errors import HilError, RecordingError, exit_code_of
 from hil.plan.plan import Plan
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
@@ -73,17 +73,17 @@ def finish(
 ) -> Recorded:
     """Close everything, then write the stop document, whatever went wrong in closing."""
     lost = sink.close()
-    complete, problem = _completeness(attempt, result)
-    notes = (*result.notes, *(e.message for e in lost), *problem, *observers.problems())
+    complete, problem = _completeness(attempt)
+    notes = (*result.notes, *(e.message for e in lost), *observers.problems())
+    notes += (problem.message,) if problem and not complete and result.error else ()
     result = replace(result, notes=notes)
-    if lost and result.error is None:
-        error = lost[0]
+    if result.error is None and (error := lost[0] if lost else problem):
         result = replace(result, outcome=Outcome.FAILED, reason=error.message, error=error)
     own = counts_of(recorder.counts[STATE_TOPIC])
     counts = {name: own[name] + attempt.before.counts[name] for name in COUNTED}
     document = {
         **counts,
-        "steps_done": len(attempt.plan) - (len(attempt.todo) - result.steps_done),
+        "steps_done": _steps_done(attempt, result),
         "unsettled": sorted(complete.unsettled) if complete else list(result.unsettled),
         "complete": complete.to_dict() if complete else {},
         "device_s": result.device_s + attempt.before.device_s,
@@ -97,11 +97,26 @@ def finish(
     return Recorded(attempt.directory, result, counts)
 
 
-def _completeness(attempt: Attempt, result: RunResult) -> tuple[Completeness | None, list[str]]:
-    """What was measured, from the data, and what a run that came to its end is missing."""
+def _steps_done(attempt: Attempt, result: RunResult) -> int:
+    """Steps of the plan that need not be executed any more."""
+    left = {step.index for step in attempt.todo.steps[result.steps_done :] if step.index >= 0}
+    return len(attempt.plan) - len(left)
+
+
+def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | None]:
+    """What was measured, from the data; and an error when it cannot be told, or lacks something.
+
+    Motion that came to its end is no success if the recording has not got it.
+    """
     try:
         complete = completeness_of(attempt.plan, attempt.directory.recordings)
     except HilError as error:
-        return None, [f"the recording could not be read back: {error.message}"]
-    lacks = result.outcome is Outcome.COMPLETED and complete.missing
-    return complete, [f"the recording lacks measurements: {complete}"] if lacks else []
+        told = f"the recording could not be read back: {error.message}"
+        return None, RecordingError(told, hint=error.hint)
+    except Exception as error:  # the motion is over: whatever this is, its end must be written
+        return None, RecordingError(f"the recording could not be read back: {error!r}")
+    if not complete.missing:
+        return complete, None
+    told = f"the recording lacks measurements: {complete} are whole"
+    hint = f"measure what is missing: hil resume {attempt.directory.path}"
+    return complete, RecordingError(told, hint=hint)

@@ -24,6 +24,7 @@ from hil.engine.signals import SignalWatch
 from hil.errors import HilError
 from hil.preflight import preflight_context, require_preflight
 from hil.record.parts import name_of_attempt
+from hil.record.recorder import Recorder
 from hil.robot import Robot
 
 
@@ -63,27 +64,45 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         RecordingError: The recording cannot be opened; the stop document says so too.
     """
     directory, number = attempt.directory, attempt.number
-    open_files = contextlib.ExitStack()
+    open_files, around = contextlib.ExitStack(), contextlib.ExitStack()
     try:
         recorder = open_recorder(directory, number, robot, attempt.experiment)
         open_files.callback(_quietly, recorder.close)
         sink = RunSink(directory, recorder)
         open_files.callback(_quietly, sink.close)
-        interlocks = interlocks_for(
-            attempt.experiment,
-            robot,
-            attempt.plan,
-            folder=directory.path,
-            behind_s=lambda: recorder.behind_s,
-        )
-        open_files.callback(interlocks.close)
-        sink.event("interlocks", watching=interlocks.describe())
-        weighing = _weighing(attempt, robot, sink, attendance)
+        engine = _engine(attempt, robot, attendance, recorder, sink, around)
     except BaseException as error:
+        around.close()
         open_files.close()
         with contextlib.suppress(HilError):
             directory.write_stop("failed", str(error) or type(error).__name__, attempt=number)
         raise
+    attendance.signals.bind(engine, robot)
+    result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
+    result = replace(result, notes=(*result.notes, *close_robot(robot)))
+    around.close()
+    return finish(attempt, result, recorder, sink, attendance.observers)
+
+
+def _engine(
+    attempt: Attempt,
+    robot: Robot,
+    attendance: Attendance,
+    recorder: Recorder,
+    sink: RunSink,
+    around: contextlib.ExitStack,
+) -> Engine:
+    """The engine, and `around` it what is to be closed after it."""
+    directory = attempt.directory
+    interlocks = interlocks_for(
+        attempt.experiment,
+        robot,
+        attempt.plan,
+        folder=directory.path,
+        behind_s=lambda: recorder.behind_s,
+    )
+    around.callback(interlocks.close)
+    sink.event("interlocks", watching=interlocks.describe())
     prompt = prompt_on(robot, attendance.prompt)
     engine = Engine(
         attempt.todo,
@@ -93,19 +112,16 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
         observers=attendance.observers,
         prompt=prompt,
         go_on=attendance.go_on,
-        measured=weighing.measured,
+        measured=_weighing(attempt, robot, sink, attendance).measured,
         health=sink.health,
         stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan),
     )
-    attendance.signals.bind(engine, robot)
     live = LiveState(directory.path)
     attendance.until_judged.callback(live.close)
     attendance.observers.add(live)
-    with contextlib.closing(interlocks), Control(directory.path, engine, sink.event, prompt):
-        result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
-    result = replace(result, notes=(*result.notes, *close_robot(robot)))
-    return finish(attempt, result, recorder, sink, attendance.observers)
+    around.enter_context(Control(directory.path, engine, sink.event, prompt))
+    return engine
 
 
 def _weighing(attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attendance) -> Weighing:

@@ -140,12 +140,13 @@ def prompts_of(plan: Plan) -> list[str]:
     return [text for text in asked if text]
 
 
-def require_attended(plan: Plan, prompt: Prompt) -> None:
+def require_attended(plan: Plan, prompt: Prompt, *, resumed: bool = False) -> None:
     """Refuse, before anything moves, a run that would wait for an answer nobody can give.
 
     Args:
         plan: What is about to be executed.
         prompt: Who answers, from `prompt_on`.
+        resumed: Whether part of what the answers are for may be behind us.
 
     Raises:
         PreflightFailed: It asks something, and there is no console.
@@ -153,7 +154,7 @@ def require_attended(plan: Plan, prompt: Prompt) -> None:
     """
     asked = prompts_of(plan)
     if isinstance(prompt, ScriptedOperator):
-        prompt.require_match(asked)
+        prompt.require_match(asked, skipping=resumed)
     elif asked and isinstance(prompt, ConsoleOperator) and not prompt.attended:
         times = "once" if len(asked) == 1 else f"{len(asked)} times"
         raise PreflightFailed(

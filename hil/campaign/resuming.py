@@ -12,7 +12,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
+from hil.campaign.beginning import describe_robot
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
@@ -20,7 +23,7 @@ from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
 from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
-from hil.data.completeness import Completeness, completeness_of
+from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
 from hil.errors import DataError, PreflightFailed
 from hil.plan.approach import Approach
@@ -31,14 +34,15 @@ from hil.record.parts import attempt_of
 from hil.record.provenance import utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
-from hil.robot import Robot
+from hil.robot import Robot, Status
 from hil.spec.load import spec_hash
 
 COLD_AFTER_S = 600.0
 """An arm that has stood still for longer is warmed up again before it measures on [s]."""
 
-SAME = ("model", "serial", "firmware", "driver")
-"""What of a robot's identity must be as it was."""
+SAME_IDENTITY = ("model", "serial", "firmware", "driver")
+SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
+"""What of `start.json:robot` must be as it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +66,8 @@ def open_unfinished(path: Path) -> Unfinished:
     """Open a run for going on with it.
 
     Raises:
-        DataError: It is no run, lacks what a resumption needs, or its plan or spec is not the one
-            it was begun with.
+        DataError: It is no run, lacks what a resumption needs, its plan or spec is not the one
+            it was begun with, or it was judged already.
     """
     directory = RunDirectory.open(path)
     start = directory.start
@@ -80,6 +84,7 @@ def open_unfinished(path: Path) -> Unfinished:
     _require_same("plan.json", "plan_hash", start, plan.hash)
     _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
     complete = completeness_of(plan, directory.recordings)
+    _require_something_left(directory, complete)
     return Unfinished(directory, experiment, plan, complete)
 
 
@@ -95,12 +100,12 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
     with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
-        _require_same_robot(directory, robot)
+        _require_same_robot(directory, describe_robot(robot, experiment.robot))
         require_usable(experiment, robot)
         attendance.stage("planning the way back")
-        cold = _is_cold(directory, robot)
-        todo = _todo(unfinished, robot, cold=cold)
-        require_attended(todo, prompt_on(robot, attendance.prompt))
+        cold = _is_cold(unfinished, robot)
+        todo = _confirmed(_todo(unfinished, robot, cold=cold), directory)
+        require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
         before = _before(directory, plan.rate_hz)
         with attendance.signals.guard():
             lease.note_run(directory.path)
@@ -126,6 +131,21 @@ def _todo(unfinished: Unfinished, robot: Robot, *, cold: bool) -> Plan:
     return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
 
 
+def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
+    """A verdict is about the recording as it was; nothing is added to it afterwards."""
+    if not (directory.path / "verdict.json").exists():
+        return
+    if not complete.missing:
+        raise DataError(
+            f"{directory.path} is complete ({complete}) and judged",
+            hint=f"look at it: hil show {directory.path}",
+        )
+    raise DataError(
+        f"{directory.path} was judged when it was complete, and now only {complete} are whole",
+        hint="its recording was damaged since: take it from a copy, or run the experiment anew",
+    )
+
+
 def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
     if start.get(key) != found:
         raise DataError(
@@ -135,20 +155,13 @@ def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> 
         )
 
 
-def _require_same_robot(directory: RunDirectory, robot: Robot) -> None:
+def _require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
     """Two robots in one dataset would be identified as one that does not exist."""
     recorded = directory.start.get("robot", {})
-    was, now = recorded.get("identity", {}), asdict(robot.identity)
-    can = robot.capabilities
-    was = {key: was.get(key) for key in SAME} | {
-        "joint_names": recorded.get("joint_names"),
-        "rate_hz": recorded.get("rate_hz"),
-    }
-    now = {key: now[key] for key in SAME} | {
-        "joint_names": list(can.joint_names),
-        "rate_hz": can.rate_hz,
-    }
-    differs = [f"{key} was {was[key]!r}, is {now[key]!r}" for key in was if was[key] != now[key]]
+    pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
+    was, now = recorded.get("identity", {}), robot["identity"]
+    pairs |= {key: (was.get(key), now[key]) for key in SAME_IDENTITY}
+    differs = [f"{key} was {old!r}, is {new!r}" for key, (old, new) in pairs.items() if old != new]
     if differs:
         raise PreflightFailed(
             f"this is not the robot of {directory.path}: {'; '.join(differs)}",
@@ -156,12 +169,38 @@ def _require_same_robot(directory: RunDirectory, robot: Robot) -> None:
         )
 
 
-def _is_cold(directory: RunDirectory, robot: Robot) -> bool:
+def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
     """Whether the arm has stood still too long; a simulated one is switched on cold each time."""
     if robot.capabilities.clock == "virtual":
         return True
-    newest = max((float(event.get("t", 0.0)) for event in directory.events()), default=0.0)
-    return time.time() - newest > COLD_AFTER_S
+    directory = unfinished.directory
+    moved, last = 0.0, -1
+    for path in directory.recordings:
+        rows = rows_of(path)
+        if rows is not None and (moving := (rows["status"] & int(Status.MOVING)) != 0).any():
+            moved, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
+    if time.time() - moved > COLD_AFTER_S:
+        return True
+    # A warm-up that was cut short has warmed nothing: it is over once something was measured.
+    own = [path for path in directory.recordings if attempt_of(path) == last]
+    return last > 0 and not completeness_of(unfinished.plan, own).done
+
+
+def _confirmed(plan: Plan, directory: RunDirectory) -> Plan:
+    """The plan with a question for a load that may not be the one that hangs there.
+
+    A plan asks for a load when it comes to it; whoever goes back to an earlier one has to ask, too.
+    """
+    declared = [e.get("load") for e in directory.events() if e.get("kind") == "payload"]
+    first = next((step.load for step in plan if step.kind == "payload"), 0)
+    by_hand = any(load.prompt for load in plan.loads)
+    if not (by_hand and declared and declared[-1] != first) or plan.loads[first].prompt:
+        return plan
+    mass = plan.loads[first].payload.mass
+    what = f"Mount load {first} ({mass:g} kg) again" if mass else "Take the load off again"
+    asked = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
+    loads = (*plan.loads[:first], asked, *plan.loads[first + 1 :])
+    return replace(plan, loads=loads)
 
 
 def _before(directory: RunDirectory, rate_hz: float) -> Before:
@@ -199,17 +238,8 @@ def _document(
 
 
 def recorded_before(unfinished: Unfinished) -> Recorded:
-    """A run whose measuring steps are all complete, as if its motion had just come to its end.
-
-    Raises:
-        DataError: It has been judged, so nothing is left to do.
-    """
+    """A run whose measuring steps are all complete, as if its motion had just come to its end."""
     directory = unfinished.directory
-    if (directory.path / "verdict.json").exists():
-        raise DataError(
-            f"{directory.path} is complete ({unfinished.complete}) and judged",
-            hint=f"look at it: hil show {directory.path}",
-        )
     before = _before(directory, unfinished.plan.rate_hz)
     steps = len(unfinished.plan)
     unsettled = tuple(sorted(unfinished.complete.unsettled))

@@ -102,8 +102,11 @@ def held(
         opened(name, experiment.robot) as robot,
         leased(robot, name=name, driver=driver, station=station, wait_s=wait_s, tell=tell) as lease,
     ):
-        robot.connect()
-        yield robot, lease
+        try:
+            robot.connect()
+            yield robot, lease
+        finally:
+            close_robot(robot)  # while it is still ours: whoever waits for it connects at once
 
 
 def close_robot(robot: Robot) -> list[str]:

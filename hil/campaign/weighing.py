@@ -13,10 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from hil.campaign.scales import LoadReading, Reading, compare, load_reading, reading_of
-from hil.campaign.weighing_verdict import Verdict, friction_of
+from hil.campaign.weighing_verdict import Verdict, differs, friction_of
 from hil.errors import DataError, PreflightFailed
 from hil.plan.plan import Plan, Step
-from hil.plan.weighing import why_plan_not_weighed
+from hil.plan.weighing import is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.spec.weigh import Weigh
 from hil.typing import FloatArray, StructArray
@@ -77,7 +77,7 @@ class Weighing:
             from hil.dynamics import load_model
 
             self._model = load_model(plan.robot_model, gravity=gravity)
-        elif len({load.payload.mass for load in plan.loads}) > 1:
+        elif is_sweep(plan):
             self._event(CHECK, result="skipped", reason=self._not_weighed)
 
     def measured(self, step: Step, rows: StructArray) -> None:
@@ -123,12 +123,21 @@ class Weighing:
             return
         loads = self._plan.loads[0].payload, self._plan.loads[load].payload
         found = compare(self._model, self._steps[load], loads, (first, this))
-        verdict = Verdict(found, self._tolerance)
+        masses = [each.payload.mass for each in self._plan.loads]
+        verdict = Verdict(found, self._tolerance, differs(masses, load))
         if verdict.passed:
-            self._event(CHECK, load=load, result="passed", **verdict.figures)
+            self._pass(load, verdict)
             return
         told = f"load {load}: {verdict.text(self._plan.joint_names)}"
         self._refuse(load, told, verdict.figures)
+
+    def _pass(self, load: int, verdict: Verdict) -> None:
+        """Nothing speaks against the load; whether anything would have is another matter."""
+        if verdict.conclusive:
+            self._event(CHECK, load=load, result="passed", **verdict.figures)
+            return
+        problem = f"load {load}: {verdict.doubt}"
+        self._event(CHECK, load=load, result="inconclusive", problem=problem, **verdict.figures)
 
     def _together(self, load: int) -> LoadReading | str:
         """The readings of a load, or why there are none."""

@@ -12,6 +12,9 @@ from hil.campaign.scales import Comparison, LoadReading
 from hil.spec.weigh import Weigh
 from hil.typing import FloatArray
 
+TELLING = 0.5
+"""Share of the difference between two loads that a limit must stay below to tell them apart."""
+
 SURE = 4.0
 """In standard deviations: what is no further off than this may be the weighing's own error."""
 
@@ -23,10 +26,16 @@ class Verdict:
     A weighing that is less certain than the tolerances ask for (a short reach, stiff joints) is
     judged by its own certainty. Where there is no declared centre of mass, or the load's is
     another, the mass that counts is the one that takes no notice of where that is.
+
+    Attributes:
+        found: The load as weighed.
+        tolerance: Of the spec.
+        differs_kg: By how much the load differs from what may hang there instead, see `differs`.
     """
 
     found: Comparison
     tolerance: Weigh
+    differs_kg: float
 
     @property
     def weighed_kg(self) -> float:
@@ -69,6 +78,11 @@ class Verdict:
         return self.mass_passed and self.com_passed
 
     @property
+    def conclusive(self) -> bool:
+        """Whether the mass of another load would not have passed as well."""
+        return self.mass_limit_kg < TELLING * self.differs_kg
+
+    @property
     def figures(self) -> dict[str, Any]:
         """Plain numbers for the event log."""
         found = self.found
@@ -77,6 +91,7 @@ class Verdict:
             "weighed_kg": _plain(self.weighed_kg),
             "deviation_kg": _plain(self.deviation_kg),
             "limit_kg": _plain(self.mass_limit_kg),
+            "differs_kg": _plain(self.differs_kg),
             "declared_nm": _plain(found.declared_nm),
             "found_nm": _plain(found.found_nm),
         }
@@ -91,15 +106,24 @@ class Verdict:
 
     def text(self, joint_names: Sequence[str]) -> str:
         """What is wrong, joint by joint."""
+        told = self._masses
+        if not self.com_passed:
+            told += f"; {self._centre()}"
+        return "\n".join([told, *_by_joint(self.found, joint_names)])
+
+    @property
+    def doubt(self) -> str:
+        """Why a load that passed may be another one all the same."""
+        return f"{self._masses}, which does not tell loads apart that differ by {self.differs_kg:.2f} kg"
+
+    @property
+    def _masses(self) -> str:
         found = self.found
-        told = (
+        return (
             f"{found.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
             f"{self.deviation_kg:.2f} kg weighed against the {found.first_kg:.2f} kg of load 0 "
             f"(limit ± {self.mass_limit_kg:.2f} kg)"
         )
-        if not self.com_passed:
-            told += f"; {self._centre()}"
-        return "\n".join([told, *_by_joint(found, joint_names)])
 
     @property
     def _centre_known(self) -> bool:
@@ -113,6 +137,16 @@ class Verdict:
             f"weighed: {1e3 * found.distance_m:.0f} ± {1e3 * found.shift_deviation_m:.0f} mm away "
             f"(limit {1e3 * self.com_limit_m:.0f} mm)"
         )
+
+
+def differs(masses: Sequence[float], load: int) -> float:
+    """By how much [kg] a load differs from the first one, which may have been left on.
+
+    One that weighs the same as the first: from the load of another mass that is nearest.
+    """
+    own = masses[load]
+    others = [abs(own - other) for other in masses if other != own]
+    return abs(own - masses[0]) or min(others, default=0.0)
 
 
 def friction_of(first: LoadReading) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 A kill loses the newest samples, and with them dwells that the event log calls done; a resumed run
 therefore asks the data. A dwell is complete when its rows alone satisfy the plan's rule, a
-trajectory when its rows reach its end without a hole.
+trajectory when its rows reach its end and as good as none are missing.
 """
 
 from __future__ import annotations
@@ -23,8 +23,11 @@ from hil.record.writer import PARTIAL_SUFFIX
 from hil.robot.state import Status
 from hil.typing import BoolArray, FloatArray, StructArray
 
-LONGEST_HOLE_S = 0.25
-"""A trajectory with a longer hole than this has to be measured again [s]."""
+MISSING_AT_MOST = 0.05
+"""Share of a trajectory's samples; one that lacks more has to be measured again."""
+
+AT_END_RAD = 1e-3
+"""So near to its last set-point a trajectory has been followed to its end."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def recorded_steps(
 def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:
     """Whether the rows of one step, of one attempt and in order, are all that it needs."""
     if step.kind == "trajectory":
-        return _trajectory_is_whole(rows, plan.step_duration_s(step), 1 / plan.rate_hz)
+        return _trajectory_is_whole(rows, step, plan)
     return dwell_is_over(rows, plan.dwell_rule(step))
 
 
@@ -133,20 +136,23 @@ def _run_lengths(true: BoolArray) -> FloatArray:
     return np.asarray(index - last_false, dtype=np.float64)
 
 
-def _trajectory_is_whole(rows: StructArray, duration_s: float, period_s: float) -> bool:
-    time = rows["device_time"]
-    moving = (rows["status"] & int(Status.MOVING)) != 0
-    if not moving.any() or np.diff(time).max(initial=0.0) > LONGEST_HOLE_S:
+def _trajectory_is_whole(rows: StructArray, step: Step, plan: Plan) -> bool:
+    """Whether it was followed to its end, with as good as all of its samples."""
+    assert step.motion is not None
+    expected = plan.step_duration_s(step) * plan.rate_hz
+    moving = rows[(rows["status"] & int(Status.MOVING)) != 0]
+    if len(moving) < (1 - MISSING_AT_MOST) * expected - 1:
         return False
-    # Its beginning may hide in the hole before the first row: length decides, not the last row.
-    return bool(np.ptp(time[moving]) >= duration_s - 3 * period_s)
+    # An arm that was stopped also came to rest, but somewhere else.
+    off = np.abs(rows["q_target"][-1] - step.motion.q_end)
+    return bool(np.nanmax(off, initial=0.0) < AT_END_RAD)
 
 
 def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
     """(step, its rows) of one attempt, in order; a step may go on in the next part."""
     held: StructArray | None = None
     for file in files:
-        rows = _rows_of(file)
+        rows = rows_of(file)
         if rows is None:
             continue
         if held is not None:
@@ -158,7 +164,12 @@ def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
         yield int(held["segment"][0]), held
 
 
-def _rows_of(file: Path) -> StructArray | None:
+def rows_of(file: Path) -> StructArray | None:
+    """The base robot record of a run's recording; None for one that was torn before any.
+
+    Raises:
+        DataError: A finished recording cannot be read, or is of a newer hil.
+    """
     try:
         return read_topic(file, salvage=True)
     except DataError:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.data.completeness import dwell_is_over
+from hil.data.completeness import dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.described import (
     dwell_rule_of,
@@ -120,7 +120,9 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
         raise DataError(f"{path} holds no recording")
     found: dict[int, list[Series]] = {}
     for attempt, files in groupby(run.recordings, attempt_of):
-        parts = [_rows_of(f, salvage=f.name.endswith(PARTIAL_SUFFIX)) for f in files]
+        parts = [rows for file in files if (rows := _part(file)) is not None]
+        if not parts:
+            continue
         if len({part.dtype for part in parts}) > 1:
             raise DataError(f"{path}: the recordings of attempt {attempt} differ in their joints")
         rows = np.concatenate(parts)
@@ -133,6 +135,14 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
             found[piece.step].append(piece)
     ordered = [piece for step in sorted(found) for piece in found[step]]
     return assemble(ordered, origin, rule.samples)
+
+
+def _part(path: Path) -> StructArray | None:
+    """The rows of one recording of a run; None for one that was torn before it had any."""
+    torn = path.name.endswith(PARTIAL_SUFFIX)
+    if torn and rows_of(path) is None:
+        return None
+    return _rows_of(path, salvage=torn)
 
 
 def _rows_of(path: Path, *, salvage: bool) -> StructArray:

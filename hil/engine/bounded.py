@@ -10,6 +10,9 @@ from hil.errors import RobotTimeout
 
 _T = TypeVar("_T")
 
+LOOK_EVERY_S = 0.05
+ENDS_WITHIN_S = 1.0
+
 
 class _Call(threading.Thread, Generic[_T]):
     """One call on a thread of its own, which is left behind if it never returns."""
@@ -25,6 +28,43 @@ class _Call(threading.Thread, Generic[_T]):
             self.outcome.append(self._call())
         except BaseException as error:  # handed on to whoever waits
             self.error = error
+
+
+def supervised(
+    call: Callable[[], _T],
+    abandon: threading.Event,
+    what: str,
+    interrupted: Callable[[], object],
+) -> _T:
+    """What `call` returns, or raises, unless somebody gives it up meanwhile.
+
+    Args:
+        call: Made on a thread of its own.
+        abandon: Set when nobody believes in its coming back any more.
+        what: For messages.
+        interrupted: Called at a `KeyboardInterrupt`, which then goes on its way: makes `call` end.
+
+    Raises:
+        RobotTimeout: It was given up; the thread may still be there.
+    """
+    thread = _Call(call, what)
+    thread.start()
+    try:
+        while thread.is_alive() and not abandon.is_set():
+            thread.join(LOOK_EVERY_S)  # in pieces, so that signals are heard in between
+    except KeyboardInterrupt:
+        interrupted()
+        thread.join(ENDS_WITHIN_S)
+        raise
+    if thread.is_alive():
+        raise RobotTimeout(
+            f"{what} hangs: the driver did not return from a call for seconds",
+            hint="see to the robot itself; a driver in a process of its own (own_process: true in "
+            "the station) cannot take the run with it",
+        )
+    if thread.error is not None:
+        raise thread.error
+    return thread.outcome[0]
 
 
 def bounded(call: Callable[[], _T], seconds: float, what: str) -> _T:

@@ -8,11 +8,12 @@ Every call on the way out may take only so long.
 from __future__ import annotations
 
 import contextlib
+import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.engine.bounded import bounded
+from hil.engine.bounded import bounded, supervised
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
 from hil.engine.pausing import GoOn, Pausing, nobody_goes_on
@@ -72,6 +73,7 @@ class Engine:
         self._requests = Requests()
         self._health = health
         self._telling = Telling(plan, observers or Observers(), self._told_health, steps)
+        self._given_up = threading.Event()
         self._watchdog = Watchdog(self._hung, on=robot.capabilities.clock == "wall")
         self._reading = Reading(
             robot,
@@ -81,6 +83,7 @@ class Engine:
             self._requests,
             stale_after_s=stale_after_s,
             told=self._block,
+            patience=self._watchdog.be_patient,
         )
         self._steps = Steps(plan, robot, self._reading, sink, self._prompt, measured)
         self._pausing = Pausing(self._reading, self._steps, sink, self._enter, go_on)
@@ -125,7 +128,7 @@ class Engine:
         self._telling.begin(self._reading.progress)
         error: HilError | None = None
         try:
-            self._execute_plan(preflight)
+            self._attempt(preflight)
         except HilError as caught:
             error = caught
         except KeyboardInterrupt:
@@ -137,6 +140,18 @@ class Engine:
         result = result_of(error, self._reading.progress, self._telling.wall_s, tuple(self._notes))
         self._telling.state(RunState.DONE, result.reason or result.outcome.value)
         return result
+
+    def _attempt(self, preflight: Callable[[], object]) -> None:
+        """Execute the plan; where a driver can hang in wall time, on a thread that can be left."""
+        if self._robot.capabilities.clock == "virtual":
+            self._execute_plan(preflight)
+            return
+        supervised(
+            lambda: self._execute_plan(preflight),
+            self._given_up,
+            "the control loop",
+            lambda: self.request_stop("stopped by the keyboard", by_signal=True),
+        )
 
     def _execute_plan(self, preflight: Callable[[], object]) -> None:
         self._enter(RunState.PREFLIGHT)
@@ -178,9 +193,13 @@ class Engine:
         """On the watchdog's thread: the control thread has not come round for seconds."""
         reason = "the driver did not return from a call for seconds; the watchdog stopped the robot"
         self._notes.append(reason)
+        # Whatever the thread does when the call returns after all, it is not a motion.
         self.request_stop(reason)
-        bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
-        self._sink.event("hung", reason=reason)
+        try:
+            bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
+            self._sink.event("hung", reason=reason)
+        finally:
+            self._given_up.set()
 
     def _halt(self, error: HilError | None) -> HilError | None:
         """Stop the robot first, then tell others; nothing here may prevent the stop."""

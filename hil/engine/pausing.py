@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from hil.engine.reading import Reading, Sink
@@ -10,6 +11,10 @@ from hil.engine.steps import Steps
 
 CLEAR_FOR_S = 5.0
 """Device time an interlock that pauses must be clear before the run goes on by itself [s]."""
+
+UNHURRIED_BLOCKS = 200
+SLOWLY_S = 0.1
+"""Wall time a block takes on a virtual clock once a pause has become a long one [s]."""
 
 GoOn = Callable[[], str]
 """Looks, without waiting, whether somebody at the robot lets the run go on: who, or nothing."""
@@ -55,6 +60,7 @@ class Pausing:
         if not self._requests.why_paused:
             return
         self._steps.park()
+        self._requests.resumed_by = ""
         self._enter(RunState.PAUSED, self._requests.why_paused)
         self._hold()
         who = self._requests.resumed_by or "interlocks clear"
@@ -63,10 +69,14 @@ class Pausing:
 
     def _hold(self) -> None:
         told = self._requests.why_paused
-        self._requests.resumed_by = ""
         clear_since: float | None = None
+        blocks = 0
         while self._requests.why_paused:
             block = self._reading.block()
+            blocks += 1
+            if not self._reading.wall and blocks > UNHURRIED_BLOCKS:
+                # Nobody has to wait through a night of a virtual clock, nor to record it.
+                time.sleep(SLOWLY_S)
             if self._requests.pause and (who := self._go_on()):
                 self._requests.pause, self._requests.resumed_by = "", who
             if self._requests.held:

@@ -76,6 +76,7 @@ class Reading:
         requests: Looked at before every block.
         stale_after_s: How long the state may stand still [s]; None for the default.
         told: Called with every block after it was recorded and judged.
+        patience: Told how long a call that is about to be made may take [s].
     """
 
     def __init__(
@@ -88,6 +89,7 @@ class Reading:
         *,
         stale_after_s: float | None = None,
         told: Callable[[StructArray], object] = lambda block: None,
+        patience: Callable[[float], object] = lambda seconds: None,
     ) -> None:
         self._robot = robot
         self._topics = robot if isinstance(robot, HasTopics) else None
@@ -96,6 +98,7 @@ class Reading:
         self._joint_names = tuple(joint_names)
         self._freshness = Freshness(stale_after_s)
         self._told = told
+        self.patience = patience
         self.wall = robot.capabilities.clock == "wall"
         self.requests = requests
         self.progress = Progress()

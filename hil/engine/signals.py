@@ -18,7 +18,9 @@ from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any
 
+from hil.engine.bounded import bounded
 from hil.engine.engine import Engine
+from hil.engine.reading import STOP_WITHIN_S
 from hil.engine.states import RunState
 from hil.errors import Stopped
 from hil.robot import Robot
@@ -43,6 +45,7 @@ class SignalWatch:
     def __init__(self) -> None:
         self.seen = 0
         self.reason = ""
+        self._pressed = False
         self._guarding = False
         self._bound: tuple[Engine, Robot] | None = None
         self._before: dict[int, Any] = {}
@@ -84,6 +87,7 @@ class SignalWatch:
     def _handle(self, number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
         if self._bound is not None and self._pauses(number):
+            self._pressed = True
             self._bound[0].request_pause(f"{name}: Enter goes on, Ctrl-C again stops")
             return
         self.seen += 1
@@ -93,8 +97,10 @@ class SignalWatch:
         if self._bound is None:
             return
         engine, robot = self._bound
+        if engine.state is RunState.DONE:
+            return  # nothing moves, and the end is being written down
         engine.request_stop(self.reason, by_signal=True)
-        if self.seen + engine.pause_pending >= LAST_RESORT_AT:
+        if self.seen + (self._pressed and engine.pause_pending) >= LAST_RESORT_AT:
             _last_resort(robot)
 
     def _pauses(self, number: int) -> bool:
@@ -102,7 +108,8 @@ class SignalWatch:
         assert self._bound is not None
         engine = self._bound[0]
         can = engine.state in (RunState.PREFLIGHT, RunState.ARMED, RunState.RUNNING)
-        return number == signal.SIGINT and can and not (self.seen or engine.pause_pending)
+        again = self.seen or (self._pressed and engine.pause_pending)
+        return number == signal.SIGINT and can and not again
 
 
 def ignore_from_now_on() -> None:
@@ -112,9 +119,17 @@ def ignore_from_now_on() -> None:
             signal.signal(number, signal.SIG_IGN)
 
 
+_leaving = threading.Event()
+
+
 def _last_resort(robot: Robot) -> None:
-    """Three signals: whoever presses means it, and the engine may be stuck in a driver."""
+    """Three signals: whoever presses means it, and the engine may be stuck in a driver.
+
+    So may `stop` itself: it gets a moment, and none at all when another signal comes meanwhile.
+    """
     try:
-        robot.stop()
+        if not _leaving.is_set():
+            _leaving.set()
+            bounded(robot.stop, STOP_WITHIN_S, "stopping the robot")
     finally:
         os._exit(EXIT_CODE)

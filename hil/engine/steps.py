@@ -26,6 +26,9 @@ SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
 PARKED = -1
 """Segment of samples that belong to no step: before the first one, while paused or asked."""
 
+COMMAND_WITHIN_S = 30.0
+"""What a driver may take to take over a motion or a load; the arm stands still meanwhile [s]."""
+
 PARK_WITHIN_S = 2.0
 """How soon a standing arm has taken over a new set-point to hold [s]."""
 
@@ -93,8 +96,7 @@ class Steps:
             return
         q = np.where(np.isfinite(row["q_target"]), row["q_target"], row["q"])[None]
         zeros = np.zeros_like(q)
-        self._robot.prepare(Segment(PARKED, "hold", q, zeros, zeros, 0.0, 0.0))
-        self._robot.start()
+        self._command(Segment(PARKED, "hold", q, zeros, zeros, 0.0, 0.0))
         self._until_over(PARKED, PARK_WITHIN_S, "parking")
 
     def _change_load(self, step: Step) -> None:
@@ -105,6 +107,7 @@ class Steps:
             self._sink.event("prompt", text=load.prompt, answered_by=answered_by)
             if not answered_by:
                 raise Stopped(f"nobody confirmed: {load.prompt!r}")
+        self._reading.patience(COMMAND_WITHIN_S)
         read_back = self._robot.set_payload(load.payload)
         self._sink.event("payload", load=step.load, mass_kg=read_back.mass, com_m=read_back.com)
         if not load.payload.agrees_with(read_back):
@@ -114,8 +117,7 @@ class Steps:
             )
 
     def _move(self, step: Step, motion: Motion) -> None:
-        self._robot.prepare(segment_of(step, motion, self._plan.rate_hz))
-        self._robot.start()
+        self._command(segment_of(step, motion, self._plan.rate_hz))
         if step.kind in AT_REST:
             self._dwell(step)
         else:
@@ -125,6 +127,13 @@ class Steps:
         within_s = 2.0 + 1.5 * motion.duration_s
         what = f"step {step.index} ({step.kind}), planned to take {motion.duration_s:.1f} s,"
         self._until_over(step.index, within_s, what)
+
+    def _command(self, segment: Segment) -> None:
+        self._reading.patience(COMMAND_WITHIN_S)
+        self._robot.prepare(segment)
+        # An upload may have taken its time, or have been given up by the watchdog.
+        self._reading.requests.obey_stop()
+        self._robot.start()
 
     def _until_over(self, segment: int, within_s: float, what: str) -> None:
         deadline = self._reading.deadline(within_s)

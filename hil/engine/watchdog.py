@@ -18,7 +18,7 @@ class Watchdog:
     """Watches one loop while it is open.
 
     A driver whose call never returns takes the control thread with it; the stop then has to come
-    from elsewhere. The run itself goes on when the call returns, and ends as stopped.
+    from elsewhere, and the engine ends the run without that thread.
 
     Args:
         hung: Called once, on the watchdog's thread, when the loop has not come round in time.
@@ -39,6 +39,10 @@ class Watchdog:
     def feed(self) -> None:
         """The loop has come round."""
         self._last = time.monotonic()
+
+    def be_patient(self, seconds: float) -> None:
+        """A call comes that may take so long; until the loop comes round the next time."""
+        self._last = time.monotonic() + max(0.0, seconds - self._limit_s)
 
     def __enter__(self) -> Watchdog:
         self.feed()

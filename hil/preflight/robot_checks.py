@@ -70,12 +70,14 @@ def fault(situation: Situation) -> CheckResult:
 
 
 def payload(situation: Situation) -> CheckResult:
-    """The controller takes the first load and reads the same back.
+    """The controller takes the load the plan begins with and reads the same back.
 
     A load that the operator is yet to mount is declared when it is mounted, not before: a
     controller that compensates for a load that is not there lifts the arm.
     """
-    first = situation.plan.loads[0]
+    # A resumed plan may begin with another load than the first.
+    begins = next((step.load for step in situation.plan if step.kind == "payload"), 0)
+    first = situation.plan.loads[begins]
     if first.prompt:
         return CheckResult("payload", True, "declared and read back once the load is mounted")
     back = situation.robot.set_payload(first.payload)

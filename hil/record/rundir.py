@@ -16,6 +16,7 @@ An attempt without stop document means *interrupted*. No file is ever rewritten.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from hil.record.files import (
 from hil.record.numbering import claim, name_for_path, number_of
 from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now
+from hil.record.reserve import release, reserve
 from hil.record.torn_names import lives_on
 
 RUN_FORMAT_VERSION = 1
@@ -80,6 +82,7 @@ class RunDirectory:
             folder.mkdir(parents=True, exist_ok=True)
             path = claim(Path(runs_root), folder, name_for_path(name))
             (path / "recording").mkdir()
+            reserve(path)
             fsync_directory(path)
             fsync_directory(folder)
         except OSError as error:
@@ -197,6 +200,8 @@ class RunDirectory:
     def write_resume(self, attempt: int, document: Mapping[str, Any]) -> None:
         """Store how an attempt after the first begins. Raises `RecordingError`."""
         name = name_of_attempt("resume.json", attempt)
+        with contextlib.suppress(OSError):  # preflight says so if the disk is full
+            reserve(self.path)
         self.write_json(name, {"hil_run": RUN_FORMAT_VERSION, "attempt": attempt, **document})
 
     def write_stop(
@@ -215,6 +220,7 @@ class RunDirectory:
             document: Counts, gaps, duplicates, overruns, … of the whole run.
             attempt: Which attempt ended, 0 for the first.
         """
+        release(self.path)
         self.write_json(
             name_of_attempt("stop.json", attempt),
             {
