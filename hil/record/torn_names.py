@@ -52,14 +52,16 @@ def names_of(path: Path, out: Path | None) -> Names:
 
 @contextlib.contextmanager
 def held(path: Path) -> Iterator[IO[bytes]]:
-    """The torn file, open, and for this process alone as far as recovering goes.
+    """The torn file, open, and for this process alone as far as writing and recovering go.
 
     Raises:
-        DataError: It cannot be read, or another process is recovering it.
+        DataError: It cannot be read, or somebody is writing or recovering it.
     """
     try:
         with path.open("rb") as file:
             _lock(file, path)
+            if not os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                raise _busy(path)  # whoever had it a moment ago has given it another name
             yield file
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror or error}") from error
@@ -69,11 +71,16 @@ def _lock(file: IO[bytes], path: Path) -> None:
     try:
         fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise DataError(
-            f"{path} is being recovered by another process", hint="wait until it is done"
-        ) from None
+        raise _busy(path) from None
     except OSError:
         pass  # a file system without locks
+
+
+def _busy(path: Path) -> DataError:
+    return DataError(
+        f"{path} is not torn: it is being written, or recovered, at this moment",
+        hint="wait until that is over; a recording that still goes on needs no recovery",
+    )
 
 
 def install(draft: Path, names: Names) -> None:

@@ -1,6 +1,7 @@
 """Writes one MCAP file; single-threaded but for `sync`, used by the recorder and by importers.
 
-The file is called `NN.mcap.partial` until it is finished. What explains the data (metadata,
+The file is called `NN.mcap.partial` until it is finished, and is locked until then, so that
+nobody takes it for one that a kill has left. What explains the data (metadata,
 attachments, message definitions) is written first and before the file gets even that name, so
 that whatever bears it says what it is. Chunks are 1 MiB, zstd.
 """
@@ -8,6 +9,7 @@ that whatever bears it says what it is. Chunks are 1 MiB, zstd.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -78,6 +80,7 @@ class McapWriter:
         draft = self.path.with_name(f".{self.path.name}.{os.getpid()}.draft")
         with self._refusal_named():
             self._file: IO[bytes] = draft.open("xb")
+        _lock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         try:
             with self._refusal_named():
                 self._stream = McapStream(self._file, "ros2", "hil")
@@ -145,14 +148,16 @@ class McapWriter:
             self._stream.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
-            self._file.close()
             self.partial_path.rename(self.path)
+            _lock(self._file, fcntl.LOCK_UN)  # not before it has its name
+            self._file.close()
             fsync_directory(self.path.parent)
 
     def abandon(self) -> None:
         """Close without finishing; what was flushed stays readable in the partial file."""
         # A full disk refuses the buffered rest once more on close; it is lost either way.
         with contextlib.suppress(OSError, ValueError):
+            _lock(self._file, fcntl.LOCK_UN)
             self._file.close()
 
     def discard(self) -> None:
@@ -250,6 +255,12 @@ def _require_free(*paths: Path) -> None:
                 f"{taken} exists already, and a recording is never appended to or replaced",
                 hint="record under the next number",
             )
+
+
+def _lock(file: IO[bytes], how: int) -> None:
+    """Lock or unlock it; unlocking frees it of forked children as well, closing would not."""
+    with contextlib.suppress(OSError):  # a file system without locks
+        fcntl.flock(file.fileno(), how)
 
 
 def _with_cdr_header(rows: StructArray) -> StructArray:
