@@ -24,6 +24,7 @@ def test_field_of_the_fault_matrix(case: Case, tmp_path: Path) -> None:
     ending = case.ending
     assert (field.outcome, field.exit_code) == (ending.outcome, ending.exit_code), told
     if ending.stop_within_s is None:
+        assert not field.lacking
         return
     assert field.stop_s is not None
     assert field.stop_s <= ending.stop_within_s, told

@@ -90,6 +90,9 @@ FAULTS: Mapping[str, Ending] = {
     "frozen data": Ending(
         "failed", 4, 0.7, mock="freeze", why="0.5 s without news is stale, then 0.1 s"
     ),
+    "hung driver": Ending(
+        "failed", 4, 3.0, mock="hang", why="a read that does not come back in 1 s plus grace"
+    ),
     "disk full": Ending("failed", 7),
     "slow disk": Ending("completed", 0, None, why="fsync of 0.5 s: nothing is lost, it goes on"),
     "stalled disk": Ending(

@@ -40,6 +40,7 @@ class Field:
         rest_s: Device time from there until the arm was at rest.
         commands_after: Motions commanded after the first stop.
         lost_s: Device time from the last sample recorded to the stop.
+        lacking: Where the run goes on: what is not measured, missing, or there twice.
     """
 
     outcome: str
@@ -48,6 +49,7 @@ class Field:
     rest_s: float | None
     commands_after: int
     lost_s: float | None
+    lacking: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -115,7 +117,7 @@ def _judged(case: Case, folder: Path, exit_code: int) -> Field:
     happened = _moment(case, folder, journal)
     outcome = str(RunDirectory.open(run).status)
     if case.ending.stop_within_s is None:
-        return Field(outcome, exit_code, None, None, 0, None)
+        return Field(outcome, exit_code, None, None, 0, None, _lacking(run))
     stop = next(n for n in journal if n["event"] == "stop" and n["monotonic_s"] >= happened)
     later = journal[journal.index(stop) + 1 :]
     return Field(
@@ -126,6 +128,16 @@ def _judged(case: Case, folder: Path, exit_code: int) -> Field:
         sum(note["event"] in COMMANDS for note in later),
         _lost(run, stop),
     )
+
+
+def _lacking(run: Path) -> tuple[str, ...]:
+    stop = RunDirectory.open(run).stop or {}
+    lacking = [
+        k
+        for k, n in stop.get("complete", {"all": {"done": 0, "of": 1}}).items()
+        if n["done"] != n["of"]
+    ]
+    return (*lacking, *(name for name in ("gaps", "missing", "duplicates") if stop.get(name)))
 
 
 def _settled(path: Path) -> list[dict[str, Any]]:
