@@ -1,0 +1,77 @@
+"""A disk that is really full: the run still says how it ended."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import hil
+from hil.engine.steps import Steps
+from hil.plan.plan import Step
+from hil.record.reserve import NAME
+from hil.record.rundir import RunDirectory
+
+SPEC = """
+hil: 1
+name: full
+robot: ur5
+excitation: {kind: dwell, waypoints: 4, seed: 3}
+warm_up: {duration_s: 60}
+reference: {every: 0}
+interlocks: [{kind: disk, enabled: false}]
+"""
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=12m", "tmpfs", str(disk)]
+    try:
+        mounted = subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:
+        mounted = False
+    if not mounted:
+        pytest.skip("this user may not mount a small file system")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=False)
+
+
+def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
+    tmp_path: Path, small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = tmp_path / "full.yaml"
+    spec.write_text(SPEC, "utf-8")
+    execute = Steps.execute
+
+    def filling(steps: Steps, step: Step) -> None:
+        if step.kind == "warmup" and not (small_disk / "other").exists():
+            with (
+                contextlib.suppress(OSError),
+                (small_disk / "other").open("wb", buffering=0) as other,
+            ):
+                while True:
+                    other.write(bytes(4096))
+        execute(steps, step)
+
+    monkeypatch.setattr(Steps, "execute", filling)
+    report = hil.run(hil.load(spec), runs=small_disk)
+    run = RunDirectory.open(report.run)
+    assert report.outcome == "failed"
+    assert run.status == "failed"
+    assert run.recordings
+    assert not (report.run / NAME).exists()
+
+
+def test_a_run_holds_a_reserve_until_its_end(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path, "ur5", "reserve")
+    assert (run.path / NAME).stat().st_size > 0
+    run.write_start({"uid": "1"})
+    run.write_stop("completed", "")
+    assert not (run.path / NAME).exists()
+    assert run.stop is not None
+    assert NAME not in run.stop["sha256"]
