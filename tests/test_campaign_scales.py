@@ -8,11 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from weighing_parts import CYLINDER, Scales, bodies, sweep
+from weighing_parts import CYLINDER, Mounted, Scales, bodies, sweep
 
 from hil.errors import PreflightFailed
 from hil.payload import Payload
 from hil.plan.plan import Plan
+from hil.plan.preview import preview
 from hil.robot import Status
 
 GAINS = (10.0, 12.0, 9.0, 8.0, 8.5, 7.5)
@@ -131,6 +132,62 @@ def test_loads_that_cannot_be_weighed_are_not_and_that_is_said(
     scales.weigh()
     scales.weighing.restore(lambda index: None)
     assert scales.events == [event]
+
+
+@pytest.mark.parametrize("mounted", [lambda load: load, lambda load: Payload()])
+def test_a_load_that_is_too_light_to_be_told_from_none_passes_without_a_conclusion(
+    mounted: Mounted,
+) -> None:
+    scales = Scales(sweep(*bodies(0, 0.1)), mounted)
+    scales.weigh()
+    event = scales.events[-1]
+    assert event["result"] == "inconclusive"
+    assert (event["differs_kg"], event["limit_kg"]) == (0.1, pytest.approx(0.16))
+    assert event["problem"].startswith("load 1: 0.10 kg declared, ")
+    assert event["problem"].endswith("does not tell loads apart that differ by 0.10 kg")
+
+
+@pytest.mark.parametrize(("mass", "result"), [(0.37, "inconclusive"), (0.38, "passed")])
+def test_a_limit_of_half_the_difference_to_the_first_load_is_no_conclusion(
+    mass: float, result: str
+) -> None:
+    # 0.15 kg + 10 % of the difference: half of it at 0.375 kg.
+    scales = Scales(sweep(*bodies(1, 1 + mass)), friction_nm=0.1)
+    scales.weigh()
+    assert scales.events[-1]["result"] == result
+
+
+def test_stiff_joints_make_a_weighing_inconclusive_that_would_tell_otherwise() -> None:
+    smooth, stiff = (Scales(sweep(*bodies(0, 1)), friction_nm=nm) for nm in (2.0, 40.0))
+    smooth.weigh()
+    stiff.weigh()
+    assert [one.events[-1]["result"] for one in (smooth, stiff)] == ["passed", "inconclusive"]
+
+
+def test_another_load_is_found_where_a_right_one_would_not_be_told_from_none() -> None:
+    scales = Scales(sweep(*bodies(0, 0.1)), lambda load: replace(load, mass=3 * load.mass))
+    with pytest.raises(PreflightFailed, match=r"0\.10 kg declared, 0\.30"):
+        scales.weigh()
+
+
+@pytest.mark.parametrize(("mass", "result"), [(0.1, "inconclusive"), (3, "passed")])
+def test_the_bare_flange_again_must_be_told_from_the_load_that_may_still_be_on(
+    mass: float, result: str
+) -> None:
+    scales = Scales(sweep(*bodies(0, mass, 0)))
+    scales.weigh()
+    assert scales.events[-1]["result"] == result
+    assert scales.events[-1]["differs_kg"] == mass
+
+
+def test_loads_of_one_mass_and_different_centres_are_not_weighed_and_that_is_said() -> None:
+    further = CYLINDER | {"com_m": [0, 0, 0.1]}
+    plan = sweep(CYLINDER, further)
+    (event,) = Scales(plan).events
+    assert event["result"] == "skipped"
+    assert "no two loads of different mass" in event["reason"]
+    assert any("no load is weighed" in warning for warning in preview(plan).warnings)
+    assert Scales(sweep(CYLINDER, CYLINDER)).events == []
 
 
 def test_a_single_load_is_not_worth_a_word() -> None:

@@ -56,6 +56,16 @@ def test_a_waived_weighing_is_a_warning(tmp_path: Path) -> None:
     assert "shoulder_lift_joint" not in warning
 
 
+def test_a_weighing_that_cannot_tell_is_a_warning(tmp_path: Path) -> None:
+    problem = "load 1: 0.10 kg declared, 0.00 ± 0.01 kg weighed"
+    doubtful = PASSED | {"result": "inconclusive", "problem": problem}
+    text = told(tmp_path, FIRST, doubtful)
+    sentence = f"The weighing cannot tell which load is mounted: {problem}."
+    assert sentence in text.split("Warning: ")[1]
+    (run,) = tmp_path.rglob("start.json")
+    assert sentence in render_report(run.parent).read_text("utf-8")
+
+
 def test_loads_that_were_not_weighed_have_a_reason(tmp_path: Path) -> None:
     assert "weighed loads: not weighed: the robot's drive gains are not known" in told(
         tmp_path, SKIPPED

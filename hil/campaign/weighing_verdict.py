@@ -114,7 +114,8 @@ class Verdict:
     @property
     def doubt(self) -> str:
         """Why a load that passed may be another one all the same."""
-        return f"{self._masses}, which does not tell loads apart that differ by {self.differs_kg:.2f} kg"
+        apart = f"{self.differs_kg:.2f} kg"
+        return f"{self._masses}, which does not tell loads apart that differ by {apart}"
 
     @property
     def _masses(self) -> str:

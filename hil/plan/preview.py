@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.plan.concerns import concerns
 from hil.plan.plan import Plan, number_or_none
-from hil.plan.weighing import why_not_weighed
+from hil.plan.weighing import is_sweep, why_not_weighed
 from hil.robot import state_dtype
 
 COMPRESSION = 0.71
@@ -84,7 +84,7 @@ def preview(plan: Plan, interlocks: Iterable[Mapping[str, str]] = ()) -> PlanPre
 def _not_weighed(plan: Plan) -> list[str]:
     masses = [load.payload.mass for load in plan.loads]
     reason = why_not_weighed(masses, sum(step.kind == "weigh" for step in plan))
-    return [f"no load is weighed: {reason}"] if reason and len(set(masses)) > 1 else []
+    return [f"no load is weighed: {reason}"] if reason and is_sweep(plan) else []
 
 
 def recording_bytes(plan: Plan) -> int:

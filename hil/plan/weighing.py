@@ -57,6 +57,12 @@ def why_not_weighed(masses: Sequence[float], poses: int) -> str:
     return "" if poses else "the spec switches weighing off"
 
 
+def is_sweep(plan: Plan) -> bool:
+    """Whether loads differ in mass or centre of mass, so that one can be taken for another."""
+    first = plan.loads[0].payload
+    return not all(load.payload.agrees_with(first) for load in plan.loads)
+
+
 def why_plan_not_weighed(plan: Plan, robot: Capabilities) -> str:
     """Why the loads of `plan` are not weighed on this robot; empty when they are."""
     planned = sum(step.kind == "weigh" for step in plan)

@@ -12,7 +12,7 @@ from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
 from hil.report.judgement import failed_fits, nrmse_warning
 from hil.report.recording import Drift, Recording
-from hil.report.weighing import waived_weighings
+from hil.report.weighing import weighing_warnings
 from hil.report.words import count, duration, listed, number
 from hil.robot import Status
 
@@ -73,7 +73,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     return (
         out
         + _waived(facts)
-        + waived_weighings(facts)
+        + weighing_warnings(facts)
         + failed_fits(facts)
         + fit_warnings(facts.fits)
     )

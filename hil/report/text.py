@@ -19,7 +19,7 @@ from hil.report.judgement import (
     sentence_of,
     verdict_words,
 )
-from hil.report.weighing import waived_weighings, weighings
+from hil.report.weighing import weighing_warnings, weighings
 from hil.report.words import criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
@@ -54,7 +54,7 @@ def _warnings(facts: RunFacts) -> list[str]:
     told = facts.stop.get("problems")
     ending = map(str, told) if isinstance(told, list) else ()
     silent = filter(None, map(nrmse_warning, facts.judged_fits))
-    return [*facts.problems, *ending, *waived_weighings(facts), *failed_fits(facts), *silent]
+    return [*facts.problems, *ending, *weighing_warnings(facts), *failed_fits(facts), *silent]
 
 
 def _commands(facts: RunFacts, run: Path) -> list[str]:

@@ -5,6 +5,12 @@ from __future__ import annotations
 from hil.report.documents import Document, as_float
 from hil.report.facts import RunFacts
 
+DOUBTFUL = {
+    "waived": "The failed weighing was waived",
+    "inconclusive": "The weighing cannot tell which load is mounted",
+}
+"""Results of a weighing after which a run goes on, and what they say about it."""
+
 
 def weighings(facts: RunFacts) -> dict[str, str]:
     """Load → what was weighed, as it was weighed last; empty for a run without a sweep."""
@@ -19,14 +25,11 @@ def weighings(facts: RunFacts) -> dict[str, str]:
     return told
 
 
-def waived_weighings(facts: RunFacts) -> list[str]:
-    """A sentence for every load that is not the declared one and was measured all the same."""
+def weighing_warnings(facts: RunFacts) -> list[str]:
+    """A sentence for every load that may not be the declared one and was measured all the same."""
     newest = {e.get("load"): e for e in facts.events_of("weighing") if e.get("result") != "skipped"}
-    return [
-        f"The failed weighing was waived: {_first_line(event)}."
-        for event in newest.values()
-        if event.get("result") == "waived"
-    ]
+    told = ((DOUBTFUL.get(str(event.get("result"))), event) for event in newest.values())
+    return [f"{doubtful}: {_first_line(event)}." for doubtful, event in told if doubtful]
 
 
 def _words(event: Document) -> str:
