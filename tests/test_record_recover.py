@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import MessageIndex
 from mcap.writer import CompressionType, IndexType, Writer
 from recorded_rows import EPOCH, JOINTS, record_state
 from typer.testing import CliRunner
@@ -146,6 +148,23 @@ def test_whole_file_that_only_lacks_its_name_is_renamed(
     assert (tmp_path / "00.mcap").read_bytes() == whole[1]
 
 
+def test_whole_file_is_made_durable_before_it_gets_its_name(
+    tmp_path: Path, whole: tuple[StructArray, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "00.mcap.partial"
+    path.write_bytes(whole[1])
+    file, synced, fsync = path.stat().st_ino, [], os.fsync
+
+    def noted(descriptor: int) -> None:
+        if os.fstat(descriptor).st_ino == file:
+            synced.append([entry.name for entry in tmp_path.iterdir()])
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    assert recover_file(path).did == "renamed"
+    assert synced == [["00.mcap.partial"]]
+
+
 def test_damaged_chunk_is_left_out_and_named_with_its_times(
     tmp_path: Path, whole: tuple[StructArray, bytes]
 ) -> None:
@@ -178,6 +197,43 @@ def test_wrong_message_index_is_made_anew_without_losing_a_row(
     recovery = recover_file(path)
     assert (recovery.did, recovery.salvage.misindexed) == ("rebuilt", 1)
     assert read_topic(path).tobytes() == rows.tobytes()
+
+
+def test_wrong_time_in_a_message_index_is_made_anew(
+    tmp_path: Path, whole: tuple[StructArray, bytes]
+) -> None:
+    """Readers that seek by time go by it, and no checksum covers it."""
+    path = tmp_path / "00.mcap"
+    path.write_bytes(whole[1])
+    offset, _ = next(iter(chunk_at(path, 2).indexes.values()))
+    flip(path, offset + 2)
+    recovery = recover_file(path)
+    assert (recovery.did, recovery.salvage.misindexed) == ("rebuilt", 1)
+    assert recover_file(path).did == "nothing"
+
+
+def test_index_that_its_writer_has_sorted_by_time_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = MessageIndex.write
+
+    def sorted_first(index: MessageIndex, out: Any) -> None:
+        index.records.sort()
+        write(index, out)
+
+    monkeypatch.setattr(MessageIndex, "write", sorted_first)
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "somebody else's")
+        channel = writer.register_channel("/late", "bytes", 0)
+        for number, time in enumerate([3, 1, 2, 5, 4, 1]):
+            writer.add_message(channel, time, b"x", time, number)
+        writer.finish()
+    content = path.read_bytes()
+    recovery = recover_file(path)
+    assert (recovery.did, recovery.salvage.misindexed) == ("nothing", 0)
+    assert path.read_bytes() == content
 
 
 def test_spoilt_attachment_is_refused_by_readers_and_left_out(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.record.scan import INDEX_ENTRY_BYTES, INDEX_HEADER
 
@@ -18,12 +19,12 @@ class IndexCheck:
 
     def __init__(self) -> None:
         self.wrong = 0
-        self._expected: dict[int, list[int]] = defaultdict(list)
+        self._expected: dict[int, list[tuple[int, int]]] = defaultdict(list)
         self._seen = self._failed = self._ignored = False
 
-    def expect(self, channel: int, offset: int) -> None:
+    def expect(self, channel: int, log_ns: int, offset: int) -> None:
         """A message of the chunk."""
-        self._expected[channel].append(offset)
+        self._expected[channel].append((log_ns, offset))
 
     def see(self, file: IO[bytes], offset: int, length: int) -> None:
         """A message index: where its content is in the file."""
@@ -38,8 +39,10 @@ class IndexCheck:
         if length != INDEX_HEADER.size + INDEX_ENTRY_BYTES * len(expected):
             self._failed = True
             return
-        offsets = np.frombuffer(file.read(INDEX_ENTRY_BYTES * len(expected)), "<i8")[1::2]
-        self._failed |= not np.array_equal(offsets, expected)
+        entries = np.frombuffer(file.read(INDEX_ENTRY_BYTES * len(expected)), "<u8")
+        # Some writers sort the entries by time, others leave them as the messages came.
+        found, wanted = (_sorted(pairs) for pairs in (entries, expected))
+        self._failed |= not np.array_equal(found, wanted)
 
     def ignore_chunk(self) -> None:
         """The chunk is damaged, so nothing is known of its messages."""
@@ -51,3 +54,9 @@ class IndexCheck:
         self.wrong += self._seen and failed and not self._ignored
         self._expected.clear()
         self._seen = self._failed = self._ignored = False
+
+
+def _sorted(pairs: Any) -> NDArray[np.uint64]:
+    """(N, 2) log times [ns] and offsets, by time and then by offset."""
+    table = np.asarray(pairs, np.uint64).reshape(-1, 2)
+    return table[np.lexsort((table[:, 1], table[:, 0]))]

@@ -177,7 +177,7 @@ class _Copy:
             return
         for at, record in records:
             if isinstance(record, tuple):
-                self._indexed.expect(record[0], at)
+                self._indexed.expect(record[0], record[2], at)
                 self._message(record)
             else:
                 self._routes.define(record)
