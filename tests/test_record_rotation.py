@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+from typing import Any, cast
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -168,6 +172,42 @@ def test_a_part_that_was_opened_in_vain_is_removed(tmp_path: Path) -> None:
     assert disk.join(10)
     assert problems == []
     assert [path.name for path in tmp_path.iterdir()] == ["00.mcap"]
+
+
+def test_no_part_is_opened_in_vain_whenever_the_last_one_is_taken() -> None:
+    """A part is taken after every possible number of the disk thread's own steps."""
+    first = create_autospec(McapWriter, instance=True)
+    opened: list[int] = []
+    taken = steps = 0
+
+    def open_part(part: int) -> McapWriter:
+        opened.append(part)
+        return cast("McapWriter", first)
+
+    def take(frame: FrameType, event: str, _: object) -> Any:
+        nonlocal taken, steps
+        if frame.f_code.co_filename != inspect.getfile(DiskThread):
+            return None
+        frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        if event == "opcode" and len(opened) > taken:
+            steps += 1
+            if steps > taken and disk.part_after(first) is not None:
+                taken, steps = taken + 1, 0
+        return take
+
+    before = threading.gettrace()
+    threading.settrace(take)
+    try:
+        disk = DiskThread(first, open_part, 0.0005, opened.append)  # type: ignore[arg-type]
+    finally:
+        threading.settrace(before)  # type: ignore[arg-type]
+    for wish in range(1, 150):
+        disk.part_after(first)
+        wait_until(lambda wish=wish: taken >= wish)  # type: ignore[misc]
+        time.sleep(0.002)
+        assert opened == list(range(1, wish + 1))
+    disk.abandon()
+    assert disk.join(10)
 
 
 def test_a_part_has_its_explanations_before_it_has_its_name(

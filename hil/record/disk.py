@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from typing import Literal
 
 from hil.record.writer import McapWriter
 
@@ -41,8 +42,10 @@ class DiskThread:
         self._interval_s = fsync_interval_s
         self._failed = failed
         self._part = 0
-        self._wanted = self._unsynced = False
-        self._ready: McapWriter | None = None
+        self._unsynced = False
+        # None → "wanted" → a part → None: the recorder thread asks and takes, this one opens. With
+        # one owner for every step there is no moment in which a part could be opened in vain.
+        self._next: Literal["wanted"] | McapWriter | None = None
         self._full: deque[McapWriter] = deque()
         self._ending: Callable[[], None] | None = None
         self._wake = threading.Event()
@@ -59,13 +62,13 @@ class DiskThread:
 
         When there is one, `writer`, which must be flushed, is finished here in its own time.
         """
-        if self._ready is None:
-            if not self._wanted:
-                self._wanted = True
-                self._wake.set()
+        new = self._next
+        if new is None:
+            self._next = "wanted"
+            self._wake.set()
+        if new is None or new == "wanted":
             return None
-        self._wanted = False  # first, or the disk thread might open one part more
-        new, self._ready = self._ready, None
+        self._next = None
         self._full.append(writer)
         self._writer = new
         self._wake.set()
@@ -108,9 +111,9 @@ class DiskThread:
             self._full.popleft()
 
     def _open_next(self) -> None:
-        if self._wanted and self._ready is None and self._next_part is not None:
+        if self._next == "wanted" and self._next_part is not None:
             self._part += 1
-            self._ready = self._next_part(self._part)
+            self._next = self._next_part(self._part)
 
     def _sync_if_due(self) -> None:
         now = time.monotonic()
@@ -120,15 +123,17 @@ class DiskThread:
 
     def _finish_all(self) -> None:
         self._finish_full()
-        if self._ready is not None:
-            self._ready.discard()
+        self._discard_next()
         self._writer.finish()
 
     def _abandon_all(self) -> None:
-        if self._ready is not None:
-            self._ready.discard()
+        self._discard_next()
         for writer in (*self._full, self._writer):
             writer.abandon()
+
+    def _discard_next(self) -> None:
+        if isinstance(self._next, McapWriter):
+            self._next.discard()
 
     def _wait_for_the_end(self) -> None:
         """The recorder thread goes on writing to the open part until it is told to close."""
