@@ -200,12 +200,14 @@ def _unlock(descriptor: int) -> None:
 def _holder(descriptor: int, locked: bool | None) -> Holder | None:
     """Who holds an open file, given whether we could lock it."""
     content = _content(descriptor)
-    age = max(0.0, time.time() - os.fstat(descriptor).st_mtime)
+    since = time.time() - os.fstat(descriptor).st_mtime
+    age = max(0.0, since)
     if locked is False:
         return Holder(content, age)
     # Our kernel has seen every process of this host end; of others only the heartbeat tells.
     ours = locked and content.get("host") == platform.node()
-    return None if ours or not content or age > FRESH_S else Holder(content, age)
+    # A beat from the future is of a clock that was wrong, and would count until it comes true.
+    return None if ours or not content or abs(since) > FRESH_S else Holder(content, age)
 
 
 def _content(descriptor: int) -> dict[str, Any]:

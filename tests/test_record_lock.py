@@ -126,6 +126,14 @@ def test_of_another_host_the_heartbeat_tells(tmp_path: Path) -> None:
         assert is_live(tmp_path)
 
 
+def test_heartbeat_from_the_future_is_no_sign_of_life(tmp_path: Path) -> None:
+    """A clock that was wrong must not keep a run until its time comes true."""
+    lock_of_another_host(tmp_path, age_s=-3600.0)
+    assert not is_live(tmp_path)
+    lock_of_another_host(tmp_path, age_s=-2.0)  # clocks of two hosts are never quite the same
+    assert is_live(tmp_path)
+
+
 def test_without_locks_the_heartbeat_tells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fcntl, "flock", no_locks)
     monkeypatch.setattr(held_file, "HEARTBEAT_S", 0.02)
