@@ -44,7 +44,7 @@ def test_every_command_is_a_line_in_the_order_it_came(path):
     mock.client_gone()
     mock.close()
     lines = read_journal(path)
-    told = ["connect", "set_payload", "prepare", "start", "stop", "client_gone", "close"]
+    told = ["connect", "set_payload", "prepare", "start", "stop", "client_gone", "close", "closed"]
     assert [line["event"] for line in lines] == told
     assert lines[1]["mass_kg"] == 1.0
     assert (lines[2]["segment"], lines[2]["kind"]) == (7, "move")
@@ -173,7 +173,7 @@ def test_a_journal_is_continued_by_the_next_connection_and_the_next_process(path
     for _ in range(2):
         mock = robot_at(path)
         mock.close()
-    assert [line["event"] for line in read_journal(path)] == ["connect", "close"] * 2
+    assert [line["event"] for line in read_journal(path)] == ["connect", "close", "closed"] * 2
 
 
 def test_lines_survive_a_killed_process(path):

@@ -195,6 +195,7 @@ class MockRobot:
                 self._controller.brake("" if self._controller.still else "close", told.at)
         self._clock.end()
         with self._lock:
+            self._controller.note("closed")
             self._controller.disconnect()
             self._journal.close()
             self._lock.notify_all()

@@ -148,7 +148,7 @@ def _settled(path: Path) -> list[dict[str, Any]]:
         said = {note["event"] for note in notes}
         stopped = [note for note in notes if note["event"] == "stop"]
         rests = "rest" in said or all(_is_slow(note) for note in stopped)
-        if ("close" in said and rests) or time.monotonic() > until:
+        if ("closed" in said or ("close" in said and rests)) or time.monotonic() > until:
             return notes
         time.sleep(0.05)
 
