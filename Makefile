@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast wire lint types walls proof proof-if-changed matrix fault-matrix soak bench clean
+.PHONY: help demo test test-fast wire lint types walls proof proof-if-changed matrix fault-matrix fuzz soak bench clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -49,6 +49,9 @@ matrix: $(VENV)/.dev ## the fault matrix: everything that may go wrong at every 
 
 fault-matrix: $(VENV)/.dev ## the same, and its table in docs/reference/fault-matrix.md
 	$(BIN)/python tests/faults/table.py
+
+fuzz: $(VENV)/.dev ## thousands of damaged specs, stations, run directories and recordings
+	HIL_FUZZ_EXAMPLES=$${HIL_FUZZ_EXAMPLES:-3000} $(BIN)/python tests/fuzz_long.py
 
 soak: $(VENV)/.dev ## a simulated day at 500 Hz through the recorder
 	$(BIN)/hil bench soak --hours 24
