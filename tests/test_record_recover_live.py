@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,8 +15,8 @@ from typing import Any
 import pytest
 from recorded_rows import rows_of, six_axis_topic
 
-from hil.errors import DataError
-from hil.record import STATE_TOPIC, McapWriter, Recorder, read_info, read_topic
+from hil.errors import DataError, RecordingError
+from hil.record import STATE_TOPIC, McapWriter, Recorder, RunDirectory, read_info, read_topic
 from hil.record.recover import recover_file
 from hil.record.recover_run import recover
 
@@ -103,3 +105,36 @@ def test_recording_finished_in_the_instant_it_was_looked_at_is_left_alone(
     with pytest.raises(DataError):
         recover_file(writer.partial_path, discard=True)
     assert [path.name for path in tmp_path.iterdir()] == ["x.mcap"]
+
+
+def test_checksums_leave_out_what_a_hanging_disk_has_not_let_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = RunDirectory.create(tmp_path, "ur5", "test")
+    run.write_start({"uid": "u"})
+    fsync, go_on = os.fsync, threading.Event()
+
+    def hanging(descriptor: int) -> None:
+        if threading.current_thread().name == "hil-disk":
+            go_on.wait(20)
+        fsync(descriptor)
+
+    recorder = Recorder(McapWriter(run.part_path(0), [TOPIC]), fsync_interval_s=0.01)
+    monkeypatch.setattr(os, "fsync", hanging)
+    recorder.put(STATE_TOPIC, ROWS)
+    with pytest.raises(RecordingError, match="could not be finished"):
+        recorder.close(timeout_s=0.3)
+    run.write_stop("failed", "the disk hangs")
+    go_on.set()
+    recorder.close(timeout_s=10)
+    assert [path.name for path in run.recordings] == ["00.mcap"]
+    assert list((run.stop or {})["sha256"]) == ["start.json"]
+    assert run.verify() == []
+
+
+def test_checksums_have_what_was_given_up(tmp_path: Path) -> None:
+    run = RunDirectory.create(tmp_path, "ur5", "test")
+    run.write_start({"uid": "u"})
+    McapWriter(run.part_path(0), [TOPIC]).abandon()
+    run.write_stop("failed", "the disk was full")
+    assert list((run.stop or {})["sha256"]) == ["recording/00.mcap.partial", "start.json"]

@@ -38,7 +38,7 @@ from hil.record.numbering import claim, name_for_path, number_of
 from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now
 from hil.record.reserve import release, reserve
-from hil.record.torn_names import lives_on
+from hil.record.torn_names import in_hand, lives_on
 
 RUN_FORMAT_VERSION = 1
 
@@ -258,7 +258,9 @@ class RunDirectory:
         kept = {
             name: path
             for name, path in names.items()
-            if name != _REPORT and not any(part.startswith(".") for part in name.parts)
+            if name != _REPORT
+            and not any(part.startswith(".") for part in name.parts)
+            and not in_hand(path)  # of a recorder that could not end: it changes still
         }
         try:
             sums = {name.as_posix(): sha256_of(path) for name, path in kept.items()}

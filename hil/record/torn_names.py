@@ -76,6 +76,20 @@ def _lock(file: IO[bytes], path: Path) -> None:
         pass  # a file system without locks
 
 
+def in_hand(path: Path) -> bool:
+    """Whether a recording is being written, or given its final name, at this moment."""
+    if not path.name.endswith(PARTIAL_SUFFIX):
+        return False
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (BlockingIOError, FileNotFoundError):
+        return True
+    except OSError:
+        pass  # a file system without locks
+    return False
+
+
 def _busy(path: Path) -> DataError:
     return DataError(
         f"{path} is not torn: it is being written, or recovered, at this moment",
