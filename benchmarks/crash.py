@@ -1,12 +1,15 @@
 """kill -9 at random moments of a 500 Hz recording: what is lost, beside a plain mcap Writer.
 
-Every child records the same rows twice: through the Recorder, in parts, and through mcap's Writer
-as it comes. What was handed to both before the kill stands in a memory map the child writes. For
-every other child an fsync takes half a second longer, as on a poor disk.
+Every child records the same rows three times: through the Recorder, in parts; through mcap's Writer
+as it comes, which hands over full chunks of 1 MiB only; and through one whose chunks are as small
+as 0.1 s of rows and flushed at once. What our recorder left is recovered as a run's. What was
+handed to all before the kill stands in a memory map the child writes. For every other child an
+fsync takes half a second longer, as on a poor disk.
 """
 
 from __future__ import annotations
 
+import functools
 import json
 import mmap
 import os
@@ -25,7 +28,8 @@ import numpy as np
 
 from hil.errors import DataError
 from hil.record import STATE_TOPIC, Attachment, McapWriter, Recorder, read_topic, state_topic
-from hil.record.parts import part_name, recordings_in
+from hil.record.recover_run import recover
+from hil.record.rundir import RunDirectory
 from hil.typing import StructArray
 
 RATE_HZ = 500.0
@@ -35,6 +39,8 @@ SHORTEST_S, LONGEST_S, QUICK_LONGEST_S = 0.2, 6.0, 2.0
 SLOW_FSYNC_S = 0.5
 PART_BYTES = 400_000
 """A new part about every two seconds, so that kills fall into seams as well."""
+
+SMALL_CHUNK_S = 0.1
 
 _NAMES = [f"joint_{i}" for i in range(1, 7)]
 _TOPIC = state_topic(6, RATE_HZ, clock="host", effort_unit="A")
@@ -62,23 +68,39 @@ def run(quick: bool = False, kills: int | None = None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         lives = _lives(Path(folder), count, longest)
         ours = [_loss(life, _read_ours) for life in lives]
+        unrecovered = sum(not _recovers(life) for life in lives)
         slow = [loss.lost_s for loss, life in zip(ours, lives, strict=True) if _on_slow_disk(life)]
-        peer = [_loss(life, _read_peer) for life in lives]
-    own, other = [loss.lost_s for loss in ours], [loss.lost_s for loss in peer]
+        plain, small = (
+            [_loss(life, functools.partial(_read_peer, name)) for life in lives]
+            for name in ("plain", "small")
+        )
+    own = [loss.lost_s for loss in ours]
     return {
         "name": "crash",
         "figures": {
             "kills": count,
             "files": sum(loss.files for loss in ours),
             "unreadable": sum(not loss.readable for loss in ours),
+            "unrecovered_runs": unrecovered,
             "worst_loss_s": max(own),
             "median_loss_s": float(np.median(own)),
             "worst_loss_slow_fsync_s": max(slow, default=0.0),
-            "plain_writer_without_a_row": sum(not loss.readable for loss in peer),
-            "plain_writer_worst_loss_s": max(other),
-            "plain_writer_median_loss_s": float(np.median(other)),
+            **_figures_of("plain_writer", plain),
+            **_figures_of("small_chunk_writer", small),
         },
-        "ratios": {"worst_loss_plain_writer_vs_recorder": max(other) / max(own)},
+        "ratios": {
+            "worst_loss_plain_writer_vs_recorder": max(loss.lost_s for loss in plain) / max(own),
+            "worst_loss_small_chunk_writer_vs_recorder": max(s.lost_s for s in small) / max(own),
+        },
+    }
+
+
+def _figures_of(peer: str, losses: list[Loss]) -> dict[str, float]:
+    lost = [loss.lost_s for loss in losses]
+    return {
+        f"{peer}_without_a_row": sum(not loss.readable for loss in losses),
+        f"{peer}_worst_loss_s": max(lost),
+        f"{peer}_median_loss_s": float(np.median(lost)),
     }
 
 
@@ -142,14 +164,23 @@ def _loss(folder: Path, read: Callable[[Path], tuple[StructArray, int]]) -> Loss
 
 
 def _read_ours(folder: Path) -> tuple[StructArray, int]:
-    parts = recordings_in(folder / "ours")
+    parts = RunDirectory(folder / "ours").recordings
     rows = [read_topic(part, salvage=part.suffix != ".mcap") for part in parts]
     return np.concatenate(rows), len(parts)
 
 
-def _read_peer(folder: Path) -> tuple[StructArray, int]:
+def _recovers(folder: Path) -> bool:
+    """Whether `hil recover` makes whole files of a run, with the rows that could be read before."""
+    rows, files = _read_ours(folder)
+    refused = recover(folder / "ours").error
+    whole = all(path.suffix == ".mcap" for path in RunDirectory(folder / "ours").recordings)
+    now, files_now = _read_ours(folder)
+    return refused is None and whole and files_now == files and now.tobytes() == rows.tobytes()
+
+
+def _read_peer(name: str, folder: Path) -> tuple[StructArray, int]:
     """All that mcap's own stream reader finds before the tear."""
-    return read_topic(folder / "plain.mcap", salvage=True), 1
+    return read_topic(folder / f"{name}.mcap", salvage=True), 1
 
 
 def _on_slow_disk(folder: Path) -> bool:
@@ -168,7 +199,11 @@ def _record_until_killed(folder: Path) -> None:
     recorder = _recorder(folder / "ours")
     if _on_slow_disk(folder):
         setattr(os, "fsync", _slow_fsync(os.fsync))  # noqa: B010
-    peer = _plain_writer(folder / "plain.mcap")
+    row_bytes = _TOPIC.dtype.itemsize
+    peers = [
+        _plain_writer(folder / "plain.mcap"),
+        _plain_writer(folder / "small.mcap", chunk_size=int(SMALL_CHUNK_S * RATE_HZ * row_bytes)),
+    ]
     with (folder / "handed").open("r+b") as file:
         handed = mmap.mmap(file.fileno(), _HANDED.size)
     rows = _moving_arm()
@@ -178,7 +213,8 @@ def _record_until_killed(folder: Path) -> None:
         row["segment"], now = number, time.time()
         row["device_time"] = row["host_time"] = now
         recorder.put(STATE_TOPIC, row)
-        peer(row, int(now * 1e9))
+        for peer in peers:
+            peer(row, int(now * 1e9))
         number, first = number + 1, first or now
         handed[:] = _HANDED.pack(number, first, now)
         due += 1 / RATE_HZ
@@ -186,20 +222,23 @@ def _record_until_killed(folder: Path) -> None:
 
 
 def _recorder(folder: Path) -> Recorder:
-    folder.mkdir()
+    run = RunDirectory(folder)
+    (folder / "recording").mkdir(parents=True)
+    run.write_start({"uid": folder.parent.name})
 
     def open_part(part: int) -> McapWriter:
         return McapWriter(
-            folder / part_name(0, part), [_TOPIC], attachments=_papers(), joint_names=_NAMES
+            run.part_path(0, part), [_TOPIC], attachments=_papers(), joint_names=_NAMES
         )
 
     return Recorder(open_part(0), next_part=open_part, rotate_bytes=PART_BYTES)
 
 
-def _plain_writer(path: Path) -> Callable[[StructArray, int], None]:
+def _plain_writer(path: Path, **options: int) -> Callable[[StructArray, int], None]:
     from mcap.writer import Writer
 
-    writer = Writer(path.open("wb"))
+    file = path.open("wb")
+    writer = Writer(file, **options)  # type: ignore[arg-type]
     writer.start("ros2")
     for paper in _papers():
         writer.add_attachment(0, 0, paper.name, paper.media_type, paper.data)
@@ -208,6 +247,8 @@ def _plain_writer(path: Path) -> Callable[[StructArray, int], None]:
 
     def add(row: StructArray, now_ns: int) -> None:
         writer.add_message(channel, now_ns, b"\0\1\0\0" + row.tobytes(), now_ns)
+        if options:
+            file.flush()
 
     return add
 

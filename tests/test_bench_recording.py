@@ -14,6 +14,7 @@ def test_kills_leave_readable_files_and_lose_a_quarter_second_at_most() -> None:
     assert figures["kills"] == 8
     assert figures["files"] >= 8
     assert figures["unreadable"] == 0
+    assert figures["unrecovered_runs"] == 0
     assert figures["worst_loss_s"] <= 0.25
     assert figures["plain_writer_worst_loss_s"] > 0.25
 

@@ -9,11 +9,12 @@ import pytest
 
 from hil.errors import SpecError
 from hil.spec.load import load_spec
+from hil.spec.weigh import Weigh
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "how-to" / "load-sweep.md").read_text("utf-8")
 SHIPPED = (ROOT / "experiments" / "ur5_fourier_loads.yaml").read_text("utf-8")
-(LOADS,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+LOADS, WEIGH = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 HOLD_OUTS = re.findall(r"^\| `(\{.+?\})` \|", PAGE, re.MULTILINE)
 
 
@@ -38,3 +39,9 @@ def test_loads_are_counted_from_zero(tmp_path: Path) -> None:
 
 def test_three_ways_are_shown() -> None:
     assert len(HOLD_OUTS) == 3
+
+
+def test_the_way_of_weighing_shown_is_the_default(tmp_path: Path) -> None:
+    path = tmp_path / "weighed.yaml"
+    path.write_text(SHIPPED + WEIGH, "utf-8")
+    assert load_spec(path).weigh == Weigh()

@@ -14,7 +14,7 @@ from hil.typing import FloatArray
 
 POSES = np.radians([[42, -31, 8, -106, 94, -139], [-150, -76, 63, -36, -77, 55]])
 LOAD = Payload(3.0, (0.02, -0.01, 0.05))
-FRICTION = np.array([0.4, 0.5, 0.3, 0.08, 0.08, 0.07])
+FRICTION = np.tile([0.4, 0.5, 0.3, 0.08, 0.08, 0.07], (2, 1))
 
 
 @cache
@@ -63,7 +63,7 @@ def test_errors_are_as_large_as_stated() -> None:
     mass, free, moment = [], [], []
     for _ in range(1000):
         gains = GAIN_SHARE * rng.standard_normal(6)
-        surplus = gains * torques(LOAD) + FRICTION * rng.standard_normal((2, 6))
+        surplus = gains * torques(LOAD) + FRICTION * rng.standard_normal(FRICTION.shape)
         found = balance().weigh(surplus)
         mass.append(found.mass / found.mass_deviation)
         free.append(found.free_mass / found.free_mass_deviation)
@@ -87,7 +87,7 @@ def test_a_wrong_gain_counts_for_less_than_an_error_that_no_gain_explains() -> N
 
 
 def test_what_a_single_pose_does_not_show_is_not_made_up() -> None:
-    one = Balance(static_columns(model(), POSES[:1]), torques(LOAD)[:1], FRICTION, LOAD.com)
+    one = Balance(static_columns(model(), POSES[:1]), torques(LOAD)[:1], FRICTION[:1], LOAD.com)
     down = -model().flange_pose(POSES[:1])[0, 2, :3]
     shifted = Payload(3.0, tuple(np.array(LOAD.com) + 0.1 * down))
     found = one.weigh(torques(shifted)[:1] - torques(LOAD)[:1])

@@ -125,7 +125,8 @@ def test_the_run_that_is_damaged_here_was_whole() -> None:
     with quick_folder() as root:
         run = quick_run(root, {})
         for view in views(root, run):
-            view()
+            refusal = refusal_of(view)
+            assert refusal is None or "is complete (28/28 dwells, 6/6 references)" in refusal
         assert api.list_runs(root)[0]["status"] == "completed"
 
 

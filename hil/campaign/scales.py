@@ -22,6 +22,10 @@ FRICTION_LEFT = 0.05
 """Share of half the difference between the two approaches by which their mean errs (standard
 deviation); measured on the mock, see docs/explanation/weighing.md."""
 
+CHANGE_LEFT = 0.5
+"""Share of what that half difference has changed by since the first load: friction that one side
+alone has lost or gained moves the mean as well, and the arm has become warmer."""
+
 LEAST_NM = 0.01
 """Least standard deviation of a torque [N·m]: a simulation without noise has none."""
 
@@ -108,6 +112,13 @@ class Comparison:
         return 0.0 if self.declared.is_empty else float(np.linalg.norm(self.shift_m))
 
 
+def _deviation(first: LoadReading, this: LoadReading) -> FloatArray:
+    """(P, n) standard deviation of the difference of two loads' torques, gains left out [N·m]."""
+    change = CHANGE_LEFT * (this.half_difference - first.half_difference)
+    variance = first.variance + this.variance + change**2
+    return np.asarray(np.sqrt(np.maximum(variance, LEAST_NM**2)))
+
+
 def compare(
     model: RobotModel,
     steps: Sequence[Step],
@@ -129,8 +140,7 @@ def compare(
     columns = static_columns(model, np.array([at[pose] for pose in sorted(at)]))
     declared = columns @ (static_parameters(load) - static_parameters(first))
     found: FloatArray = readings[1].torque - readings[0].torque
-    variance = readings[0].variance + readings[1].variance
-    deviation = np.sqrt(np.maximum(variance, LEAST_NM**2))
+    deviation = _deviation(*readings)
     # What turns out heavier than declared comes with the gain errors of what it is.
     torque = np.where(np.abs(found) > np.abs(declared), found, declared)
     seen: Weighed = Balance(columns, torque, deviation, load.com).weigh(found - declared)

@@ -65,7 +65,7 @@ class Balance:
     Attributes:
         columns: (P, n, 4) of `static_columns`.
         torque: (P, n) the load's torques [N·m]; gain errors are a share of them.
-        deviation: (n,) what is left of friction and noise, standard deviation [N·m].
+        deviation: (P, n) what is left of friction and noise, standard deviation [N·m].
         com: (3,) where a mass that is weighed has its centre, flange frame [m].
     """
 
@@ -110,7 +110,7 @@ class Balance:
     def _whitened(self, values: FloatArray) -> FloatArray:
         """(n·P, k) of `values` (P, n, k) with errors of size 1 that do not correlate."""
         gains = GAIN_SHARE * self.torque.T[:, :, None]
-        friction = np.eye(len(self.torque)) * self.deviation[:, None, None] ** 2
+        friction = np.eye(len(self.torque)) * self.deviation.T[:, :, None] ** 2
         lower = np.linalg.cholesky(friction + gains @ gains.transpose(0, 2, 1))
         white: FloatArray = np.linalg.solve(lower, values.transpose(1, 0, 2))
         return white.reshape(-1, values.shape[2])

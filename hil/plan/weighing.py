@@ -148,7 +148,8 @@ class _Candidates:
 
         rows = [*self._chosen, i]
         columns, torque = self._columns[rows], self._torque[rows]
-        balance = Balance(columns, torque, self._deviation, self._heaviest.com)
+        deviation = np.broadcast_to(self._deviation, torque.shape)
+        balance = Balance(columns, torque, deviation, self._heaviest.com)
         return float(np.linalg.slogdet(PRIOR + balance.information)[1])
 
     def _visit(self, q: FloatArray, number: int) -> Visit | None:

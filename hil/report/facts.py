@@ -17,6 +17,7 @@ from hil.record.rundir import RunDirectory
 from hil.report.documents import (
     Document,
     as_float,
+    as_index,
     as_names,
     as_object,
     as_objects,
@@ -133,7 +134,7 @@ class RunFacts:
         """Poses at which that happened, as often as it happened."""
         steps = self.steps
         known = sorted(i for i in self.unsettled_steps if 0 <= i < len(steps))
-        return tuple(int(steps[i].get("pose", -1)) for i in known)
+        return tuple(as_index(steps[i].get("pose")) for i in known)
 
     @property
     def judged_fits(self) -> tuple[FitFacts, ...]:

@@ -85,7 +85,7 @@ FAULTS: Mapping[str, Ending] = {
         4,
         mock="cut",
         rest_within_s=2.0 + WATCHDOG_S * SPEED,
-        why="no command arrives: the controller's watchdog stops the arm after 1 s",
+        why="no command arrives: the controller's watchdog acts after 1 s, 4 s of this fast device",
     ),
     "frozen data": Ending(
         "failed", 4, 0.7, mock="freeze", why="0.5 s without news is stale, then 0.1 s"
