@@ -12,6 +12,8 @@ from hil.payload import Payload
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 
 positive = st.floats(1e-3, 1e3)
+limits = st.floats(1e-2, 1e3)
+"""Of lines; below, a motion may take longer than a plan file may hold."""
 finite = st.floats(allow_nan=False, allow_infinity=False)
 angles = st.floats(-7.0, 7.0) | st.sampled_from([0.0, -0.0, 5e-324, math.pi])
 MOVING = ("warmup", "move")
@@ -23,7 +25,7 @@ def vector(n: int, values: st.SearchStrategy[float] = angles) -> st.SearchStrate
 
 
 def lines(n: int) -> st.SearchStrategy[Line]:
-    return st.builds(Line, vector(n), vector(n), positive, positive, positive, st.just(125.0))
+    return st.builds(Line, vector(n), vector(n), limits, limits, limits, st.just(125.0))
 
 
 @st.composite
