@@ -62,6 +62,17 @@ def test_a_damaged_document_is_a_plan_or_refused(document: Any) -> None:
         assert str(path) in told
 
 
+@pytest.mark.parametrize("place", [("weigh_dwell",), ("loads", 0, "size_m")], ids=str)
+def test_what_is_null_is_not_there(tmp_path: Path, place: tuple[Any, ...]) -> None:
+    document = copy.deepcopy(SMALL)
+    holder = document
+    for step in place[:-1]:
+        holder = holder[step]
+    holder[place[-1]] = None
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    assert read_plan(tmp_path / "plan.json") == Plan.from_dict(SMALL)
+
+
 @examples(40)
 @given(
     st.binary(max_size=60) | st.text(max_size=60).map(lambda text: text.encode("utf-8", "ignore"))
@@ -76,7 +87,9 @@ def test_any_bytes_are_refused(content: bytes) -> None:
 @pytest.mark.parametrize(
     ("place", "value", "told"),
     [
-        (("rate_hz",), 0, "rate_hz: Input should be greater than 0, not 0"),
+        (("rate_hz",), 0, "rate_hz: Input should be greater than or equal to 0.001, not 0"),
+        (("rate_hz",), 5e-324, "rate_hz: Input should be greater than or equal to 0.001"),
+        (("steps", 1, "motion", "jerk_rad_s3"), 1e308, "motion.line.jerk_rad_s3"),
         (("rate_hz",), 10**400, "rate_hz:"),
         (("rate_hz",), math.nan, "rate_hz:"),
         (("joint_names", 1), 7, "joint_names.1: Input should be a valid string, not 7"),

@@ -25,14 +25,16 @@ MOST_STEPS = 5_000_000
 """100 000 poses from two sides, with the lines that lead there, have fewer."""
 
 MOST_JOINTS = 64
-HIGHEST_RATE_HZ = 20_000.0
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 1e-3, 20_000.0
 MOST_PROBLEMS = 20
 _PLAIN = (str, int, float, bool, type(None))
 
 Finite = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Positive = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
-Rate = Annotated[float, Strict(), Field(gt=0, le=HIGHEST_RATE_HZ)]
+Rate = Annotated[float, Strict(), Field(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)]
+Limit = Annotated[float, Strict(), Field(ge=1e-6, le=1e6)]
+"""Of a motion: what trajectory generation can be trusted with, far beyond any robot either way."""
 Integer = Annotated[int, Strict()]
 Joints = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=MOST_JOINTS)]
 Coefficients = Annotated[tuple[Finite, ...], Field(min_length=1, max_length=1000)]
@@ -47,9 +49,9 @@ class _LinePart(_Part):
     kind: Literal["line"]
     start_rad: Joints
     goal_rad: Joints
-    velocity_rad_s: Positive
-    acceleration_rad_s2: Positive
-    jerk_rad_s3: Positive
+    velocity_rad_s: Limit
+    acceleration_rad_s2: Limit
+    jerk_rad_s3: Limit
     rate_hz: Rate
 
 

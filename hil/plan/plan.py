@@ -207,7 +207,7 @@ class Plan:
             steps=tuple(Step.from_dict(step) for step in raw["steps"]),
             loads=tuple(_load_from_dict(load) for load in raw["loads"]),
             dwell=DwellRule(**raw["dwell"]),
-            weigh_dwell=DwellRule(**raw["weigh_dwell"]) if "weigh_dwell" in raw else None,
+            weigh_dwell=DwellRule(**weigh) if (weigh := raw.get("weigh_dwell")) else None,
             margins={name: _or_infinite(value) for name, value in raw["margins"].items()},
             condition_number=_or_infinite(raw["condition_number"]),
         )
@@ -239,5 +239,5 @@ def _load_to_dict(load: LoadStep) -> dict[str, Any]:
 
 def _load_from_dict(raw: dict[str, Any]) -> LoadStep:
     payload = Payload(raw["mass_kg"], tuple(raw["com_m"]), tuple(raw["inertia_kgm2"]))
-    size = tuple(raw["size_m"]) if "size_m" in raw else None
-    return LoadStep(payload, raw["prompt"], size)
+    size = raw.get("size_m")
+    return LoadStep(payload, raw["prompt"], None if size is None else tuple(size))
