@@ -128,6 +128,16 @@ class Simulation:
         """(n,) friction torque of the last step [N·m]."""
         return np.array(self.joints.states["friction"])
 
+    @property
+    def nominal(self) -> Plant:
+        """The arm as its controller believes it to be."""
+        return self._nominal
+
+    @property
+    def moment_target(self) -> FloatArray:
+        """(n,) what the last set-point needs by that model, friction excluded [N·m]."""
+        return np.array(self._views.nominal_torque)
+
     def set_payloads(self, mounted: Payload, declared: Payload) -> None:
         """Mount one body and tell the controller about another (usually the same) one."""
         self._load(mounted, declared, self.position, self.speed)

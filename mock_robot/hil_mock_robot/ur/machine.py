@@ -1,0 +1,233 @@
+"""The controller itself: one tick after the other, without sockets and without wall time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.typing import FloatArray
+from hil_mock_robot.ur.body import Body, Reading
+from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
+from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
+from hil_mock_robot.ur.publishing import Publishing
+from hil_mock_robot.ur.series import Series
+from hil_mock_robot.ur.stopping import StopJoints
+from hil_mock_robot.ur.variables import Values, inputs_of, outputs_of
+
+PROTECTIVE_STOP_RAD_S2 = 8.0
+EMERGENCY_STOP_RAD_S2 = 16.0
+PROGRAM_STOP_RAD_S2 = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something the primary interface and the journal tell.
+
+    Attributes:
+        kind: `program_started`, `program_stopped`, `protective_stop`, `emergency_stop`, `popup`,
+            `error`, `text`, `refused`, …
+        name: Of the program, or what else it is about.
+        text: In words.
+        code: UR's error code C…, 0 for none.
+    """
+
+    kind: str
+    name: str = ""
+    text: str = ""
+    code: int = 0
+
+
+@dataclass(slots=True)
+class Watchdog:
+    """URScript `rtde_set_watchdog`: what happens when an input is not written often enough."""
+
+    variable: str
+    ticks: int
+    action: str
+
+
+class Machine:
+    """One controller and its arm; nothing here is safe against a second thread.
+
+    Args:
+        series: Which generation of controller.
+        body: The arm.
+        serial: Its number: digits only.
+
+    Attributes:
+        inputs, outputs: RTDE's variables.
+        modes: Power and safety.
+        ticks: Since it was switched on.
+        tcp: (6,) tool centre point in the flange frame, metres and rotation vector.
+        program: What plays or is paused.
+        runtime: State of the program.
+        motion: What moves the arm, None when the set-point stands still.
+        reading: What the joints reported last.
+        written: Input → tick in which it was last written.
+        watchdog: Set by the program that plays.
+        speed_fraction: The speed slider, 0 to 1.
+        listeners: Told every `Event`.
+    """
+
+    def __init__(self, series: Series, body: Body, *, serial: str, powered: bool = True) -> None:
+        self.series, self.body, self.serial = series, body, serial
+        self.tick_s = 1.0 / series.rate_hz
+        self.inputs: Values = inputs_of(series)
+        self.outputs: Values = outputs_of(series)
+        self.modes = Modes(self.tick_s, powered=powered)
+        self.ticks = 0
+        self.tcp: FloatArray = np.zeros(6)
+        self.program: Program | None = None
+        self.runtime = RuntimeState.STOPPED
+        self.motion: Motion | None = None
+        self.written: dict[str, int] = {}
+        self.watchdog: Watchdog | None = None
+        self.speed_fraction = 1.0
+        self.listeners: list[Callable[[Event], None]] = []
+        if powered:
+            body.release()
+        self.setpoint: Setpoint = body.setpoint
+        self._publishing = Publishing()
+        self.reading: Reading = body.step(self.setpoint)
+        self._publishing.publish(self)
+
+    @property
+    def now_s(self) -> float:
+        """The controller's clock: RTDE `timestamp` [s]."""
+        return self.ticks * self.tick_s
+
+    def tick(self) -> None:
+        """Let one tick of device time pass."""
+        self.ticks += 1
+        self.modes.tick()
+        self._power()
+        self._guard()
+        playing = self.runtime is RuntimeState.PLAYING
+        if self.program is not None and playing and not self.program.tick(self):
+            self.halt()
+        self._advance()
+        self.reading = self.body.step(self.setpoint)
+        if self.reading.fault:
+            self.protective_stop(self.reading.fault, held=False)
+        self._publishing.publish(self)
+
+    def write(self, name: str, value: Any) -> None:
+        """An input comes from a client."""
+        self.inputs[name] = value
+        self.outputs.offer(name, value)
+        self.written[name] = self.ticks
+
+    def move(self, motion: Motion | None) -> None:
+        """Replace what moves the arm; None lets the set-point stand still where it is."""
+        self.motion = motion
+
+    def play(self, program: Program) -> bool:
+        """Stop what plays and play this; False when nothing may play now."""
+        self.halt()
+        if not self.modes.running:
+            self.tell("refused", program.name, "the arm is not running")
+            return False
+        self.program, self.runtime = program, RuntimeState.PLAYING
+        self.tell("program_started", program.name)
+        program.begin(self)
+        return True
+
+    def halt(self) -> None:
+        """End the program, whatever it does; what still moves comes to rest."""
+        program, self.program = self.program, None
+        self.runtime, self.watchdog = RuntimeState.STOPPED, None
+        if program is not None:
+            program.end(self)
+            self.tell("program_stopped", program.name)
+        if self.motion is not None and not isinstance(self.motion, StopJoints):
+            self.motion = StopJoints(PROGRAM_STOP_RAD_S2, self.tick_s)
+
+    def pause(self) -> None:
+        """Hold the program where it is."""
+        if self.runtime is RuntimeState.PLAYING:
+            self.runtime = RuntimeState.PAUSED
+
+    def resume(self) -> None:
+        """Let a paused program go on."""
+        if self.runtime is RuntimeState.PAUSED and self.modes.running:
+            self.runtime = RuntimeState.PLAYING
+
+    def protective_stop(self, code: int, *, held: bool = True) -> None:
+        """Stop because something is wrong.
+
+        Args:
+            code: A code of `hil_mock_robot.arm.FAULTS`, or UR's own.
+            held: The servo still does what it is told; else the mechanical brakes do it.
+        """
+        first = self.modes.running
+        self.modes.protective_stop(code)
+        self.pause()
+        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=held)
+        if first:
+            self.tell("protective_stop", code=code)
+
+    def emergency_stop(self) -> None:
+        """The red button."""
+        self.modes.emergency_stop()
+        self.halt()
+        self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
+        self.tell("emergency_stop")
+
+    def fail(self, text: str, code: int = 0) -> None:
+        """A runtime error of the program: it ends, and says why."""
+        self.tell("error", self.program.name if self.program else "", text, code)
+        self.halt()
+
+    def tell(self, kind: str, name: str = "", text: str = "", code: int = 0) -> None:
+        """Let everybody who listens know."""
+        event = Event(kind, name, text, code)
+        for listener in self.listeners:
+            listener(event)
+
+    def _power(self) -> None:
+        """The brakes follow the robot mode."""
+        on = self.modes.robot is RobotMode.RUNNING
+        if on and self.body.braked and self.modes.running:
+            self.body.release()
+            self.setpoint = self.body.setpoint
+        elif not on and not self.body.braked:
+            self.halt()
+            self._lock()
+
+    def _guard(self) -> None:
+        """The watchdog a program has set."""
+        dog = self.watchdog
+        if dog is None or self.ticks - self.written.get(dog.variable, 0) <= dog.ticks:
+            return
+        self.tell("watchdog", dog.variable, f"not written in time: {dog.action}")
+        self.watchdog = None
+        if dog.action == "stop":
+            self.halt()
+        elif dog.action == "pause":
+            self.pause()
+
+    def _advance(self) -> None:
+        if self.body.braked or self.motion is None:
+            return
+        if self.runtime is RuntimeState.PAUSED and not isinstance(self.motion, StopJoints):
+            self.motion = StopJoints(PROGRAM_STOP_RAD_S2, self.tick_s)
+        after = self.motion.advance(self.setpoint, self.speed_fraction)
+        if after is None:
+            self.motion = None
+            self.setpoint = np.stack((self.setpoint[0], np.zeros(6), np.zeros(6)))
+        else:
+            self.setpoint = after
+
+    def _come_to_rest(self, deceleration: float, *, held: bool) -> None:
+        if not held:
+            self._lock()
+        elif self.motion is not None:
+            self.motion = StopJoints(deceleration, self.tick_s)
+
+    def _lock(self) -> None:
+        self.motion = None
+        self.body.brake()
+        self.setpoint = self.body.setpoint

@@ -1,0 +1,212 @@
+"""RTDE's variables: names, wire types, since which software; and their values in one flat list.
+
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of outputs and inputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hil_mock_robot.ur.series import Series
+
+Number = float | int | bool
+
+WIRE: Mapping[str, tuple[str, int]] = {
+    "BOOL": ("?", 1),
+    "UINT8": ("B", 1),
+    "UINT32": ("I", 1),
+    "UINT64": ("Q", 1),
+    "INT32": ("i", 1),
+    "DOUBLE": ("d", 1),
+    "VECTOR3D": ("d", 3),
+    "VECTOR6D": ("d", 6),
+    "VECTOR6INT32": ("i", 6),
+    "VECTOR6UINT32": ("I", 6),
+}
+"""Type as RTDE names it → letter of `struct`, and how many of them."""
+
+ALWAYS = (0, 0)
+_OUTPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
+    ("timestamp", "DOUBLE", ALWAYS, ALWAYS),
+    ("target_q", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_qd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_qdd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_current", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_moment", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_q", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_qd", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_current", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_current_window", "VECTOR6D", None, ALWAYS),
+    ("actual_current_as_torque", "VECTOR6D", None, (5, 23)),
+    ("joint_control_output", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_TCP_force", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_TCP_pose", "VECTOR6D", ALWAYS, ALWAYS),
+    ("target_TCP_speed", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_digital_input_bits", "UINT64", ALWAYS, ALWAYS),
+    ("joint_temperatures", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_execution_time", "DOUBLE", ALWAYS, ALWAYS),
+    ("robot_mode", "INT32", ALWAYS, ALWAYS),
+    ("joint_mode", "VECTOR6INT32", ALWAYS, ALWAYS),
+    ("safety_mode", "INT32", ALWAYS, ALWAYS),
+    ("safety_status", "INT32", (3, 10), (5, 4)),
+    ("actual_tool_accelerometer", "VECTOR3D", ALWAYS, ALWAYS),
+    ("speed_scaling", "DOUBLE", ALWAYS, ALWAYS),
+    ("target_speed_fraction", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_momentum", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_main_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_robot_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_robot_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("actual_joint_voltage", "VECTOR6D", ALWAYS, ALWAYS),
+    ("actual_digital_output_bits", "UINT64", ALWAYS, ALWAYS),
+    ("runtime_state", "UINT32", ALWAYS, ALWAYS),
+    ("elbow_position", "VECTOR3D", (3, 5), ALWAYS),
+    ("elbow_velocity", "VECTOR3D", (3, 5), ALWAYS),
+    ("robot_status_bits", "UINT32", ALWAYS, ALWAYS),
+    ("safety_status_bits", "UINT32", ALWAYS, ALWAYS),
+    ("analog_io_types", "UINT32", ALWAYS, ALWAYS),
+    ("standard_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output1", "DOUBLE", ALWAYS, ALWAYS),
+    ("io_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("euromap67_input_bits", "UINT32", ALWAYS, ALWAYS),
+    ("euromap67_output_bits", "UINT32", ALWAYS, ALWAYS),
+    ("euromap67_24V_voltage", "DOUBLE", ALWAYS, ALWAYS),
+    ("euromap67_24V_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_mode", "UINT32", ALWAYS, ALWAYS),
+    ("tool_analog_input_types", "UINT32", ALWAYS, ALWAYS),
+    ("tool_analog_input0", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_analog_input1", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_output_voltage", "INT32", ALWAYS, ALWAYS),
+    ("tool_output_current", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_temperature", "DOUBLE", ALWAYS, ALWAYS),
+    ("tcp_force_scalar", "DOUBLE", ALWAYS, ALWAYS),
+    ("tool_output_mode", "UINT8", None, (5, 2)),
+    ("tool_digital_output0_mode", "UINT8", None, (5, 2)),
+    ("tool_digital_output1_mode", "UINT8", None, (5, 2)),
+    ("payload", "DOUBLE", (3, 11), (5, 6)),
+    ("payload_cog", "VECTOR3D", (3, 11), (5, 6)),
+    ("payload_inertia", "VECTOR6D", (3, 15), (5, 11)),
+    ("script_control_line", "UINT32", None, (5, 9)),
+    ("ft_raw_wrench", "VECTOR6D", None, (5, 9)),
+    ("joint_position_deviation_ratio", "DOUBLE", None, (5, 11)),
+    ("collision_detection_ratio", "DOUBLE", None, (5, 15)),
+    ("time_scale_source", "INT32", None, (5, 17)),
+    ("tcp_offset", "VECTOR6D", None, (5, 5)),
+    ("output_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("output_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+)
+_INPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
+    ("speed_slider_mask", "UINT32", ALWAYS, ALWAYS),
+    ("speed_slider_fraction", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("standard_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("configurable_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("configurable_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("tool_digital_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("tool_digital_output", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_mask", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_type", "UINT8", ALWAYS, ALWAYS),
+    ("standard_analog_output_0", "DOUBLE", ALWAYS, ALWAYS),
+    ("standard_analog_output_1", "DOUBLE", ALWAYS, ALWAYS),
+    ("external_force_torque", "VECTOR6D", (3, 3), ALWAYS),
+    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+)
+UPPER_SINCE = ((3, 9), (5, 3))
+"""Since when there are registers 24 to 47, and single bits 64 to 127."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One variable: its name, its wire type, and where its first value lies."""
+
+    name: str
+    type: str
+    offset: int
+
+    @property
+    def count(self) -> int:
+        """How many numbers it is."""
+        return WIRE[self.type][1]
+
+    @property
+    def format(self) -> str:
+        """Its letters for `struct`."""
+        letter, count = WIRE[self.type]
+        return letter * count
+
+    @property
+    def places(self) -> range:
+        """Where its numbers lie in `Values.flat`."""
+        return range(self.offset, self.offset + self.count)
+
+
+class Values:
+    """The present values of a set of variables.
+
+    Args:
+        named: (name, type), in any order.
+
+    Attributes:
+        variables: By name.
+        flat: All numbers, one after the other; what a recipe packs.
+    """
+
+    def __init__(self, named: Iterable[tuple[str, str]]) -> None:
+        self.variables: dict[str, Variable] = {}
+        self.flat: list[Any] = []
+        for name, kind in named:
+            self.variables[name] = Variable(name, kind, len(self.flat))
+            letter, count = WIRE[kind]
+            self.flat += [0.0 if letter == "d" else 0] * count
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.variables
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Set a number, or as many as the variable has."""
+        at = self.variables[name]
+        if at.count == 1:
+            self.flat[at.offset] = value
+        else:
+            self.flat[at.offset : at.offset + at.count] = value
+
+    def __getitem__(self, name: str) -> Any:
+        """A number, or a list of them."""
+        at = self.variables[name]
+        if at.count == 1:
+            return self.flat[at.offset]
+        return self.flat[at.offset : at.offset + at.count]
+
+    def offer(self, name: str, value: Number | Sequence[Number]) -> None:
+        """Set it, where this software has it."""
+        if name in self.variables:
+            self[name] = value
+
+
+def outputs_of(series: Series) -> Values:
+    """Everything a controller tells by RTDE."""
+    named = [(name, kind) for name, kind, cb3, e in _OUTPUTS if series.at_least(cb3, e)]
+    return Values([*named, *_registers("output", series), *_registers("input", series)])
+
+
+def inputs_of(series: Series) -> Values:
+    """Everything a controller can be told by RTDE."""
+    named = [(name, kind) for name, kind, cb3, e in _INPUTS if series.at_least(cb3, e)]
+    return Values([*named, *_registers("input", series)])
+
+
+def _registers(side: str, series: Series) -> list[tuple[str, str]]:
+    upper = series.at_least(*UPPER_SINCE)
+    count = 48 if upper else 24
+    bits = [(f"{side}_bit_register_{i}", "BOOL") for i in range(64, 128)] if upper else []
+    return [
+        *bits,
+        *((f"{side}_int_register_{i}", "INT32") for i in range(count)),
+        *((f"{side}_double_register_{i}", "DOUBLE") for i in range(count)),
+    ]
