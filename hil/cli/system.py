@@ -14,12 +14,13 @@ from hil.errors import PluginError
 
 def register(app: typer.Typer) -> None:
     """Add this group's verbs."""
-    app.command()(mock)
+    app.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})(mock)
     app.command()(doctor)
     app.command()(plugins)
 
 
 def mock(
+    context: typer.Context,
     name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
     model: Annotated[str, typer.Option(help="Built-in arm the mock stands for.")] = "ur5",
     seed: Annotated[int, typer.Option(help="Which individual robot it is.")] = 0,
@@ -29,29 +30,44 @@ def mock(
     ] = None,
     json: JsonFlag = False,
 ) -> None:
-    """List mock robots, or write the truth of one, for scoring what was identified."""
+    """List mock robots, start one, or write the truth of one, for scoring what was identified.
+
+    `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur -- --help` tells more.
+    """
     from hil import plugins as found
 
     if name == "list":
-        entries = [
-            {"name": n, "description": found.load("hil.mocks", n).description}
-            for n in found.names("hil.mocks")
-        ]
-        if json:
-            print_json(entries)
-        else:
-            print_table(("mock", "what"), [(e["name"], e["description"]) for e in entries])
+        _list_mocks(json)
         return
-    if truth is None:
+    chosen = found.load("hil.mocks", name)()
+    same = ["--model", model, "--seed", str(seed), "--profile", profile]
+    if hasattr(chosen, "serve") and truth is None:
+        raise typer.Exit(chosen.serve([*same, *context.args]))
+    if truth is None or context.args:
         raise PluginError(
-            f"the {name} mock runs inside `hil run`; there is nothing to start",
+            f"the {name} mock runs inside `hil run`; there is nothing to start"
+            if truth is None
+            else f"hil mock --truth takes no {' '.join(context.args)}",
             hint=f"to write its true parameters: hil mock {name} --truth truth.json",
         )
-    found.load("hil.mocks", name)().write_truth(truth, model=model, seed=seed, profile=profile)
+    chosen.write_truth(truth, model=model, seed=seed, profile=profile)
     if json:
         print_json({"truth": str(truth), "model": model, "seed": seed, "profile": profile})
     else:
         typer.echo(str(truth))
+
+
+def _list_mocks(json: bool) -> None:
+    from hil import plugins as found
+
+    entries = [
+        {"name": n, "description": found.load("hil.mocks", n).description}
+        for n in found.names("hil.mocks")
+    ]
+    if json:
+        print_json(entries)
+    else:
+        print_table(("mock", "what"), [(e["name"], e["description"]) for e in entries])
 
 
 def doctor(station: Annotated[Path | None, typer.Option()] = None, json: JsonFlag = False) -> None:

@@ -1,0 +1,80 @@
+"""`python -m hil_mock_robot ur`: the mock UR controller as a process."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import zlib
+from collections.abc import Sequence
+
+from hil.errors import HilError
+from hil.payload import Payload
+from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.ur.body import Body
+from hil_mock_robot.ur.loop import Loop, Pacer
+from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.options import factor_of, loopback_of, parser_of, pose_of
+from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime
+from hil_mock_robot.ur.series import Series, series_of
+from hil_mock_robot.ur.services import services_of
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run until SIGINT or SIGTERM; returns the exit code."""
+    given = parser_of().parse_args(arguments)
+    try:
+        return _run(given)
+    except HilError as error:
+        hint = f"\n→ {error.hint}" if error.hint else ""
+        print(f"{error.message}{hint}", file=sys.stderr)  # noqa: T201
+        return int(error.exit_code)
+
+
+def _run(given: argparse.Namespace) -> int:
+    address = loopback_of(given.address)
+    series = series_of(given.model)
+    pacer = pacer_of(given.speed, series)
+    machine = machine_of(given, series)
+    loop = Loop(machine, services_of(machine), pacer, address)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: loop.end())
+    version = ".".join(map(str, series.version[:3]))
+    speed = given.speed if factor_of(given.speed) is None else f"×{factor_of(given.speed):g}"
+    print(f"ready: {given.model}, software {version}, on {address}, {speed}", flush=True)  # noqa: T201
+    loop.run()
+    return 0
+
+
+def machine_of(given: argparse.Namespace, series: Series) -> Machine:
+    """The controller and its arm as the command line describes them."""
+    truth = draw_truth(given.model, given.seed, given.profile)
+    if given.truth:
+        truth.to_json(given.truth)
+    mounted = None
+    if given.mounted_kg:
+        mass, x, y, z = given.mounted_kg
+        mounted = Payload(mass, (x, y, z))
+    body = Body(truth, series.rate_hz, pose_of(given.start_q_deg), mounted=mounted)
+    machine = Machine(series, body, serial=given.serial or _serial_of(given), powered=not given.off)
+    machine.modes.remote = not given.local
+    return machine
+
+
+def pacer_of(speed: str, series: Series) -> Pacer:
+    """How time passes.
+
+    Raises:
+        SpecError: There is no such speed.
+    """
+    factor = factor_of(speed)
+    if factor is not None:
+        return RealTime(1.0 / series.rate_hz, factor)
+    return FreeRun() if speed == "free" else LockStep()
+
+
+def _serial_of(given: argparse.Namespace) -> str:
+    """Digits as UR's serial numbers are: the year, the size of the arm, which one."""
+    size = "".join(c for c in given.model if c.isdigit())
+    individual = zlib.crc32(f"{given.model} {given.seed} {given.profile}".encode()) % 1_000_000
+    return f"2022{size:0>2}{individual:06d}"

@@ -1,0 +1,92 @@
+"""What the mock UR controller is started with."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hil.errors import SpecError
+from hil.typing import FloatArray
+from hil_mock_robot.ur.series import CB3, E_SERIES
+
+LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
+UPRIGHT_DEG = (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)
+
+
+def parser_of() -> argparse.ArgumentParser:
+    """The command line of `hil mock ur` and `python -m hil_mock_robot ur`."""
+    parser = argparse.ArgumentParser(
+        prog="python -m hil_mock_robot ur",
+        description="A UR controller on loopback sockets, with a simulated arm behind it.",
+    )
+    add = parser.add_argument
+    add("--address", default="127.0.0.1", help="loopback address; its ports cannot be chosen")
+    add("--model", default="ur5", choices=CB3.arms + E_SERIES.arms, help="ur5: CB3, ur5e: e-Series")
+    add("--seed", type=int, default=1, help="which individual")
+    add("--profile", default="full", choices=("full", "ideal"), help="of the physics")
+    add("--speed", default="1", help="device seconds per second, `free`, or `lock-step`")
+    add("--start-q-deg", type=float, nargs=6, default=UPRIGHT_DEG, metavar="Q")
+    hangs = "what really hangs at the flange, whatever is declared: mass and centre [m]"
+    add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=hangs)
+    add("--serial", default="", help="digits; by default made of model and seed")
+    add("--off", action="store_true", help="start with the arm switched off")
+    add("--local", action="store_true", help="start in local control (e-Series)")
+    add("--side-port", type=int, default=30100, help="side channel for tests, 0 for none")
+    add("--faults", type=Path, help="YAML file: what goes wrong, and when")
+    add("--journal", type=Path, help="file for what it was told and what it did")
+    add("--truth", type=Path, help="write every true parameter to this file, for scoring")
+    return parser
+
+
+def factor_of(speed: str) -> float | None:
+    """Device seconds per second of wall time; None for `free` and `lock-step`.
+
+    Raises:
+        SpecError: It is none of these.
+    """
+    if speed in ("free", "lock-step"):
+        return None
+    try:
+        factor = float(speed.removeprefix("x").removeprefix("×"))
+    except ValueError:
+        factor = 0.0
+    if LEAST_FACTOR <= factor <= MOST_FACTOR:
+        return factor
+    raise SpecError(
+        f"--speed {speed!r} is no speed",
+        hint=f"give a number from {LEAST_FACTOR:g} to {MOST_FACTOR:g}, `free` or `lock-step`",
+    )
+
+
+def loopback_of(address: str) -> str:
+    """The address, if nobody outside this computer can reach it.
+
+    Raises:
+        SpecError: It is no loopback address: the mock obeys whoever connects.
+    """
+    try:
+        loopback = ipaddress.IPv4Address(address).is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        raise SpecError(
+            f"--address {address!r} is no loopback address",
+            hint="use 127.0.0.1, or 127.0.0.2 and so on for several controllers at once",
+        )
+    return address
+
+
+def pose_of(degrees: Sequence[float]) -> FloatArray:
+    """(6,) in radians.
+
+    Raises:
+        SpecError: It is no pose of a UR arm.
+    """
+    q: FloatArray = np.radians(np.asarray(degrees, dtype=float))
+    if not (np.abs(q) <= 2 * np.pi).all():
+        raise SpecError(f"--start-q-deg {list(degrees)}: joints turn ±360°", hint="stay inside")
+    return q

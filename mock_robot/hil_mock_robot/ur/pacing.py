@@ -1,0 +1,71 @@
+"""How the controller's time passes: with the wall clock, as fast as it goes, or when permitted."""
+
+from __future__ import annotations
+
+import time
+
+SLIP_S = 0.5
+"""Wall time the schedule may be late before it is given up; what was missed is not caught up."""
+
+
+class RealTime:
+    """Ticks on an absolute schedule, so that lateness does not add up.
+
+    Args:
+        tick_s: Device time of a tick.
+        factor: Device seconds per second of wall time.
+
+    Attributes:
+        slips: How often the machine could not keep up.
+    """
+
+    def __init__(self, tick_s: float, factor: float = 1.0) -> None:
+        self._spacing_s = tick_s / factor
+        self._due = time.monotonic()
+        self.slips = 0
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return max(0.0, self._due - time.monotonic())
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+        self._due += self._spacing_s
+        now = time.monotonic()
+        if now - self._due > SLIP_S:
+            self._due = now
+            self.slips += 1
+
+
+class FreeRun:
+    """As fast as it goes; clients that must not lose anything hold it up."""
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return 0.0
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+
+
+class LockStep:
+    """No tick without a permit: results do not depend on how busy the computer is.
+
+    Attributes:
+        permitted: Ticks that may still be made.
+    """
+
+    def __init__(self) -> None:
+        self.permitted = 0
+
+    def allow(self, ticks: int) -> None:
+        """Let so many more ticks pass."""
+        self.permitted += ticks
+
+    def wait_s(self) -> float | None:
+        """See `Pacer`."""
+        return 0.0 if self.permitted > 0 else None
+
+    def ticked(self) -> None:
+        """See `Pacer`."""
+        self.permitted -= 1
