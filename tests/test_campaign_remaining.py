@@ -142,6 +142,23 @@ def test_nothing_is_left_of_what_is_all_done() -> None:
     assert remaining_steps(plan, done, cold=True) == []
 
 
+@given(plans_partly_done(), st.booleans())
+def test_the_first_load_is_weighed_again_when_nothing_is_known_of_it(
+    case: tuple[Plan, set[int]], cold: bool
+) -> None:
+    plan, done = case
+    left = remaining_steps(plan, done, cold=cold, weigh_first=True)
+    same = remaining_steps(plan, done, cold=cold)
+    if not same or same[0].load == 0:
+        assert left == same
+        return
+    extra = left[: len(left) - len(same)]
+    assert left[len(extra) :] == same
+    assert {step.load for step in extra} == {0}
+    kinds = ["payload", "move", "weigh"] if any(step.kind == "weigh" for step in plan) else []
+    assert [step.kind for step in extra] == (kinds or ["payload"])
+
+
 def test_the_first_load_is_confirmed_where_the_arm_stands_and_later_ones_at_home() -> None:
     plan = sweep(2, 2, weigh=False)
     dwells = [step.index for step in plan if step.kind == "dwell" and step.load == 0]

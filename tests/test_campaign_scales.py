@@ -61,19 +61,17 @@ def test_the_message_says_what_was_declared_and_weighed_joint_by_joint() -> None
     assert "--waive" in failed.value.hint
 
 
-def test_what_goes_wrong_while_the_arm_settles_does_not_count() -> None:
-    scales = Scales(plan())
+def test_a_load_is_compared_with_the_first_one_of_an_earlier_attempt() -> None:
+    scales, resumed = Scales(plan()), Scales(plan())
     scales.weigh()
-    restored = Scales(plan())
-    rows = {step.index: restored.rows(step) for step in restored.steps(0)}
-    restored.weighing.restore(rows.get)
-    restored.weigh(1)
-    assert restored.events == [scales.events[-1]]
+    resumed.weighing.restore(resumed.earlier())
+    resumed.weigh(1)
+    assert resumed.events == [scales.events[-1]]
 
 
-def test_a_first_load_that_is_not_in_the_recording_leaves_nothing_to_compare_with() -> None:
+def test_a_first_load_that_was_not_recorded_leaves_nothing_to_compare_with() -> None:
     scales = Scales(plan())
-    scales.weighing.restore(lambda index: None)
+    scales.weighing.restore(dict.fromkeys(scales.earlier(), "nothing was recorded"))
     with pytest.raises(PreflightFailed, match=r"the first load is missing: .*nothing was recorded"):
         scales.weigh(1)
 
@@ -130,8 +128,68 @@ def test_loads_that_cannot_be_weighed_are_not_and_that_is_said(
     assert event["result"] == "skipped"
     assert reason in event["reason"]
     scales.weigh()
-    scales.weighing.restore(lambda index: None)
+    scales.weighing.restore({0: "nothing was recorded"})
     assert scales.events == [event]
+
+
+def cylinder_left_on(load: Payload) -> Payload:
+    return load if load.mass else plan().loads[1].payload
+
+
+def test_a_first_load_that_is_weighed_again_is_compared_with_itself() -> None:
+    scales = Scales(plan())
+    scales.weighing.restore(scales.earlier())
+    scales.weigh()
+    assert [event["result"] for event in scales.events] == ["passed", "passed"]
+    assert scales.events[0]["declared_kg"] == 0.0
+    assert scales.events[0]["weighed_kg"] == pytest.approx(0.0, abs=1e-3)
+    # The nearest other load is the one that may have been left on.
+    assert scales.events[0]["differs_kg"] == 3.0
+
+
+def test_a_load_left_on_where_the_first_one_is_weighed_again_is_found() -> None:
+    scales = Scales(plan(), cylinder_left_on)
+    scales.weighing.restore(Scales(plan()).earlier())
+    with pytest.raises(PreflightFailed) as failed:
+        scales.weigh(0)
+    told = failed.value.message
+    assert told.startswith("weighing: load 0: 0.00 kg declared, 3.0")
+    assert "against the 0.00 kg of load 0 in an earlier attempt (limit" in told
+    assert "mount load 0 as it was" in failed.value.hint
+    assert '--waive "weighing=REASON"' in failed.value.hint
+    assert scales.events[-1]["result"] == "failed"
+
+
+def test_a_load_left_on_where_the_first_one_is_weighed_again_can_be_waived() -> None:
+    scales = Scales(plan(), cylinder_left_on, waived=True)
+    scales.weighing.restore(Scales(plan()).earlier())
+    scales.weigh(0)
+    (event,) = scales.events
+    assert (event["load"], event["result"]) == (0, "waived")
+
+
+@pytest.mark.parametrize(("kg", "passes"), [(0.13, True), (0.3, False)])
+def test_the_first_load_weighed_again_has_the_limits_of_any_other(kg: float, passes: bool) -> None:
+    heavier = Scales(sweep(*bodies(1, 4)), lambda load: replace(load, mass=load.mass + kg))
+    heavier.weighing.restore(Scales(heavier.plan).earlier())
+    if passes:
+        heavier.weigh(0)
+        assert heavier.events[-1]["limit_kg"] == pytest.approx(0.15, abs=0.05)
+    else:
+        with pytest.raises(PreflightFailed, match=r"load 0: 1\.00 kg declared, 1\.30"):
+            heavier.weigh(0)
+
+
+def test_an_earlier_weighing_that_cannot_be_read_is_said_and_the_run_goes_on() -> None:
+    scales = Scales(plan(), cylinder_left_on)
+    readings = scales.earlier()
+    readings[min(readings)] = "the recording is torn"
+    scales.weighing.restore(readings)
+    scales.weigh(0)
+    (event,) = scales.events
+    assert event["result"] == "inconclusive"
+    assert event["problem"].startswith("load 0: its weighing in an earlier attempt cannot be read ")
+    assert "at weighing pose 1 from below, the recording is torn" in event["problem"]
 
 
 @pytest.mark.parametrize("mounted", [lambda load: load, lambda load: Payload()])

@@ -49,6 +49,13 @@ def test_a_load_that_was_weighed_again_is_shown_as_it_was_weighed_last(tmp_path:
     assert "1.10 ± 0.10 kg" not in text
 
 
+def test_a_first_load_that_could_not_be_weighed_at_first_is_told_no_more(tmp_path: Path) -> None:
+    failed = {"load": 0, "result": "failed", "problem": "load 0 could not be weighed: no effort"}
+    text = told(tmp_path, failed, FIRST, PASSED)
+    assert "could not be weighed" not in text
+    assert "3.07 ± 0.10 kg" in text
+
+
 def test_a_waived_weighing_is_a_warning(tmp_path: Path) -> None:
     text = told(tmp_path, FIRST, FAILED | {"result": "waived"})
     warning = text.split("Warning: ")[1]

@@ -10,6 +10,8 @@ import numpy as np
 from engine_parts import ListSink
 from plan_parts import spec_of, ur5
 
+from hil.campaign.scales import gains_of, reading_of
+from hil.campaign.weighed_before import Readings
 from hil.campaign.weighing import Weighing
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
@@ -108,6 +110,7 @@ class Scales:
     def __post_init__(self) -> None:
         plan = self.plan
         can = Capabilities(plan.joint_names, plan.rate_hz, self.effort_kind, tuple(self.gains))
+        self.can = can
         self.model = RobotModel.from_arm(plan.robot_model)
         self.weighing = Weighing(plan, UPRIGHT, can, Weigh(), event=self._event, waived=self.waived)
 
@@ -132,6 +135,11 @@ class Scales:
 
     def settled(self, step: Step) -> StructArray:
         return self.rows(step)[30:]
+
+    def earlier(self) -> Readings:
+        """What the first load weighed here, for the weighing of a later attempt."""
+        gains = gains_of(self.can)
+        return {s.index: reading_of(self.settled(s), gains, 0.002) for s in self.steps(0)}
 
     def weigh(self, *loads: int) -> None:
         for load in loads or range(len(self.plan.loads)):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from hil.campaign.experiment import Experiment
 from hil.campaign.sink import COUNTED, RunSink, counts_of
+from hil.campaign.weighed_before import Readings
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
 from hil.errors import HilError, RecordingError, exit_code_of
@@ -25,10 +26,12 @@ class Before:
     Attributes:
         counts: Of the robot record, see `Recorded.counts`.
         device_s: Device time of their samples [s].
+        first_load: What the first load weighed, see `weighed_before`.
     """
 
     counts: Mapping[str, int] = field(default_factory=lambda: NOTHING)
     device_s: float = 0.0
+    first_load: Readings = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,6 @@ from hil.campaign.robots import close_robot
 from hil.campaign.sink import RunSink
 from hil.campaign.weighing import CHECK as WEIGHING
 from hil.campaign.weighing import Weighing
-from hil.data.completeness import recorded_steps
 from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
@@ -135,8 +134,7 @@ def _weighing(attempt: Attempt, robot: Robot, sink: RunSink, attendance: Attenda
         event=sink.event,
         waived=WEIGHING in attendance.waivers,
     )
-    if attempt.number:
-        weighing.restore(recorded_steps(attempt.directory.recordings, "weigh", attempt.plan))
+    weighing.restore(attempt.before.first_load)
     return weighing
 
 

@@ -57,30 +57,37 @@ def legs_of(plan: Plan) -> list[Leg]:
     return [*legs, Leg(tuple(open_steps), closed=False)] if open_steps else legs
 
 
-def remaining_steps(plan: Plan, done: Collection[int], *, cold: bool) -> list[Step]:
+def remaining_steps(
+    plan: Plan, done: Collection[int], *, cold: bool, weigh_first: bool = False
+) -> list[Step]:
     """The steps of a plan that are still to be executed, in order.
 
     Args:
         plan: All there was to do.
         done: Measuring steps that are complete.
         cold: Whether the arm has to be warmed up again.
+        weigh_first: Whether the first load has to be weighed again even if nothing is left to
+            measure with it: the others are weighed against it.
 
     Returns:
         Nothing when everything is done.
     """
     legs = legs_of(plan)
+    needed = {step.load for step in plan if step.measures and step.index not in done}
+    if needed and weigh_first:
+        needed.add(0)
     warm_up = [step for step in plan if step.kind == "warmup"] if cold else []
     out: list[Step] = []
     for load in dict.fromkeys(step.load for step in plan):
+        if load not in needed:
+            continue
         own = [leg for leg in legs if leg.closed and leg.last.load == load]
         todo = [leg for leg in own if leg.last.measures and leg.last.index not in done]
-        if not todo:
-            continue
         before = [leg for leg in own if leg.last.kind in ("payload", "weigh")]
         out += [step for leg in before for step in leg.steps]
-        if warm_up and not any(step.kind == "warmup" for step in todo[0].steps):
+        if todo and not any(step.kind == "warmup" for step in todo[0].steps):
             out += warm_up
-        warm_up = []
+        warm_up = [] if todo else warm_up
         out += [step for leg in todo for step in leg.steps]
     return out
 

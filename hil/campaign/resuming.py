@@ -23,6 +23,7 @@ from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
 from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
+from hil.campaign.weighed_before import Readings, is_whole, weighed_before
 from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
 from hil.errors import DataError, PreflightFailed
@@ -104,9 +105,10 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         require_usable(experiment, robot)
         attendance.stage("planning the way back")
         cold = _is_cold(unfinished, robot)
-        todo = _confirmed(_todo(unfinished, robot, cold=cold), directory)
+        weighed = weighed_before(plan, directory.recordings, robot.capabilities)
+        todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
-        before = _before(directory, plan.rate_hz)
+        before = replace(_before(directory, plan.rate_hz), first_load=weighed)
         with attendance.signals.guard():
             lease.note_run(directory.path)
             number = directory.next_attempt()
@@ -120,14 +122,15 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             return execute(attempt, robot, attendance)
 
 
-def _todo(unfinished: Unfinished, robot: Robot, *, cold: bool) -> Plan:
+def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
     """What is left, as a plan that begins where the robot stands."""
     plan, experiment = unfinished.plan, unfinished.experiment
     here = standing_at(robot.read()[-1])
     approach = Approach(
         experiment.spec, experiment.robot, rate_hz=robot.capabilities.rate_hz, here=here
     )
-    left = remaining_steps(plan, unfinished.complete.done, cold=cold)
+    again = bool(weighed) and not is_whole(weighed)
+    left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
     return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
 
 

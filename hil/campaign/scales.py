@@ -11,7 +11,7 @@ import numpy as np
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import Step
-from hil.robot import Status
+from hil.robot import Capabilities, Status
 from hil.typing import FloatArray, StructArray
 
 if TYPE_CHECKING:
@@ -51,6 +51,11 @@ class LoadReading:
     torque: FloatArray
     half_difference: FloatArray
     variance: FloatArray
+
+
+def gains_of(robot: Capabilities) -> FloatArray | float:
+    """What turns this robot's efforts into torques: (n,) drive gains [N·m/A], or 1."""
+    return np.array(robot.drive_gains) if robot.effort_kind == "current" else 1.0
 
 
 def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float) -> Reading:

@@ -7,19 +7,24 @@ loads would make of them, so that friction and what is not known of the arm canc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-
-from hil.campaign.scales import LoadReading, Reading, compare, load_reading, reading_of
+from hil.campaign.scales import (
+    LoadReading,
+    Reading,
+    compare,
+    gains_of,
+    load_reading,
+    reading_of,
+)
 from hil.campaign.weighing_verdict import Verdict, differs, friction_of
 from hil.errors import DataError, PreflightFailed
 from hil.plan.plan import Plan, Step
 from hil.plan.weighing import is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.spec.weigh import Weigh
-from hil.typing import FloatArray, StructArray
+from hil.typing import StructArray
 
 CHECK = "weighing"
 """Name of the check in preflight and of its waiver, and kind of its events."""
@@ -28,6 +33,12 @@ HINT = (
     "mount the load that is declared, the way round it is declared; correct `loads` in the spec; "
     f'or run all the same: --waive "{CHECK}=REASON"'
 )
+
+AGAIN_HINT = (
+    "mount load 0 as it was when it was measured, and resume again; if it was another load then, "
+    f'run the experiment anew; or go on all the same: --waive "{CHECK}=REASON"'
+)
+"""For a first load that is not what it was in an earlier attempt."""
 
 
 class Tell(Protocol):
@@ -63,10 +74,9 @@ class Weighing:
         self._tolerance = tolerance or Weigh()
         self._event = event
         self._waived = waived
-        self._gains: FloatArray | float = 1.0
-        if robot.effort_kind == "current":
-            self._gains = np.array(robot.drive_gains)
+        self._gains = gains_of(robot)
         self._readings: dict[int, Reading | str] = {}
+        self._before: LoadReading | str | None = None
         self._steps: dict[int, list[Step]] = {}
         for step in plan:
             if step.kind == "weigh":
@@ -92,16 +102,18 @@ class Weighing:
         if step.index == self._steps[step.load][-1].index:
             self._judge(step.load)
 
-    def restore(self, rows_of_step: Callable[[int], StructArray | None]) -> None:
-        """Take the first load's weighing from what was recorded, for a run that is resumed.
+    def restore(self, readings: Mapping[int, Reading | str]) -> None:
+        """Take the first load's weighing from earlier attempts, for a run that is resumed.
+
+        Other loads are compared with it, and so is the first load when it is weighed again.
 
         Args:
-            rows_of_step: The rows of a plan step, as far as there are any.
+            readings: Of `weighed_before`.
         """
-        for step in [] if self._not_weighed else self._steps[0]:
-            rows = rows_of_step(step.index)
-            if rows is not None:
-                self._read(step, rows[-self._plan.dwell_rule(step).samples :])
+        if self._not_weighed or not readings:
+            return
+        self._readings.update(readings)
+        self._before = self._together(0)
 
     def _read(self, step: Step, rows: StructArray) -> None:
         try:
@@ -117,14 +129,28 @@ class Weighing:
         if isinstance(first, str) or isinstance(this, str):
             problem = this if isinstance(this, str) else f"the first load is missing: {first}"
             self._refuse(load, f"load {load} could not be weighed: {problem}", {})
+        elif load:
+            self._compare(load, first, this)
+        elif isinstance(self._before, LoadReading):
+            self._compare(0, self._before, this)
+        else:
+            self._first(this)
+
+    def _first(self, this: LoadReading) -> None:
+        """The first load is taken on trust, and that is said if it should not have to be."""
+        if self._before is None:
+            self._event(CHECK, load=0, result="first", **friction_of(this))
             return
-        if load == 0:
-            self._event(CHECK, load=0, result="first", **friction_of(first))
-            return
+        problem = f"load 0: its weighing in an earlier attempt cannot be read ({self._before})"
+        problem += ", so nobody knows whether it is the load that was measured then"
+        self._event(CHECK, load=0, result="inconclusive", problem=problem, **friction_of(this))
+
+    def _compare(self, load: int, first: LoadReading, this: LoadReading) -> None:
+        """Judge what a load adds to the first one; to itself, that is nothing."""
         loads = self._plan.loads[0].payload, self._plan.loads[load].payload
         found = compare(self._model, self._steps[load], loads, (first, this))
         masses = [each.payload.mass for each in self._plan.loads]
-        verdict = Verdict(found, self._tolerance, differs(masses, load))
+        verdict = Verdict(found, self._tolerance, differs(masses, load), again=load == 0)
         if verdict.passed:
             self._pass(load, verdict)
             return
@@ -154,4 +180,5 @@ class Weighing:
         result = "waived" if self._waived else "failed"
         self._event(CHECK, load=load, result=result, problem=problem, **figures)
         if not self._waived:
-            raise PreflightFailed(f"{CHECK}: {problem}", hint=HINT)
+            compared = load == 0 and bool(figures)
+            raise PreflightFailed(f"{CHECK}: {problem}", hint=AGAIN_HINT if compared else HINT)

@@ -31,11 +31,13 @@ class Verdict:
         found: The load as weighed.
         tolerance: Of the spec.
         differs_kg: By how much the load differs from what may hang there instead, see `differs`.
+        again: Whether it is the first load itself, against what it weighed in an earlier attempt.
     """
 
     found: Comparison
     tolerance: Weigh
     differs_kg: float
+    again: bool = False
 
     @property
     def weighed_kg(self) -> float:
@@ -120,10 +122,11 @@ class Verdict:
     @property
     def _masses(self) -> str:
         found = self.found
+        earlier = " in an earlier attempt" if self.again else ""
         return (
             f"{found.declared.mass:.2f} kg declared, {self.weighed_kg:.2f} ± "
-            f"{self.deviation_kg:.2f} kg weighed against the {found.first_kg:.2f} kg of load 0 "
-            f"(limit ± {self.mass_limit_kg:.2f} kg)"
+            f"{self.deviation_kg:.2f} kg weighed against the {found.first_kg:.2f} kg of load 0"
+            f"{earlier} (limit ± {self.mass_limit_kg:.2f} kg)"
         )
 
     @property

@@ -8,7 +8,7 @@ trajectory when its rows reach its end and as good as none are missing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -90,23 +90,25 @@ def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
 
 
 def recorded_steps(
-    recordings: Iterable[Path], kind: str, plan: Plan
-) -> Callable[[int], StructArray | None]:
-    """Gives the rows of steps of one kind by their index: of the newest attempt that has any.
+    recordings: Iterable[Path], wanted: Collection[int]
+) -> Iterator[tuple[dict[int, StructArray], set[int]]]:
+    """Per attempt, in order: the rows of the steps wanted, and every step that has any rows.
 
     Args:
         recordings: `RunDirectory.recordings`.
-        kind: Of the steps wanted.
-        plan: Of the run.
+        wanted: Indices of steps.
 
     Raises:
         DataError: A recording is no MCAP file at all, or of a newer hil.
     """
-    wanted = {step.index for step in plan if step.kind == kind}
-    found: dict[int, StructArray] = {}
-    for _, files in groupby(recordings, attempt_of) if wanted else ():
-        found |= {index: rows for index, rows in _steps_in(files) if index in wanted}
-    return found.get
+    for _, files in groupby(recordings, attempt_of):
+        found: dict[int, StructArray] = {}
+        seen: set[int] = set()
+        for index, rows in _steps_in(files):
+            seen.add(index)
+            if index in wanted:
+                found[index] = rows.copy()  # a view would keep the whole recording in memory
+        yield found, seen
 
 
 def step_is_complete(step: Step, rows: StructArray, plan: Plan) -> bool:

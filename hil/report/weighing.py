@@ -19,7 +19,9 @@ def weighings(facts: RunFacts) -> dict[str, str]:
         result = event.get("result")
         if result == "skipped":
             told["loads"] = f"not weighed: {event.get('reason')}"
-        elif result != "first":
+        elif result == "first":
+            told.pop("load 0", None)
+        else:
             told.pop("loads", None)
             told[f"load {event.get('load')}"] = _words(event)
     return told
