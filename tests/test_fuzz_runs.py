@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fuzzing import ANYTHING, damaged, examples, quick_folder
 from hypothesis import given
@@ -275,3 +276,31 @@ def test_documents_of_absurd_depth_and_size_are_refused() -> None:
             assert api.list_runs(root)[0]["status"] == "damaged"
             with pytest.raises(DataError):
                 api.describe_run(run)
+
+
+def test_an_event_log_of_astronomic_length_is_no_crash() -> None:
+    document = json.loads(whole_run()["stop-01.json"]) | {"events_bytes": 2**63}
+    with quick_folder() as root:
+        assert_viewable(root, quick_run(root, {"stop-01.json": as_json(document)}))
+
+
+def test_a_part_with_another_record_is_refused_and_named() -> None:
+    name = "recording/01.mcap.partial"
+    other = whole_run()[name].replace(b"int32 segment\n", b"int32 segmunt\n")
+    assert other != whole_run()[name]
+    with quick_folder() as root:
+        run = quick_run(root, {name: other})
+        refusal = refusal_of(lambda: open_unfinished(run)) or ""
+        assert "01.mcap.partial: its /robot/state is not the base robot record" in refusal
+        assert_viewable(root, run)
+
+
+def test_a_part_of_an_arm_with_fewer_joints_is_refused_and_named() -> None:
+    with quick_folder() as root:
+        run = quick_run(root, {})
+        topic = state_topic(2, 125.0, clock="host", effort_unit="A")
+        with McapWriter(run / "recording" / "00.001.mcap", [topic], joint_names=["a", "b"]) as part:
+            part.write(topic.name, np.zeros(3, topic.dtype))
+        refusal = refusal_of(lambda: open_unfinished(run)) or ""
+        assert "00.001.mcap is of an arm with 2 joints, the part before it of one with 6" in refusal
+        assert_viewable(root, run)

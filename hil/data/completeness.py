@@ -19,8 +19,9 @@ from hil.errors import DataError
 from hil.plan.plan import DwellRule, Plan, Step
 from hil.record.parts import attempt_of
 from hil.record.reader import read_topic
+from hil.record.topic import STATE_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
-from hil.robot.state import Status
+from hil.robot.state import Status, n_joints_of, state_dtype
 from hil.typing import BoolArray, FloatArray, StructArray
 
 MISSING_AT_MOST = 0.05
@@ -158,7 +159,7 @@ def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
         if rows is None:
             continue
         if held is not None:
-            rows = np.concatenate((held, rows))
+            rows = _joined(held, rows, file)
         edges = np.flatnonzero(np.diff(rows["segment"])) + 1
         *whole, held = np.split(rows, edges)
         yield from ((int(piece["segment"][0]), piece) for piece in whole)
@@ -166,16 +167,44 @@ def _steps_in(files: Iterable[Path]) -> Iterator[tuple[int, StructArray]]:
         yield int(held["segment"][0]), held
 
 
+def _joined(before: StructArray, rows: StructArray, file: Path) -> StructArray:
+    if before.dtype == rows.dtype:
+        return np.concatenate((before, rows))
+    raise DataError(
+        f"{file} is of an arm with {n_joints_of(rows)} joints, the part before it of one with "
+        f"{n_joints_of(before)}",
+        hint="the files of two runs were mixed: take the run from a copy",
+    )
+
+
 def rows_of(file: Path) -> StructArray | None:
     """The base robot record of a run's recording; None for one that was torn before any.
 
     Raises:
-        DataError: A finished recording cannot be read, or is of a newer hil.
+        DataError: A finished recording cannot be read, or is of a newer hil; it holds another
+            record.
     """
     try:
-        return read_topic(file, salvage=True)
+        rows = read_topic(file, salvage=True)
     except DataError:
         # A part that was torn before its first whole chunk has no rows and is no reason to stop.
         if file.name.endswith(PARTIAL_SUFFIX):
             return None
         raise
+    return base_record(file, rows)
+
+
+def base_record(file: Path, rows: StructArray) -> StructArray:
+    """The rows, if they are the base robot record: another tool's topic may have the same name.
+
+    Raises:
+        DataError: They are not.
+    """
+    names = rows.dtype.names or ()
+    n = rows.dtype["q"].shape[0] if "q" in names and rows.dtype["q"].shape else 0
+    if rows.dtype == state_dtype(n):
+        return rows
+    raise DataError(
+        f"{file}: its {STATE_TOPIC} is not the base robot record",
+        hint="turn recordings of other tools into ours: hil import FILE --map MAP.yaml -o OUT",
+    )

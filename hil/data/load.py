@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.data.completeness import dwell_is_over, rows_of
+from hil.data.completeness import base_record, dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.described import (
     dwell_rule_of,
@@ -37,9 +37,7 @@ from hil.record.files import read_json
 from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
-from hil.robot.state import state_dtype
 from hil.typing import StructArray
 
 WINDOW_PAYLOAD = "payload of window {}"
@@ -146,16 +144,7 @@ def _part(path: Path) -> StructArray | None:
 
 
 def _rows_of(path: Path, *, salvage: bool) -> StructArray:
-    """The base robot record of a file; another tool's topic may have the same name."""
-    rows = read_topic(path, salvage=salvage)
-    names = rows.dtype.names or ()
-    n = rows.dtype["q"].shape[0] if "q" in names and rows.dtype["q"].shape else 0
-    if rows.dtype != state_dtype(n):
-        raise DataError(
-            f"{path}: its {STATE_TOPIC} is not the base robot record",
-            hint="turn recordings of other tools into ours: hil import FILE --map MAP.yaml -o OUT",
-        )
-    return rows
+    return base_record(path, read_topic(path, salvage=salvage))
 
 
 def _unsettled(run: RunDirectory) -> set[int]:

@@ -70,7 +70,7 @@ def fsync_directory(directory: Path) -> None:
 def sha256_of(path: Path, length: int | None = None) -> str:
     """Hexadecimal SHA-256 of a file's content, or of its first `length` bytes."""
     with path.open("rb") as file:
-        if length is not None:
+        if length is not None and 0 <= length < os.fstat(file.fileno()).st_size:
             return hashlib.sha256(file.read(length)).hexdigest()
         return hashlib.file_digest(file, "sha256").hexdigest()
 
