@@ -1,6 +1,8 @@
 """RTDE's variables: names, wire types, since which software; and their values in one flat list.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of outputs and inputs.
+`tcp_offset` is not in it: Universal_Robots_Client_Library, pull request 110 (3.12.0 and 5.5.1).
+What came after the versions that are played here (`series.py`) is left out: it is not found.
 """
 
 from __future__ import annotations
@@ -96,9 +98,11 @@ _OUTPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None],
     ("joint_position_deviation_ratio", "DOUBLE", None, (5, 11)),
     ("collision_detection_ratio", "DOUBLE", None, (5, 15)),
     ("time_scale_source", "INT32", None, (5, 17)),
-    ("tcp_offset", "VECTOR6D", None, (5, 5)),
+    ("tcp_offset", "VECTOR6D", (3, 12), (5, 6)),
     ("output_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
     ("output_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers0_to_31", "UINT32", ALWAYS, ALWAYS),
+    ("input_bit_registers32_to_63", "UINT32", ALWAYS, ALWAYS),
 )
 _INPUTS: tuple[tuple[str, str, tuple[int, int] | None, tuple[int, int] | None], ...] = (
     ("speed_slider_mask", "UINT32", ALWAYS, ALWAYS),
@@ -160,28 +164,30 @@ class Values:
     def __init__(self, named: Iterable[tuple[str, str]]) -> None:
         self.variables: dict[str, Variable] = {}
         self.flat: list[Any] = []
+        self._places: dict[str, tuple[Any, int]] = {}
         for name, kind in named:
-            self.variables[name] = Variable(name, kind, len(self.flat))
-            letter, count = WIRE[kind]
-            self.flat += [0.0 if letter == "d" else 0] * count
+            at = self.variables[name] = Variable(name, kind, len(self.flat))
+            several = slice(at.offset, at.offset + at.count)
+            self._places[name] = (several if at.count > 1 else at.offset), at.count
+            self.flat += [0.0 if WIRE[kind][0] == "d" else 0] * at.count
 
     def __contains__(self, name: str) -> bool:
         return name in self.variables
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Set a number, or as many as the variable has."""
-        at = self.variables[name]
-        if at.count == 1:
-            self.flat[at.offset] = value
-        else:
-            self.flat[at.offset : at.offset + at.count] = value
+        """Set a number, or a list of as many as the variable has.
+
+        Raises:
+            ValueError: They are more or fewer, which would shift all that lies behind them.
+        """
+        at, count = self._places[name]
+        if count > 1 and len(value) != count:
+            raise ValueError(f"{name}: {len(value)} numbers instead of {count}")
+        self.flat[at] = value
 
     def __getitem__(self, name: str) -> Any:
         """A number, or a list of them."""
-        at = self.variables[name]
-        if at.count == 1:
-            return self.flat[at.offset]
-        return self.flat[at.offset : at.offset + at.count]
+        return self.flat[self._places[name][0]]
 
     def offer(self, name: str, value: Number | Sequence[Number]) -> None:
         """Set it, where this software has it."""

@@ -1,0 +1,208 @@
+"""One RTDE client: its recipes, whether it has started, and what it sends.
+
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". What the guide leaves open is in
+docs/reference/mock-ur-rtde.md.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import Counter
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.inputs_applied import Effect, effects_of
+from hil_mock_robot.ur.wire import (
+    LONGEST_NAMES,
+    Framer,
+    InputRecipe,
+    Kind,
+    Level,
+    OutputRecipe,
+    names_in,
+    package,
+    parsed_text,
+    text_message,
+)
+
+if TYPE_CHECKING:
+    from hil_mock_robot.ur.rtde import RtdeService
+
+PROTOCOLS = (1, 2)
+PROTOCOL_1_HZ = 125.0
+"""The only rate of protocol version 1."""
+
+MOST_RECIPES = 255
+OUTPUT_RECIPE = 1
+REFUSED = 0
+NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
+
+
+class RtdeSession:
+    """One client.
+
+    Args:
+        service: Which it is connected to.
+        link: The way to it.
+
+    Attributes:
+        protocol: Version of the protocol; 1 until it asks for another.
+        started: Whether it gets data.
+        dropped: Reason → how many of its packages were dropped for it.
+    """
+
+    def __init__(self, service: RtdeService, link: Link) -> None:
+        self._service, self._machine, self._link = service, service.machine, link
+        self._framer = Framer()
+        self.protocol = 1
+        self.started = False
+        self.dropped: Counter[str] = Counter()
+        self._output: OutputRecipe | None = None
+        self._every = 1
+        self._inputs: list[tuple[InputRecipe, tuple[Effect, ...]]] = []
+        self._answers: dict[int, Callable[[bytes], bytes | None]] = {
+            Kind.PROTOCOL_VERSION: self._agree,
+            Kind.CONTROLLER_VERSION: self._version,
+            Kind.TEXT: self._listen,
+            Kind.OUTPUTS: self._set_up_outputs,
+            Kind.INPUTS: self._set_up_inputs,
+            Kind.START: self._start,
+            Kind.PAUSE: self._pause,
+            Kind.DATA: self._take,
+        }
+
+    @property
+    def lossless(self) -> bool:
+        """Whoever has started gets every package; see `Session`."""
+        return self.started
+
+    def received(self, data: bytes) -> None:
+        """See `Session`."""
+        for kind, payload in self._framer.feed(data):
+            answer = self._answers.get(kind)
+            if answer is None:
+                self._drop(f"kind {kind} is unknown")
+                continue
+            reply = answer(payload)
+            if reply is not None:
+                self._link.send(package(Kind(kind), reply))
+            if self._link.closed:
+                return
+        if self._framer.lost:
+            self._drop("a package shorter than its header: the connection is of no use any more")
+            self._link.close()
+
+    def ticked(self) -> None:
+        """See `Session`."""
+        if self.started and self._output is not None and not self._machine.ticks % self._every:
+            self._link.send(self._output.pack(self._machine.outputs))
+
+    def hung_up(self) -> None:
+        """See `Session`; its inputs keep their values, but are free for others."""
+        self.started = False
+        self._service.owners.release(self)
+        if self in self._service.sessions:
+            self._service.sessions.remove(self)
+
+    def say(self, level: Level, source: str, text: str) -> bool:
+        """Tell this client something in words, if it has started.
+
+        Before that clients take the next package for the reply they wait for.
+        """
+        if self.started:
+            self._link.send(text_message(self.protocol, level, source, text))
+        return self.started
+
+    def _agree(self, payload: bytes) -> bytes | None:
+        if len(payload) != 2:
+            self._drop("a protocol version of the wrong length")
+            return None
+        (wanted,) = struct.unpack(">H", payload)
+        accepted = wanted in PROTOCOLS and not self.started
+        if accepted and wanted != self.protocol:
+            self.protocol, self._output = wanted, None
+        return bytes([accepted])
+
+    def _version(self, payload: bytes) -> bytes:
+        return struct.pack(">4I", *self._machine.series.version)
+
+    def _listen(self, payload: bytes) -> bytes | None:
+        told = parsed_text(self.protocol, payload)
+        if told is None:
+            self._drop("a text message that is none")
+            return None
+        level, source, text = told
+        self._machine.tell("client_message", source, text, int(level))
+        return None
+
+    def _set_up_outputs(self, payload: bytes) -> bytes | None:
+        frequency = PROTOCOL_1_HZ
+        if self.protocol > 1:
+            if len(payload) < 8:
+                self._drop("outputs without a frequency")
+                return None
+            (frequency,), payload = struct.unpack(">d", payload[:8]), payload[8:]
+        self.started, self._output = False, None
+        variables = self._machine.outputs.variables
+        names = names_in(payload) if len(payload) <= LONGEST_NAMES else []
+        types = [variables[name].type if name in variables else NOT_FOUND for name in names]
+        if not names or NOT_FOUND in types or not 0 < frequency < math.inf:
+            return self._recipe(REFUSED, types)
+        number = OUTPUT_RECIPE if self.protocol > 1 else None
+        self._output = OutputRecipe([variables[name] for name in names], number)
+        self._every = max(1, round(self._machine.series.rate_hz / frequency))
+        return self._recipe(OUTPUT_RECIPE, types)
+
+    def _recipe(self, number: int, types: list[str]) -> bytes:
+        """The reply to a set-up of outputs; version 1 knows no ids there."""
+        return (b"" if self.protocol == 1 else bytes([number])) + ",".join(types).encode()
+
+    def _set_up_inputs(self, payload: bytes) -> bytes:
+        variables, owners = self._machine.inputs.variables, self._service.owners
+        names = names_in(payload) if len(payload) <= LONGEST_NAMES else []
+        types = [
+            NOT_FOUND if name not in variables
+            else variables[name].type if owners.free(name, self)
+            else IN_USE
+            for name in names
+        ]  # fmt: skip
+        refused = not names or NOT_FOUND in types or len(self._inputs) == MOST_RECIPES
+        number = REFUSED
+        if not refused and owners.take(names, self):
+            recipe = InputRecipe([variables[name] for name in names])
+            self._inputs.append((recipe, effects_of(names)))
+            number = len(self._inputs)
+        return bytes([number]) + ",".join(types).encode()
+
+    def _start(self, payload: bytes) -> bytes:
+        self.started = self._output is not None
+        return bytes([self.started])
+
+    def _pause(self, payload: bytes) -> bytes:
+        self.started = False
+        return b"\x01"
+
+    def _take(self, payload: bytes) -> None:
+        number = payload[0] if payload else 0
+        if not 1 <= number <= len(self._inputs):
+            self._drop("inputs of a recipe that was not set up")
+            return
+        recipe, effects = self._inputs[number - 1]
+        values = recipe.unpack(payload[1:])
+        if values is None:
+            self._drop(f"inputs of recipe {number} of the wrong length")
+            return
+        for name, value in values:
+            self._machine.write(name, value)
+        for effect in effects:
+            effect(self._machine)
+
+    def _drop(self, why: str) -> None:
+        """Count what cannot be understood; each client is told each reason once."""
+        self.dropped[why] += 1
+        self._service.dropped[why] += 1
+        if self.dropped[why] == 1:
+            self._machine.tell("rtde_dropped", self._link.peer, why)
+            self.say(Level.WARNING, "RTDE", f"dropped: {why}")
