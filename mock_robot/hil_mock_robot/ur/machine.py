@@ -70,6 +70,7 @@ class Machine:
         watchdog: Set by the program that plays.
         speed_fraction: The speed slider, 0 to 1.
         listeners: Told every `Event`.
+        publishers: Called after every tick to fill outputs that need more than the joints.
     """
 
     def __init__(self, series: Series, body: Body, *, serial: str, powered: bool = True) -> None:
@@ -87,6 +88,7 @@ class Machine:
         self.watchdog: Watchdog | None = None
         self.speed_fraction = 1.0
         self.listeners: list[Callable[[Event], None]] = []
+        self.publishers: list[Callable[[Machine], None]] = []
         if powered:
             body.release()
         self.setpoint: Setpoint = body.setpoint
@@ -175,6 +177,19 @@ class Machine:
         self.halt()
         self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
         self.tell("emergency_stop")
+
+    def safeguard_stop(self) -> None:
+        """A light curtain is broken: everything pauses, and the servo holds the arm."""
+        self.modes.cause("safeguard stop")
+        self.pause()
+        self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=True)
+
+    def fault(self, code: int = 0) -> None:
+        """The safety system fails: the arm stops, then its power is cut."""
+        self.modes.fault(code)
+        self.halt()
+        self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
+        self.tell("fault", code=code)
 
     def fail(self, text: str, code: int = 0) -> None:
         """A runtime error of the program: it ends, and says why."""

@@ -1,72 +1,39 @@
-"""Power and safety of the controller, as RTDE numbers them."""
+"""Power and safety of the controller: which mode it is in."""
 
 from __future__ import annotations
 
-from enum import IntEnum
+from hil_mock_robot.ur.mode_codes import (
+    JOINT_BOOTING,
+    JOINT_FAULT,
+    JOINT_IDLE,
+    JOINT_POWER_OFF,
+    JOINT_RUNNING,
+    SAFE,
+    SAFETY_BITS,
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+)
+from hil_mock_robot.ur.transitions import TRANSITIONS, UNLOCK_AFTER_S, Path, Transition
 
-
-class RobotMode(IntEnum):
-    """RTDE `robot_mode`."""
-
-    NO_CONTROLLER = -1
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-    UPDATING_FIRMWARE = 8
-
-
-class SafetyMode(IntEnum):
-    """RTDE `safety_mode`."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
-
-
-class RuntimeState(IntEnum):
-    """RTDE `runtime_state`."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
-
-
-JOINT_RUNNING, JOINT_IDLE, JOINT_POWER_OFF, JOINT_BOOTING, JOINT_FAULT = 253, 255, 239, 247, 252
-"""RTDE `joint_mode`."""
-
-SAFETY_BITS = {
-    SafetyMode.NORMAL: 1 << 0,
-    SafetyMode.REDUCED: 1 << 1,
-    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
-    SafetyMode.RECOVERY: 1 << 3,
-    SafetyMode.SAFEGUARD_STOP: 1 << 4 | 1 << 10,
-    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
-    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
-    SafetyMode.VIOLATION: 1 << 8 | 1 << 10,
-    SafetyMode.FAULT: 1 << 9 | 1 << 10,
-}
-"""RTDE `safety_status_bits`."""
-
-SAFE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-POWERING_S, RELEASING_S, UNLOCK_AFTER_S = 1.0, 0.5, 5.0
+__all__ = [
+    "JOINT_BOOTING",
+    "JOINT_FAULT",
+    "JOINT_IDLE",
+    "JOINT_POWER_OFF",
+    "JOINT_RUNNING",
+    "SAFE",
+    "SAFETY_BITS",
+    "UNLOCK_AFTER_S",
+    "Modes",
+    "RobotMode",
+    "RuntimeState",
+    "SafetyMode",
+]
 
 
 class Modes:
-    """Which mode the controller is in, and what leads from one to the next.
+    """Which mode the controller is in.
 
     Args:
         tick_s: Device time of a tick.
@@ -85,8 +52,8 @@ class Modes:
         self.remote = True
         self.stop_code = 0
         self._left_s = 0.0
-        self._next: RobotMode | None = None
-        self._stopped_s = 0.0
+        self._ahead: Path = ()
+        self._lasted_s = 0.0
 
     @property
     def running(self) -> bool:
@@ -95,57 +62,76 @@ class Modes:
 
     def tick(self) -> None:
         """Let a tick of device time pass."""
-        if self.safety not in SAFE:
-            self._stopped_s += self._tick_s
-        if self._next is None:
-            return
-        self._left_s -= self._tick_s
-        if self._left_s <= 0:
-            self.robot, self._next = self._next, None
+        self._lasted_s += self._tick_s
+        if self._ahead:
+            self._left_s -= self._tick_s
+            if self._left_s <= 0:
+                self._walk(self._ahead)
+
+    def cause(self, what: str) -> bool:
+        """Let something happen; False when it leads nowhere from here.
+
+        Args:
+            what: A cause of `TRANSITIONS`.
+        """
+        row = self._row(what)
+        if row is None:
+            return False
+        if row.becomes is not None and row.becomes is not self.safety:
+            self.safety, self._lasted_s = row.becomes, 0.0
+            if row.becomes in SAFE:
+                self.stop_code = 0
+        if row.path:
+            self._walk(row.path)
+        return True
 
     def power_on(self) -> bool:
         """Switch the arm on; its brakes stay engaged. False when that is not possible now."""
-        if self.robot is not RobotMode.POWER_OFF or self.safety not in SAFE:
-            return False
-        self._become(RobotMode.BOOTING, RobotMode.IDLE, POWERING_S)
-        return True
+        return self.cause("power on")
 
     def release_brakes(self) -> bool:
-        """Let the servo hold the arm. False when that is not possible now."""
-        if self.robot is not RobotMode.IDLE or self.safety not in SAFE:
-            return False
-        self._become(RobotMode.IDLE, RobotMode.RUNNING, RELEASING_S)
-        return True
+        """Let the servo hold the arm, switched on first if need be. False when not now."""
+        return self.cause("release brakes")
 
     def power_off(self) -> None:
         """Switch the arm off."""
-        self._become(RobotMode.POWER_OFF, None, 0.0)
+        self.cause("power off")
 
     def protective_stop(self, code: int = 0) -> None:
         """Stop because something is wrong; `unlock` ends it."""
-        if self.safety in SAFE:
-            self._stop(SafetyMode.PROTECTIVE_STOP, code)
+        if self.cause("protective stop"):
+            self.stop_code = code
 
     def emergency_stop(self) -> None:
-        """The red button."""
-        if self.safety is not SafetyMode.ROBOT_EMERGENCY_STOP:
-            self._stop(SafetyMode.ROBOT_EMERGENCY_STOP, 0)
+        """The red button: the arm brakes, then its power is cut."""
+        self.cause("emergency stop")
 
     def release_emergency_stop(self) -> None:
         """The red button is turned out again; the arm is off then."""
-        if self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
-            self.safety = SafetyMode.NORMAL
-            self.power_off()
+        self.cause("release emergency stop")
 
     def unlock(self) -> bool:
         """End a protective stop. False before its cause was looked at for 5 s, as the real one."""
-        if self.safety is not SafetyMode.PROTECTIVE_STOP or self._stopped_s < UNLOCK_AFTER_S:
-            return False
-        self.safety, self.stop_code = SafetyMode.NORMAL, 0
-        return True
+        return self.cause("unlock")
 
-    def _stop(self, safety: SafetyMode, code: int) -> None:
-        self.safety, self.stop_code, self._stopped_s = safety, code, 0.0
+    def fault(self, code: int = 0) -> None:
+        """The safety system itself fails; `restart_safety` is the only way out."""
+        if self.cause("fault"):
+            self.stop_code = code
 
-    def _become(self, now: RobotMode, then: RobotMode | None, after_s: float) -> None:
-        self.robot, self._next, self._left_s = now, then, after_s
+    def restart_safety(self) -> bool:
+        """Boot the safety system again; the arm is off then. False under an emergency stop."""
+        return self.cause("restart safety")
+
+    def _row(self, what: str) -> Transition | None:
+        for row in TRANSITIONS:
+            applies = self.robot in row.robot and self.safety in row.safety
+            if row.cause == what and applies and self._lasted_s >= row.after_s:
+                return row
+        return None
+
+    def _walk(self, path: Path) -> None:
+        (mode, self._left_s), *ahead = path
+        if mode is not None:
+            self.robot = mode
+        self._ahead = tuple(ahead)
