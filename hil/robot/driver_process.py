@@ -125,20 +125,29 @@ class DriverProcess:
             raise raised
         return said, self._with_late(call, rows)
 
-    def stop(self) -> None:
+    def stop(self, within_s: float | None = None) -> None:
         """Stop the arm over the line of its own; nothing to do once the process was let go.
 
+        Args:
+            within_s: Who has another way to stop the arm waits only so long, and the process
+                goes on [s]; by default one that does not answer in a second is killed.
+
         Raises:
-            RobotTimeout: The driver does not answer; its process was killed.
+            RobotTimeout: The driver does not answer.
             RobotConnectionError: Its process has died.
             HilError: What the driver raised.
         """
         try:
-            answer = self._stops.ask(STOP_WITHIN_S)
+            answer = self._stops.ask(STOP_WITHIN_S if within_s is None else within_s)
         except (OSError, ValueError) as error:  # what a socket says that was just closed
             if not self._drop.alive:
                 return
-            raise self._died() from error
+            raise self._died(_TO_BE_SEEN_S if within_s is None else 0.0) from error
+        if answer is None and within_s is not None:
+            raise RobotTimeout(
+                f"{self._name}: the driver has not answered a stop within {within_s:g} s",
+                hint="stop the arm in another way",
+            )
         if answer is None:
             self._lost = True
             self._process.kill()
@@ -168,10 +177,10 @@ class DriverProcess:
         late, self._late = self._late, []
         return late + rows
 
-    def _died(self) -> RobotConnectionError:
+    def _died(self, wait_s: float = _TO_BE_SEEN_S) -> RobotConnectionError:
         self._lost = True
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_TO_BE_SEEN_S)
+            self._process.wait(wait_s)
         message = f"{self._name}: the driver's process {end_of(self._process.returncode)}"
         last = last_words(self.printed)
         return RobotConnectionError(
