@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import time
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -16,11 +17,19 @@ READ_BYTES = 65_536
 MOST_PENDING = 4_000_000
 """Bytes that wait for a client that does not read; the connection is closed beyond that."""
 
+MOST_SESSIONS = 200
+DEAF_S = 10.0
+"""Wall time a client that is sent everything may leave it unread; it is hung up on then."""
+
 LONGEST_WAIT_S = 0.5
 
 
 class Pacer(Protocol):
     """Says when the next tick is due."""
+
+    @property
+    def patient(self) -> bool:
+        """Whether time waits for clients that must not lose anything; the wall clock does not."""
 
     def wait_s(self) -> float | None:
         """Wall time until the next tick: 0 when it is due, None as long as nothing permits it."""
@@ -38,16 +47,24 @@ class TcpLink:
         self.socket, self.peer = connection, peer
         self.closed = False
         self._waiting = bytearray()
+        self._read_at = time.monotonic()
 
     @property
     def pending(self) -> int:
         """Bytes that wait for the client to read."""
         return len(self._waiting)
 
+    @property
+    def deaf_s(self) -> float:
+        """Wall time for which the client has taken nothing of what waits."""
+        return time.monotonic() - self._read_at if self._waiting else 0.0
+
     def send(self, data: bytes) -> None:
         """Send, or keep what the client does not take yet."""
         if self.closed:
             return
+        if not self._waiting:
+            self._read_at = time.monotonic()
         self._waiting += data
         self.flush()
         if len(self._waiting) > MOST_PENDING:
@@ -65,6 +82,7 @@ class TcpLink:
             self.close()
             return
         del self._waiting[:sent]
+        self._read_at = time.monotonic()
 
     def close(self) -> None:
         """Hang up."""
@@ -118,7 +136,7 @@ class Loop:
 
     def turn(self) -> None:
         """Serve what has come, and tick when that is due."""
-        held = any(s.lossless and link.pending for link, s in self.sessions.values())
+        held = self._held()
         wait = None if held else self._pacer.wait_s()
         self._serve(LONGEST_WAIT_S if wait is None else min(wait, LONGEST_WAIT_S))
         wait = self._pacer.wait_s()
@@ -129,7 +147,19 @@ class Loop:
         for _, session in list(self.sessions.values()):
             session.ticked()
 
+    def _held(self) -> bool:
+        """Whether time waits for a client; one that does not read at all is hung up on."""
+        held = False
+        for link, session in self.sessions.values():
+            if not session.lossless or not link.pending:
+                continue
+            if link.deaf_s > DEAF_S:
+                link.close()
+            held = True
+        return held and self._pacer.patient
+
     def _serve(self, wait_s: float) -> None:
+        self._forget_closed()
         waiting = [s for s, (link, _) in self.sessions.items() if link.pending]
         everybody = [*self._listening, *self.sessions, self._woken]
         readable, writable, _ = select.select(everybody, waiting, [], max(0.0, wait_s))
@@ -140,12 +170,14 @@ class Loop:
                 self._accept(each)
             elif each in self.sessions:
                 self._receive(each)
-        for each in [s for s, (link, _) in self.sessions.items() if link.closed]:
-            self._forget(each)
+        self._forget_closed()
 
     def _accept(self, listening: socket.socket) -> None:
         with contextlib.suppress(OSError):
             connection, (peer, *_) = listening.accept()
+            if len(self.sessions) >= MOST_SESSIONS:
+                connection.close()
+                return
             link = TcpLink(connection, peer)
             self.sessions[connection] = (link, self._listening[listening].accept(link))
 
@@ -162,9 +194,10 @@ class Loop:
         else:
             link.close()
 
-    def _forget(self, connection: socket.socket) -> None:
-        _, session = self.sessions.pop(connection)
-        session.hung_up()
+    def _forget_closed(self) -> None:
+        for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
+            _, session = self.sessions.pop(connection)
+            session.hung_up()
 
 
 def _listen(address: str, port: int) -> socket.socket:

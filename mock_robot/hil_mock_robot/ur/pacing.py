@@ -16,11 +16,13 @@ class RealTime:
         factor: Device seconds per second of wall time.
 
     Attributes:
+        patient: Accelerated time waits for clients; real time does not.
         slips: How often the machine could not keep up.
     """
 
     def __init__(self, tick_s: float, factor: float = 1.0) -> None:
         self._spacing_s = tick_s / factor
+        self.patient = factor > 1.0
         self._due = time.monotonic()
         self.slips = 0
 
@@ -40,6 +42,8 @@ class RealTime:
 class FreeRun:
     """As fast as it goes; clients that must not lose anything hold it up."""
 
+    patient = True
+
     def wait_s(self) -> float | None:
         """See `Pacer`."""
         return 0.0
@@ -54,6 +58,8 @@ class LockStep:
     Attributes:
         permitted: Ticks that may still be made.
     """
+
+    patient = True
 
     def __init__(self) -> None:
         self.permitted = 0

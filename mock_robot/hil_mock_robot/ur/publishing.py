@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil_mock_robot.ur.modes import (
+    JOINT_BOOTING,
     JOINT_FAULT,
     JOINT_IDLE,
     JOINT_POWER_OFF,
@@ -46,6 +47,7 @@ JOINT_MODES = {
     RobotMode.RUNNING: JOINT_RUNNING,
     RobotMode.IDLE: JOINT_IDLE,
     RobotMode.POWER_ON: JOINT_IDLE,
+    RobotMode.BOOTING: JOINT_BOOTING,
 }
 
 
