@@ -1,0 +1,1 @@
+"""Universal Robots over RTDE: motion through `ur-rtde`, samples by our own reader."""

@@ -1,0 +1,189 @@
+"""`ur-rtde`'s control interface with every answer looked at: `False` is an error, and says which.
+
+Its commands return `False` without a word when the program does not run, in a protective stop and
+on time-outs; its stops return nothing at all; vectors of a wrong length shift what the controller
+reads. None of that leaves this file.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from hil.errors import CommandRefused, PluginError, RobotConnectionError
+from hil.payload import Payload
+
+LIBRARY = "rtde_control"
+IN_USE_WAITS_S = (0.5, 1.0, 2.0)
+"""How long to wait before each further try while somebody else owns the inputs: a session that
+has crashed keeps them for a while [s]."""
+
+NO_COM_M = 1e-6
+"""In place of a centre of mass of zeros, which 5.x takes for "keep the one you have" [m]."""
+
+N = 6
+
+
+class Control:
+    """The robot program that obeys us, and the way to it. Not for two threads at once.
+
+    Its constructor holds the interpreter, for seconds when something is wrong and for ever when
+    the controller does not answer: only in a process that may be killed.
+
+    Args:
+        address: Of the controller.
+        frequency_hz: Of the controller's state.
+        series: Major and minor version of its software.
+        library: Module that offers `RTDEControlInterface`.
+
+    Raises:
+        PluginError: `ur-rtde` is not installed.
+        RobotConnectionError: Nobody is there, or somebody else owns the inputs.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        frequency_hz: float,
+        series: tuple[int, int],
+        *,
+        library: str = LIBRARY,
+    ) -> None:
+        self._series = series
+        self._period_s = 1.0 / frequency_hz
+        kind = _library(library)
+        # The force-torque input is one more register that somebody else might own.
+        flags = int(kind.FLAG_UPLOAD_SCRIPT) | int(kind.FLAG_NO_EXT_FT)
+        self._rtde = _opened(kind, address, frequency_hz, flags)
+
+    @property
+    def playing(self) -> bool:
+        """Whether the robot program runs, as this connection knows it."""
+        return bool(self._rtde.isProgramRunning())
+
+    @property
+    def operation(self) -> tuple[int, bool]:
+        """Number of the newest asynchronous operation, and whether it is running."""
+        status = self._rtde.getAsyncOperationProgressEx()
+        return int(status.operationId()), bool(status.isAsyncOperationRunning())
+
+    def arm_watchdog(self, least_hz: float) -> None:
+        """From now on the program stops when it is commanded less often than this."""
+        self._require(self._rtde.setWatchdog(least_hz), "setWatchdog")
+
+    def kick(self) -> None:
+        """Tell the watchdog that we are here; clears the command register."""
+        self._require(self._rtde.kickWatchdog(), "kickWatchdog")
+
+    def move_j(self, q: Sequence[float], speed: float, acceleration: float) -> None:
+        """Begin a move of the controller's own; comes back at once (a few ticks)."""
+        goal = _six(q)
+        self._require(self._rtde.moveJ(goal, speed, acceleration, True), "moveJ")
+
+    def servo_j(self, q: Sequence[float], lookahead_s: float, gain: float) -> None:
+        """Lead the arm to the next set-point."""
+        told = self._rtde.servoJ(_six(q), 0.0, 0.0, self._period_s, lookahead_s, gain)
+        self._require(told, "servoJ")
+
+    def servo_stop(self, deceleration: float) -> None:
+        """End leading; comes back when the arm has come to rest [m/s²]."""
+        self._require(self._rtde.servoStop(deceleration), "servoStop")
+
+    def stop_j(self, deceleration: float) -> None:
+        """End a move; comes back when the arm has come to rest [rad/s²].
+
+        It says nothing about how that went: whoever calls it has to look at the arm.
+        """
+        self._rtde.stopJ(deceleration)
+
+    def set_payload(self, payload: Payload) -> None:
+        """Declare a load; where the controller knows of inertias, with its inertia."""
+        com = list(payload.com)
+        if self._series >= (5, 10):
+            inertia = list(payload.inertia)
+            self._require(
+                self._rtde.setTargetPayload(payload.mass, com, inertia), "setTargetPayload"
+            )
+            return
+        if self._series[0] >= 5 and not any(com):
+            com[2] = NO_COM_M
+        self._require(self._rtde.setPayload(payload.mass, com), "setPayload")
+
+    def begin_again(self, watchdog_hz: float, within_s: float = 5.0) -> None:
+        """Upload the program once more after we have stopped it ourselves.
+
+        Raises:
+            CommandRefused: It does not run.
+        """
+        self._require(self._rtde.reuploadScript(), "reuploadScript")
+        until = time.monotonic() + within_s
+        while not self.playing:
+            if time.monotonic() > until:
+                self._require(False, "reuploadScript")
+            time.sleep(0.002)
+        self.arm_watchdog(watchdog_hz)
+
+    def end(self) -> None:
+        """End the program and let go of the inputs; takes half a second."""
+        if self.playing:
+            self._rtde.stopScript()
+        self._rtde.disconnect()
+
+    def _require(self, told: object, what: str) -> None:
+        if told is True:
+            return
+        runs = "its program runs" if self.playing else "its program does not run"
+        raise CommandRefused(
+            f"the controller has not accepted {what}: {runs}",
+            hint="look for a stop or a message at the teach pendant; connect again once it is gone",
+        )
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name).RTDEControlInterface
+    except ImportError as error:
+        raise PluginError(
+            f"the driver ur needs ur-rtde: {error}", hint='pip install "hil[ur]"'
+        ) from error
+
+
+def _opened(kind: Any, address: str, frequency_hz: float, flags: int) -> Any:
+    """The interface, tried again while a session that has gone still owns the inputs."""
+    for wait_s in (*IN_USE_WAITS_S, None):
+        try:
+            return kind(address, frequency_hz, flags)
+        except Exception as error:  # RuntimeError, and what its C++ throws
+            if "already in use" not in str(error):
+                raise _unreachable(address, str(error)) from error
+            if wait_s is None:
+                raise _owned(address, str(error)) from error
+            time.sleep(wait_s)
+    raise AssertionError
+
+
+def _owned(address: str, said: str) -> RobotConnectionError:
+    return RobotConnectionError(
+        f"{address}: somebody else owns the inputs that move the arm: {said}",
+        hint="end the other program that drives it; switch EtherNet/IP, PROFINET and MODBUS off "
+        "at the teach pendant; a session that has crashed lets go after a while",
+    )
+
+
+def _unreachable(address: str, said: str) -> RobotConnectionError:
+    hint = "is the address right, the arm switched on and, on an e-Series, in remote control?"
+    if "remote control" in said:
+        hint = "switch the arm to remote control at the teach pendant"
+    return RobotConnectionError(f"{address}: the controller cannot be commanded: {said}", hint=hint)
+
+
+def _six(q: Sequence[float]) -> list[float]:
+    numbers = [float(value) for value in q]
+    if len(numbers) != N:
+        raise CommandRefused(
+            f"a UR arm takes {N} joint angles, not {len(numbers)}",
+            hint="the plan is for another arm",
+        )
+    return numbers

@@ -1,0 +1,105 @@
+"""What is wrong with an arm, in the maker's words, and what to do about it.
+
+Source: Universal Robots, user manuals (safety modes, robot modes) and RTDE guide.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.errors import RobotFault
+from hil_drivers.ur.rows import HARMLESS, RUNNING
+
+SAFETY: dict[int, tuple[str, str]] = {
+    3: (
+        "a protective stop",
+        "find out what the arm has touched or what overloaded it; 5 s after the stop, unlock it at "
+        "the teach pendant, then resume",
+    ),
+    4: (
+        "recovery mode: a joint is outside its limits",
+        "move it back inside by freedrive at the teach pendant",
+    ),
+    5: ("a safeguard stop", "close the safeguard (gate, scanner), reset it, then resume"),
+    6: (
+        "an emergency stop of the system",
+        "remove the cause, release the button, switch the arm on at the teach pendant",
+    ),
+    7: (
+        "an emergency stop",
+        "remove the cause, release the button, switch the arm on and release its brakes",
+    ),
+    8: ("a violation of a safety limit", "restart the safety system at the teach pendant"),
+    9: ("a fault of the safety system", "restart the controller; see its log"),
+    10: ("the safety system asks for the joints' identities", "confirm them at the teach pendant"),
+    11: ("an undefined safety mode", "see the teach pendant"),
+    12: ("a safeguard stop in automatic mode", "close the safeguard and reset it, then resume"),
+    13: ("the three-position switch", "hold it in its middle position, or leave manual mode"),
+}
+"""`safety_mode` → what it is, what to do. 1 is normal, 2 reduced."""
+
+MODES: dict[int, tuple[str, str]] = {
+    -1: ("no controller", "restart the controller"),
+    0: ("disconnected", "switch the arm on at the teach pendant"),
+    1: ("waiting for the safety settings to be confirmed", "confirm them at the teach pendant"),
+    2: ("booting", "wait until it has started"),
+    3: ("switched off", "switch the arm on and release its brakes, at the teach pendant"),
+    4: ("switched on without servo", "release the brakes at the teach pendant"),
+    5: ("idle, its brakes are on", "release the brakes at the teach pendant"),
+    6: ("moved by hand", "end freedrive at the teach pendant"),
+    8: ("updating its firmware", "wait until it has started"),
+}
+"""`robot_mode` → what it is, what to do. 7 is running."""
+
+PLAYING = 2
+RUNTIME = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
+FULL_SPEED = 0.99
+
+
+def complaints(row: np.void) -> list[tuple[str, str]]:
+    """What keeps an arm from moving, by one raw RTDE row; each with what to do."""
+    said = []
+    safety, mode = _number(row, "safety_mode", 1), _number(row, "robot_mode", RUNNING)
+    if safety not in HARMLESS:
+        said.append(SAFETY.get(safety, (f"safety mode {safety}", "see the teach pendant")))
+    if mode != RUNNING:
+        what, remedy = MODES.get(mode, (f"in robot mode {mode}", "see the teach pendant"))
+        said.append((f"the arm is {what}", remedy))
+    return said
+
+
+def speed_complaint(row: np.void) -> list[tuple[str, str]]:
+    """A speed slider that is not at its end makes every motion another one than planned."""
+    share = float(row["target_speed_fraction"]) if _has(row, "target_speed_fraction") else 1.0
+    if share >= FULL_SPEED:
+        return []
+    return [(f"the speed slider is at {share:.0%}", "set it to 100 % at the teach pendant")]
+
+
+def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
+    """Why an arm that ought to obey does not, by one raw RTDE row; None while it does.
+
+    Args:
+        row: Of `Receiver.take`.
+        program: Whether our robot program ought to play.
+    """
+    at = f"at device time {float(row['timestamp']):.3f} s"
+    if said := complaints(row):
+        return RobotFault(
+            f"{'; '.join(what for what, _ in said)} {at}", hint="; ".join(do for _, do in said)
+        )
+    state = _number(row, "runtime_state", PLAYING)
+    if program and state != PLAYING:
+        return RobotFault(
+            f"the robot program is {RUNTIME.get(state, f'in state {state}')} {at}",
+            hint="was it stopped at the teach pendant, or replaced by another? connect again",
+        )
+    return None
+
+
+def _has(row: np.void, name: str) -> bool:
+    return name in (row.dtype.names or ())
+
+
+def _number(row: np.void, name: str, default: int) -> int:
+    return int(row[name]) if _has(row, name) else default

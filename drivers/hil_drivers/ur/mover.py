@@ -1,0 +1,395 @@
+"""The thread that owns the robot program: leads the arm, kicks the watchdog, stops it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from enum import Enum, auto
+from typing import Protocol
+
+import numpy as np
+
+from hil.errors import (
+    CommandRefused,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+)
+from hil.robot import Segment
+from hil.typing import FloatArray, StructArray
+from hil_drivers.ur.checks import MOST_ACCELERATION, MOST_SPEED
+from hil_drivers.ur.control import Control
+from hil_drivers.ur.direct_stop import stop_directly
+from hil_drivers.ur.feed import Feed
+from hil_drivers.ur.lag import LagWatch
+from hil_drivers.ur.options import Options
+
+PLAYING = 2
+"""RTDE `runtime_state` of a program that runs."""
+
+LOOK_S = 0.02
+OBEY_WITHIN_S = 0.03
+"""How soon a stop must have been handed to the controller; whoever asked has other ways [s]."""
+
+SILENT_S = 1.5
+"""Without a word for so long the session is over. After 2.5 s `ur-rtde` would connect again by
+itself, and upload its program, whatever the arm was doing [s]."""
+
+STILL_RAD_S, AT_GOAL_RAD, LED_TO_RAD = 1e-3, 5e-4, 0.01
+SETTLE_S, ENDING_S, RAMP_GRACE_S = 2.0, 0.2, 0.3
+KICKS_PER_PERIOD = 4.0
+
+
+class Ticks(Protocol):
+    """Where the controller's samples come from: RTDE rows with the names of RTDE's variables."""
+
+    def take(self, timeout_s: float) -> StructArray:
+        """All rows since the last call, at least one; raises `RobotTimeout`."""
+
+
+class Phase(Enum):
+    """What the arm is doing for us."""
+
+    IDLE = auto()
+    STARTING = auto()
+    MOVE = auto()
+    """The controller executes a move of its own."""
+    LED = auto()
+    """It is given a set-point per tick."""
+    SETTLING = auto()
+    """The last set-point was given; it is still on its way there."""
+    BRAKING = auto()
+
+
+class Mover(threading.Thread):
+    """Moves one arm by one robot program.
+
+    Args:
+        control: The program.
+        ticks: Rows of the controller's state, none left out.
+        options: Of the arm.
+        frequency_hz: Of rows and set-points.
+        leave: Ends this process when the connection is gone.
+
+    Attributes:
+        newest: The newest row.
+        phase: What the arm is doing.
+        begun: Device time at which the newest motion began [s].
+        failure: What ended it, told once.
+        alone: Nobody is there any more who could stop the arm if this thread does not.
+    """
+
+    def __init__(
+        self,
+        control: Control,
+        ticks: Ticks,
+        options: Options,
+        frequency_hz: float,
+        leave: Callable[[int], object] = os._exit,
+    ) -> None:
+        super().__init__(name="hil-ur-mover", daemon=True)
+        self._control, self._ticks, self._options = control, ticks, options
+        self._rate_hz, self._leave = frequency_hz, leave
+        self._using = threading.Lock()
+        self._halted, self._obeyed = threading.Event(), threading.Event()
+        self._ending = threading.Event()
+        self._begin_again = False
+        self._kicked = -np.inf
+        self._until = np.inf
+        self._goal: FloatArray = np.zeros(6)
+        self._before = 0
+        self._feed: Feed | None = None
+        self._lag = LagWatch(options.lag_s, options.lag_rad)
+        self.newest: np.void = ticks.take(1.0)[-1]
+        self._heard = time.monotonic()
+        self.phase = Phase.IDLE
+        self.begun = -np.inf
+        self.failure: HilError | None = None
+        self.alone = False
+
+    def run(self) -> None:
+        """Look at every row until the end."""
+        while not self._ending.is_set():
+            try:
+                rows = self._ticks.take(LOOK_S)
+            except RobotTimeout:
+                self._silent(time.monotonic() - self._heard)
+            except HilError as error:
+                self._lost(error.message)
+            else:
+                self.newest, self._heard = rows[-1], time.monotonic()
+                self._tick(rows[-1])
+
+    def clear(self) -> None:
+        """A new segment is about to be started: stops that came before are done with."""
+        self._halted.clear()
+        self._obeyed.clear()
+
+    def start_move(self, segment: Segment) -> None:
+        """Let the controller move to a segment's end, by its own plan.
+
+        Raises:
+            CommandRefused: It has not accepted that.
+        """
+        with self._starting():
+            self._goal = segment.q[-1]
+            self._before, _ = self._control.operation
+            self.begun = float(self.newest["timestamp"])
+            if self._off(self.newest) > AT_GOAL_RAD:
+                self._control.move_j(
+                    segment.q[-1].tolist(),
+                    min(segment.speed, MOST_SPEED),
+                    min(segment.acceleration, MOST_ACCELERATION),
+                )
+                self._until = np.inf
+                self.phase = Phase.MOVE
+            else:
+                self.phase = Phase.IDLE
+
+    def start_led(self, segment: Segment) -> None:
+        """Lead the arm along a segment's set-points, beginning with the next tick.
+
+        Raises:
+            CommandRefused: The arm is not where the segment begins.
+        """
+        with self._starting():
+            off = float(np.abs(segment.q[0] - self.newest["target_q"]).max())
+            if off > LED_TO_RAD:
+                raise CommandRefused(
+                    f"segment {segment.index} begins {off:.4f} rad from where the arm stands",
+                    hint="the arm was moved since the plan was made: plan again from here",
+                )
+            self._goal = segment.q[-1]
+            self.begun = float(self.newest["timestamp"])
+            self._feed = Feed(segment.q, self._rate_hz, self.begun)
+            self._lag = LagWatch(self._options.lag_s, self._options.lag_rad)
+            self.phase = Phase.LED
+
+    def use(self, what: Callable[[Control], object]) -> None:
+        """Do something with the program while the arm stands.
+
+        Raises:
+            CommandRefused: It moves.
+        """
+        if self.phase is not Phase.IDLE:
+            raise CommandRefused("the arm is moving", hint="wait until the motion is over")
+        with self._using:
+            self._ready()
+            what(self._control)
+
+    def stop(self) -> None:
+        """Bring the arm to rest; from any thread.
+
+        Raises:
+            RobotTimeout: The program could not be told in time; tell the controller directly.
+        """
+        self._halted.set()
+        if self.phase is Phase.IDLE or self._obeyed.wait(OBEY_WITHIN_S):
+            return
+        if self.alone:
+            self._stop_directly()
+            return
+        raise RobotTimeout("ur-rtde is busy and cannot stop the arm", hint="stop it directly")
+
+    def end(self) -> None:
+        """Bring the thread to its end."""
+        self._ending.set()
+        if self is not threading.current_thread():
+            self.join(1.0)
+
+    @contextlib.contextmanager
+    def _starting(self) -> Iterator[None]:
+        if self.phase is not Phase.IDLE:
+            raise CommandRefused("a segment is still running", hint="read until it is over")
+        if self._halted.is_set():
+            raise CommandRefused("stopped before it was started", hint="prepare it again")
+        self.phase = Phase.STARTING
+        try:
+            with self._using:
+                self._ready()
+                yield
+        except BaseException:
+            self.phase = Phase.IDLE
+            raise
+
+    def _ready(self) -> None:
+        """Upload the program again if it was us who ended it; nobody else's stop is undone."""
+        if self._begin_again:
+            self._control.begin_again(self._options.watchdog_hz)
+            self._begin_again = False
+
+    def _tick(self, row: np.void) -> None:
+        if not self._using.acquire(blocking=False):
+            return  # whoever has it is just commanding something, which is as good as a kick
+        try:
+            self._act(row)
+        except HilError as error:
+            self._fail(error)
+        finally:
+            self._using.release()
+
+    def _act(self, row: np.void) -> None:
+        if int(row["runtime_state"]) != PLAYING:
+            self._not_playing(row)
+        elif self._halted.is_set() and self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING):
+            self._brake(row)
+        elif self.phase is Phase.LED:
+            self._lead(row)
+        else:
+            self._kick(row)
+            if self.phase is Phase.MOVE:
+                self._watch_move(row)
+            elif self.phase is Phase.SETTLING:
+                self._settle(row)
+            elif self.phase is Phase.BRAKING:
+                self._watch_ramp(row)
+
+    def _not_playing(self, row: np.void) -> None:
+        if self.phase is Phase.BRAKING:
+            self._watch_ramp(row)
+        elif self.phase not in (Phase.IDLE, Phase.STARTING):
+            self._obeyed.set()
+            self.phase = Phase.IDLE
+            raise RobotFault(
+                f"the robot program ended at device time {float(row['timestamp']):.3f} s while the "
+                "arm was moving",
+                hint="look for a stop or a message at the teach pendant; `hil resume` goes on at "
+                "the last checkpoint",
+            )
+
+    def _kick(self, row: np.void) -> None:
+        if self._begin_again:
+            return  # that is not our program any more
+        now = float(row["timestamp"])
+        if now - self._kicked >= 1.0 / (KICKS_PER_PERIOD * self._options.watchdog_hz):
+            self._kicked = now
+            self._control.kick()
+
+    def _lead(self, row: np.void) -> None:
+        feed, now = self._feed, float(row["timestamp"])
+        if feed is None:
+            return
+        q = feed.due(now)
+        if feed.late_s > self._options.late_s:
+            raise RobotFault(
+                f"set-points were {feed.late_s:.3f} s late at device time {now:.3f} s, "
+                f"{self._options.late_s:g} s are allowed",
+                hint="give the computer less to do, or the arm's station a larger late_s",
+            )
+        self._lag.tell(now, q)
+        if self._lag.lost(row["target_q"]):
+            off = self._lag.off(row["target_q"])
+            raise RobotFault(
+                f"joint {int(off.argmax())} is led {off.max():.4f} rad beside the path at device "
+                f"time {now:.3f} s, {self._options.lag_rad:g} rad are allowed",
+                hint="is the speed slider at 100 %? else raise gain, or lag_s and lag_rad",
+            )
+        self._control.servo_j(q.tolist(), self._options.lookahead_s, self._options.gain)
+        if feed.over:
+            self.phase, self._until = Phase.SETTLING, now + SETTLE_S
+
+    def _settle(self, row: np.void) -> None:
+        off = self._off(row)
+        if (off < AT_GOAL_RAD and _still(row)) or float(row["timestamp"]) > self._until:
+            self._control.servo_stop(self._options.stop_m_s2)
+            self.phase = Phase.IDLE
+            if off > LED_TO_RAD:
+                raise self._elsewhere(off)
+
+    def _watch_move(self, row: np.void) -> None:
+        number, running = self._control.operation
+        if running or number == self._before or not _still(row):
+            self._until = np.inf
+            return
+        off, now = self._off(row), float(row["timestamp"])
+        if off < AT_GOAL_RAD:
+            self.phase = Phase.IDLE
+            return
+        # Operation and row come by two connections: the row may be from before the move.
+        self._until = min(self._until, now + ENDING_S)
+        if now > self._until:
+            self.phase = Phase.IDLE
+            raise self._elsewhere(off)
+
+    def _brake(self, row: np.void) -> None:
+        phase, self.phase = self.phase, Phase.BRAKING
+        speed = float(np.abs(row["target_qd"]).max())
+        ramp_s = speed / self._options.stop_rad_s2 + RAMP_GRACE_S
+        self._until = float(row["timestamp"]) + ramp_s
+        self._obeyed.set()
+        if phase is Phase.MOVE:
+            self._control.stop_j(self._options.stop_rad_s2)
+        else:
+            self._control.servo_stop(self._options.stop_m_s2)
+
+    def _watch_ramp(self, row: np.void) -> None:
+        if _still(row):
+            self.phase = Phase.IDLE
+        elif float(row["timestamp"]) > self._until:
+            self._until = np.inf
+            self._stop_directly()
+
+    def _stop_directly(self) -> None:
+        """By another program, which ends ours; the next segment uploads it again."""
+        self._begin_again = True
+        stop_directly(self._options.address, self._options.stop_rad_s2)
+
+    def _fail(self, error: HilError) -> None:
+        """Note why a motion ended, and end it."""
+        self.failure = self.failure or error
+        if self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING):
+            try:
+                self._brake(self.newest)
+            except HilError:
+                self._stop_directly()
+        elif self.phase is Phase.BRAKING:
+            self._stop_directly()
+
+    def _silent(self, for_s: float) -> None:
+        if for_s > SILENT_S:
+            self._lost(f"the controller has not said anything for {for_s:.1f} s")
+        moves = self.phase not in (Phase.IDLE, Phase.BRAKING)
+        if moves and (for_s > self._options.late_s or self._halted.is_set()):
+            # Not by ur-rtde: it waits for an answer, for minutes if need be.
+            self.phase = Phase.BRAKING
+            self._obeyed.set()
+            self._until = np.inf
+            self.failure = self.failure or StaleState(
+                f"the controller has not said anything for {for_s:.2f} s while the arm was moving",
+                hint="check the network between this computer and the controller",
+            )
+            self._stop_directly()
+
+    def _lost(self, why: str) -> None:
+        """Leave before `ur-rtde` connects again by itself."""
+        if self._ending.is_set():
+            return
+        if self.phase is not Phase.IDLE:
+            self._stop_directly()
+        self.failure = RobotConnectionError(why, hint="check the network, then connect again")
+        print(f"connection lost: {why}", file=sys.stderr, flush=True)  # noqa: T201
+        self._ending.set()
+        self._leave(LOST_EXIT)
+
+    def _off(self, row: np.void) -> float:
+        return float(np.abs(row["target_q"] - self._goal).max())
+
+    def _elsewhere(self, off: float) -> RobotFault:
+        return RobotFault(
+            f"the motion ended {off:.4f} rad from its goal",
+            hint="was it stopped at the teach pendant? connect again, and resume",
+        )
+
+
+LOST_EXIT = 3
+"""Exit code of a process that has lost its controller."""
+
+
+def _still(row: np.void) -> bool:
+    return bool(np.abs(row["target_qd"]).max() < STILL_RAD_S)
