@@ -1,0 +1,63 @@
+"""What ends a motion that cannot be, and the joint limits every set-point is held against."""
+
+from __future__ import annotations
+
+from hil.arms import ArmDescription
+from hil.errors import CommandRefused
+from hil.typing import FloatArray
+
+JOINT_LIMITS, SINGULARITY, SUDDEN_CHANGE = 150, 154, 204
+TEXTS = {
+    JOINT_LIMITS: "Position close to joint limits",
+    SINGULARITY: "Position in singularity",
+    SUDDEN_CHANGE: "Path sanity check: Sudden change in target position",
+}
+"""UR's error codes C… that motions lead to, and what they are called.
+
+Source: Universal Robots, "Service Manual", chapter on error codes.
+"""
+
+TOLERANCE_RAD = 1e-6
+
+
+class MotionImpossible(CommandRefused):
+    """A motion cannot begin or cannot go on; raised by `advance` alone.
+
+    Args:
+        text: What is wrong, as the pendant would say it.
+        code: UR's code of a protective stop, or 0 for a runtime error of the program.
+
+    Attributes:
+        text, code: The same.
+    """
+
+    def __init__(self, text: str, code: int = 0, *, hint: str = "") -> None:
+        named = f"C{code}: {TEXTS[code]}: {text}" if code else text
+        super().__init__(named, hint=hint or "command a motion that the arm can make")
+        self.text, self.code = named, code
+
+
+def require_within(arm: ArmDescription, q: FloatArray) -> None:
+    """Refuse a target (6,) [rad] beyond the joint limits.
+
+    Raises:
+        MotionImpossible: With code 150.
+    """
+    beyond = (q > arm.q_max + TOLERANCE_RAD) | (q < arm.q_min - TOLERANCE_RAD)
+    if beyond.any():
+        raise out_of(arm, int(beyond.argmax()))
+
+
+def out_of(arm: ArmDescription, joint: int) -> MotionImpossible:
+    """What is raised when a joint would leave its range."""
+    low, high = arm.q_min[joint], arm.q_max[joint]
+    return MotionImpossible(
+        f"joint {joint + 1} must stay between {low:.4f} and {high:.4f} rad", JOINT_LIMITS
+    )
+
+
+def leaving(arm: ArmDescription, q: FloatArray, qd: FloatArray) -> int | None:
+    """The joint that is beyond its range and goes on outwards, or None."""
+    beyond = (q > arm.q_max + TOLERANCE_RAD) & (qd > 0)
+    beyond |= (q < arm.q_min - TOLERANCE_RAD) & (qd < 0)
+    return int(beyond.argmax()) if beyond.any() else None
