@@ -135,6 +135,11 @@ class Body:
         """Let an external joint torque (6,) [N·m] act from now on; zeros end it."""
         self._simulation.disturbances.push[:] = torque
 
+    @property
+    def pushed(self) -> FloatArray:
+        """(6,) the external joint torque that acts [N·m]."""
+        return self._simulation.disturbances.push
+
     def heat(self, joint: int, celsius: float) -> None:
         """Set the temperature of one joint [°C]."""
         self._simulation.joints.states["celsius"][joint] = celsius

@@ -11,6 +11,7 @@ import numpy as np
 from hil.typing import FloatArray
 from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
+from hil_mock_robot.ur.limits import MotionImpossible
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.publishing import Publishing
 from hil_mock_robot.ur.series import Series
@@ -229,12 +230,24 @@ class Machine:
             return
         if self.runtime is RuntimeState.PAUSED and not isinstance(self.motion, StopJoints):
             self.motion = StopJoints(PROGRAM_STOP_RAD_S2, self.tick_s)
-        after = self.motion.advance(self.setpoint, self.speed_fraction)
+        try:
+            after = self.motion.advance(self.setpoint, self.speed_fraction)
+        except MotionImpossible as error:
+            after = self._break_off(error).advance(self.setpoint, self.speed_fraction)
         if after is None:
             self.motion = None
             self.setpoint = np.stack((self.setpoint[0], np.zeros(6), np.zeros(6)))
         else:
             self.setpoint = after
+
+    def _break_off(self, error: MotionImpossible) -> StopJoints:
+        """A motion cannot begin or go on: a protective stop, or a runtime error of its program."""
+        if error.code:
+            self.protective_stop(error.code)
+        else:
+            self.fail(error.text)
+        self.motion = StopJoints(PROTECTIVE_STOP_RAD_S2, self.tick_s)
+        return self.motion
 
     def _come_to_rest(self, deceleration: float, *, held: bool) -> None:
         if not held:
