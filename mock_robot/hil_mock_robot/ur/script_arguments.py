@@ -1,0 +1,33 @@
+"""Arguments of URScript functions, by place or by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+from hil.errors import CommandRefused
+
+Given: TypeAlias = Sequence[Any]
+Named: TypeAlias = Mapping[str, Any]
+
+
+def bound(
+    function: str,
+    given: Given,
+    named: Named,
+    needed: Sequence[str],
+    optional: Mapping[str, Any] | None = None,
+) -> list[Any]:
+    """The arguments in order, the needed ones first.
+
+    Raises:
+        CommandRefused: There is one too many, or one is missing.
+    """
+    defaults = dict(optional or {})
+    names = [*needed, *defaults]
+    found = {**defaults, **dict(zip(names, given, strict=False)), **named}
+    twice = [name for name in names[: len(given)] if name in named]
+    missing = [name for name in needed if name not in found]
+    if len(given) > len(names) or set(found) - set(names) or missing or twice:
+        raise CommandRefused(f"{function} takes ({', '.join(names)})")
+    return [found[name] for name in names]

@@ -1,0 +1,173 @@
+"""Values of expressions in robot programs; functions may take time, so this runs in ticks."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from hil.errors import CommandRefused
+from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.registers import Registers
+from hil_mock_robot.ur.script_functions import ACTIONS, ANSWERS
+from hil_mock_robot.ur.script_values import (
+    Pose,
+    Value,
+    combined,
+    compared,
+    constant,
+    element,
+    truth,
+)
+from hil_mock_robot.ur.servoing import ServoJ
+from hil_mock_robot.ur.threaded import IMPATIENT, Steps, Threaded
+
+if TYPE_CHECKING:
+    from hil_mock_robot.ur.script_parsing import Statement
+
+Evaluation = Generator[None, None, Value]
+TOO_DEEP = "expressions and functions are nested too deeply"
+STEPS_PER_TICK = 2000
+"""Statements and calls before a program has to wait for the next tick."""
+
+
+class Evaluator(Threaded):
+    """The expressions of a program, its variables and functions.
+
+    Args:
+        name: Of the program.
+        patient: Whether it may wait for ticks; a secondary program may not.
+
+    Attributes:
+        registers: Known from `begin` on.
+        servo: What a `servoj` before this one has left behind.
+    """
+
+    registers: Registers
+
+    def __init__(self, name: str, *, patient: bool = True) -> None:
+        super().__init__(name, patient=patient)
+        self.servo: ServoJ | None = None
+        self._functions: dict[str, Statement] = {}
+        self._scopes: list[dict[str, Value]] = [{}]
+        self._steps = 0
+
+    def begin(self, machine: Machine) -> None:
+        """See `Program`."""
+        self.registers = Registers(machine)
+        super().begin(machine)
+
+    def tick(self, machine: Machine) -> bool:
+        """See `Program`."""
+        self._steps = 0
+        try:
+            return super().tick(machine)
+        except RecursionError:
+            machine.fail(TOO_DEEP)
+            return False
+
+    def wait(self, ticks: int = 1) -> Steps:
+        """Let ticks pass.
+
+        Raises:
+            CommandRefused: It is a secondary program.
+        """
+        if not self.patient:
+            raise CommandRefused(IMPATIENT)
+        for _ in range(ticks):
+            yield
+
+    def _variable(self, name: str) -> Value:
+        for scope in (self._scopes[-1], self._scopes[0]):
+            if name in scope:
+                return scope[name]
+        raise CommandRefused(f"there is no variable {name!r}")
+
+    def _value(self, node: ast.expr) -> Evaluation:
+        match node:
+            case ast.Constant():
+                return constant(node.value)
+            case ast.Name():
+                return self._variable(node.id)
+            case ast.List() | ast.Tuple():
+                return (yield from self._values(node.elts))
+            case ast.Subscript():
+                return (yield from self._subscript(node))
+            case ast.BinOp():
+                left = yield from self._value(node.left)
+                right = yield from self._value(node.right)
+                return combined(type(node.op), left, right)
+            case ast.UnaryOp() | ast.BoolOp() | ast.Compare():
+                return (yield from self._logic(node))
+            case ast.Call():
+                return (yield from self._call(node))
+        raise CommandRefused(f"this is no URScript the mock knows: {type(node).__name__}")
+
+    def _values(self, nodes: Sequence[ast.expr]) -> Generator[None, None, list[Any]]:
+        values = []
+        for node in nodes:
+            values.append((yield from self._value(node)))
+        return values
+
+    def _subscript(self, node: ast.Subscript) -> Evaluation:
+        if isinstance(node.value, ast.Name) and node.value.id == "p":
+            inside = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+            return Pose((yield from self._values(inside)))
+        values = yield from self._value(node.value)
+        return element(values, (yield from self._value(node.slice)))
+
+    def _logic(self, node: ast.UnaryOp | ast.BoolOp | ast.Compare) -> Evaluation:
+        if isinstance(node, ast.UnaryOp):
+            value = yield from self._value(node.operand)
+            if isinstance(node.op, ast.Not):
+                return not truth(value)
+            return combined(ast.Sub if isinstance(node.op, ast.USub) else ast.Add, 0, value)
+        if isinstance(node, ast.Compare):
+            if len(node.ops) != 1:
+                raise CommandRefused("comparisons have two sides")
+            left = yield from self._value(node.left)
+            return compared(type(node.ops[0]), left, (yield from self._value(node.comparators[0])))
+        every = isinstance(node.op, ast.And)
+        for operand in node.values:
+            if truth((yield from self._value(operand))) is not every:
+                return not every
+        return every
+
+    def _call(self, node: ast.Call) -> Evaluation:
+        yield from self._count()
+        name = name_of(node)
+        given, named = yield from self._arguments(node)
+        if name in self._functions:
+            return (yield from self._own(self._functions[name], given, named))
+        if name in ANSWERS:
+            return ANSWERS[name](self, given, named)
+        if name not in ACTIONS:
+            raise CommandRefused(f"there is no function {name!r}, or the mock does not know it")
+        steps = ACTIONS[name](self, given, named)
+        if steps is not None:
+            yield from steps
+        return None
+
+    def _arguments(
+        self, node: ast.Call
+    ) -> Generator[None, None, tuple[list[Value], dict[str, Value]]]:
+        given = yield from self._values(node.args)
+        named = {}
+        for keyword in node.keywords:
+            named[keyword.arg or ""] = yield from self._value(keyword.value)
+        return given, named
+
+    def _own(self, function: Statement, given: list[Value], named: dict[str, Value]) -> Evaluation:
+        """A function of the program itself."""
+        raise NotImplementedError
+
+    def _count(self) -> Steps:
+        """A program that never waits must not hold up the controller."""
+        self._steps += 1
+        if self._steps > STEPS_PER_TICK:
+            yield from self.wait()
+
+
+def name_of(node: ast.Call) -> str:
+    """What is called; empty when that is no plain name."""
+    return node.func.id if isinstance(node.func, ast.Name) else ""

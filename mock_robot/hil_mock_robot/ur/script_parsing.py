@@ -1,0 +1,167 @@
+"""URScript text into blocks of lines; expressions are left to Python's parser, never to `eval`."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from hil.errors import CommandRefused
+
+LONGEST_LINE, DEEPEST, DEEPEST_EXPRESSION = 4000, 30, 60
+_OPENING = re.compile(r"(def|sec|thread|if|while)\b.*:$")
+_DEF = re.compile(r"(def|sec)\s+([A-Za-z_]\w*)\s*\(([^()]*)\)\s*:$")
+_ASSIGNMENT = re.compile(r"(?:global\s+|local\s+)?([A-Za-z_]\w*(?:\s*\[[^\]=]*\])?)\s*=(?!=)(.*)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """One statement.
+
+    Attributes:
+        line: Its number in the text, from 1.
+        kind: `call`, `assign`, `if`, `while`, `def`, `return`, `break`, `continue`, `halt`.
+        value: What is called, assigned or returned, or the condition.
+        target: What is assigned to, or what is defined.
+        parameters: Of what is defined.
+        body, orelse: Blocks inside.
+    """
+
+    line: int
+    kind: str
+    value: ast.expr | None = None
+    target: ast.expr | str | None = None
+    parameters: tuple[str, ...] = ()
+    body: tuple[Statement, ...] = ()
+    orelse: tuple[Statement, ...] = ()
+
+
+@dataclass(slots=True)
+class _Lines:
+    """Lines with something on them, one after the other."""
+
+    left: list[tuple[int, str]] = field(default_factory=list)
+
+    def peek(self) -> str:
+        return self.left[0][1] if self.left else ""
+
+    def take(self) -> tuple[int, str]:
+        return self.left.pop(0)
+
+
+def opens_block(line: str) -> bool:
+    """Whether an `end` belongs to this line, which is stripped of comments and space."""
+    return _OPENING.match(line) is not None
+
+
+def stripped(line: str) -> str:
+    """The line without space around it and without its comment."""
+    if "#" not in line:
+        return line.strip()
+    kept, quoted = [], False
+    for letter in line:
+        quoted ^= letter == '"'
+        if letter == "#" and not quoted:
+            break
+        kept.append(letter)
+    return "".join(kept).strip()
+
+
+def parse(text: str) -> tuple[Statement, ...]:
+    """All statements of a text.
+
+    Raises:
+        CommandRefused: It is no URScript that the mock knows; the message names the line.
+    """
+    numbered = ((i, stripped(line)) for i, line in enumerate(text.splitlines(), 1))
+    lines = _Lines([(i, line) for i, line in numbered if line])
+    block = tuple(_block(lines, 0))
+    if lines.left:
+        number, line = lines.take()
+        raise refused(number, f"syntax error at {line[:40]!r}")
+    return block
+
+
+def _block(lines: _Lines, depth: int) -> Iterator[Statement]:
+    if depth > DEEPEST:
+        raise refused(lines.take()[0] if lines.left else 0, "blocks are nested too deeply")
+    while lines.left and not re.match(r"(end|else\s*:|elif\b.*:)$", lines.peek()):
+        yield _statement(*lines.take(), lines, depth)
+
+
+def _statement(number: int, line: str, lines: _Lines, depth: int) -> Statement:
+    if defined := _DEF.match(line):
+        names = tuple(name.strip() for name in defined[3].split(",") if name.strip())
+        body = _closed(lines, depth, number)
+        return Statement(number, "def", None, defined[2], names, body)
+    if condition := re.match(r"(if|while)\b(.*):$", line):
+        return _conditional(number, condition[1], condition[2], lines, depth)
+    if line in ("break", "continue", "halt", "return"):
+        return Statement(number, line)
+    if returned := re.match(r"return\b(.*)$", line):
+        return Statement(number, "return", expression(number, returned[1]))
+    if assigned := _ASSIGNMENT.match(line):
+        target = expression(number, assigned[1])
+        return Statement(number, "assign", expression(number, assigned[2]), target)
+    return Statement(number, "call", expression(number, line))
+
+
+def _conditional(number: int, kind: str, test: str, lines: _Lines, depth: int) -> Statement:
+    value = expression(number, test)
+    body = tuple(_block(lines, depth + 1))
+    orelse: tuple[Statement, ...] = ()
+    if kind == "if" and (other := re.match(r"elif\b(.*):$", lines.peek())):
+        at, _ = lines.take()
+        return Statement(
+            number, "if", value, body=body,
+            orelse=(_conditional(at, "if", other[1], lines, depth + 1),),
+        )  # fmt: skip
+    if kind == "if" and re.match(r"else\s*:$", lines.peek()):
+        lines.take()
+        orelse = tuple(_block(lines, depth + 1))
+    _require_end(lines, number)
+    return Statement(number, kind, value, body=body, orelse=orelse)
+
+
+def _closed(lines: _Lines, depth: int, number: int) -> tuple[Statement, ...]:
+    body = tuple(_block(lines, depth + 1))
+    _require_end(lines, number)
+    return body
+
+
+def _require_end(lines: _Lines, number: int) -> None:
+    if lines.peek() != "end":
+        raise refused(number, "the block has no end")
+    lines.take()
+
+
+def expression(number: int, text: str) -> ast.expr:
+    """An expression of line `number`.
+
+    Raises:
+        CommandRefused: It is none.
+    """
+    if len(text) > LONGEST_LINE:
+        raise refused(number, "the line is too long")
+    try:
+        parsed = ast.parse(text.strip(), mode="eval").body
+        if _depth(parsed) > DEEPEST_EXPRESSION:
+            raise refused(number, "the expression is nested too deeply")
+        return parsed
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise refused(number, f"syntax error at {text.strip()[:40]!r}") from error
+
+
+def _depth(root: ast.expr) -> int:
+    level: list[ast.AST] = [root]
+    depth = 0
+    while level:
+        level = [child for node in level for child in ast.iter_child_nodes(node)]
+        depth += 1
+    return depth
+
+
+def refused(number: int, what: str) -> CommandRefused:
+    """The error that says where."""
+    return CommandRefused(f"line {number}: {what}")

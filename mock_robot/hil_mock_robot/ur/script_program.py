@@ -1,0 +1,158 @@
+"""Robot programs that people upload, run line by line: a small part of URScript.
+
+What it knows is listed in docs/reference/mock-ur-control.md; anything else ends the program with a
+runtime error that names the line.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Generator, Sequence
+
+from hil.errors import CommandRefused
+from hil_mock_robot.ur.motions import Leg
+from hil_mock_robot.ur.path import follow
+from hil_mock_robot.ur.script_evaluation import Evaluation, Evaluator, name_of
+from hil_mock_robot.ur.script_functions import ACTIONS
+from hil_mock_robot.ur.script_motions import MOVES, leg_of
+from hil_mock_robot.ur.script_parsing import Statement
+from hil_mock_robot.ur.script_values import (
+    Value,
+    element,
+    integer,
+    truth,
+)
+from hil_mock_robot.ur.threaded import Steps
+
+DEEPEST_CALL = 30
+
+
+class Left(Exception):
+    """A block is left: `break`, `continue`, `return`, `halt`."""
+
+    def __init__(self, kind: str, value: Value = None) -> None:
+        super().__init__(kind)
+        self.kind, self.value = kind, value
+
+
+class ScriptProgram(Evaluator):
+    """A program of someone else.
+
+    Args:
+        name: What its `def` calls it.
+        statements: Its body.
+        patient: Whether it may wait for ticks; a secondary program may not.
+    """
+
+    def __init__(self, name: str, statements: Sequence[Statement], *, patient: bool = True) -> None:
+        super().__init__(name, patient=patient)
+        self._statements = statements
+
+    def main(self) -> Steps:
+        """All statements, one after the other."""
+        try:
+            yield from self._block(self._statements)
+        except Left:
+            return
+
+    def _block(self, statements: Sequence[Statement]) -> Steps:
+        at = 0
+        while at < len(statements):
+            try:
+                legs = yield from self._blended(statements[at:])
+                if not legs:
+                    yield from self._statement(statements[at])
+                    at += 1
+                    continue
+                yield from follow(self, legs)
+                at += len(legs)
+            except CommandRefused as error:
+                raise _placed(error, statements[at].line) from error
+
+    def _blended(self, statements: Sequence[Statement]) -> Generator[None, None, list[Leg]]:
+        """Moves that follow each other without a stop."""
+        legs: list[Leg] = []
+        for statement in statements:
+            call = statement.value
+            if statement.kind != "call" or not isinstance(call, ast.Call):
+                break
+            if name_of(call) not in MOVES:
+                break
+            given, named = yield from self._arguments(call)
+            legs.append(leg_of(name_of(call), given, named))
+            if legs[-1].radius == 0:
+                break
+        return legs
+
+    def _statement(self, statement: Statement) -> Steps:
+        yield from self._count()
+        kind, value = statement.kind, statement.value
+        if kind in ("break", "continue", "halt"):
+            raise Left(kind)
+        if kind == "return":
+            raise Left(kind, None if value is None else (yield from self._value(value)))
+        if kind == "def":
+            self._functions[str(statement.target)] = statement
+        elif kind == "while":
+            yield from self._while(statement)
+        elif value is not None and kind == "if":
+            chosen = truth((yield from self._value(value)))
+            yield from self._block(statement.body if chosen else statement.orelse)
+        elif value is not None:
+            result = yield from self._value(value)
+            if kind == "assign":
+                yield from self._assign(statement.target, result)
+
+    def _while(self, statement: Statement) -> Steps:
+        assert statement.value is not None
+        while truth((yield from self._value(statement.value))):
+            try:
+                yield from self._block(statement.body)
+            except Left as left:
+                if left.kind == "break":
+                    return
+                if left.kind != "continue":
+                    raise
+            yield from self._count()
+
+    def _assign(self, target: object, value: Value) -> Steps:
+        if isinstance(target, ast.Subscript) and isinstance(target.value, ast.Name):
+            index = yield from self._value(target.slice)
+            if target.value.id == "digital_out":
+                ACTIONS["set_digital_out"](self, [index, value], {})
+                return
+            values = self._variable(target.value.id)
+            element(values, index)
+            assert isinstance(values, list)
+            values[integer(index, 0, len(values) - 1)] = value
+            return
+        if not isinstance(target, ast.Name):
+            raise CommandRefused("this cannot be assigned to")
+        copied = type(value)(value) if isinstance(value, list) else value
+        scope = self._scopes[0] if target.id in self._scopes[0] else self._scopes[-1]
+        scope[target.id] = copied
+
+    def _own(self, function: Statement, given: list[Value], named: dict[str, Value]) -> Evaluation:
+        names = function.parameters
+        if len(self._scopes) > DEEPEST_CALL:
+            raise CommandRefused("functions call each other too deeply")
+        bound = {**dict(zip(names, given, strict=False)), **named}
+        if len(given) > len(names) or set(bound) != set(names):
+            raise CommandRefused(f"{function.target} takes {len(names)} arguments")
+        self._scopes.append(bound)
+        try:
+            yield from self._block(function.body)
+        except Left as left:
+            if left.kind != "return":
+                raise
+            return left.value
+        finally:
+            self._scopes.pop()
+        return None
+
+
+def _placed(error: CommandRefused, line: int) -> CommandRefused:
+    """The same error with its line, unless it says it already."""
+    if error.message.startswith("line "):
+        return error
+    return CommandRefused(f"line {line}: {error.message}")

@@ -1,0 +1,129 @@
+"""What an uploaded text is: the control script of `ur-rtde`, or a program run line by line."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterable
+
+from hil.errors import CommandRefused
+from hil_mock_robot.ur.contracts import Program
+from hil_mock_robot.ur.control_script import ControlScript
+from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.motions import Leg
+from hil_mock_robot.ur.script_evaluation import TOO_DEEP
+from hil_mock_robot.ur.script_motions import MOVES, leg_of
+from hil_mock_robot.ur.script_parsing import Statement, expression, parse, refused, stripped
+from hil_mock_robot.ur.script_program import ScriptProgram
+from hil_mock_robot.ur.script_values import Pose, integer
+from hil_mock_robot.ur.threaded import Steps, Threaded
+
+CONTROL = re.compile(r"\s*def\s+rtde_control\s*\(\s*\)\s*:")
+OFFSET = re.compile(r"# int register offset\n\s*(\d{1,2})")
+PATH = "# inject move path"
+UNNAMED = "unnamed"
+MOST_LEGS = 100_000
+
+
+class Refused(Threaded):
+    """A program that cannot be run: it says so in its first tick.
+
+    Args:
+        name: What its `def` calls it.
+        error: Why.
+    """
+
+    def __init__(self, name: str, error: CommandRefused) -> None:
+        super().__init__(name)
+        self._error = error
+
+    def main(self) -> Steps:
+        """See `Threaded`."""
+        raise self._error
+        yield
+
+
+def program_of(text: str, machine: Machine) -> Program:
+    """The program that a text is.
+
+    Args:
+        text: A `def`, or a single statement, of URScript.
+        machine: Which is to run it.
+    """
+    name = _name(text)
+    try:
+        if CONTROL.match(text) and (offset := OFFSET.search(text)):
+            return ControlScript(int(offset[1]), _injected(text))
+        return ScriptProgram(name, _body(parse(text)))
+    except CommandRefused as error:
+        return Refused(name, error)
+
+
+def run_beside(text: str, machine: Machine) -> None:
+    """A secondary program: it runs at once, beside what plays, and may not wait or move."""
+    name = _name(text)
+    try:
+        ScriptProgram(name, _body(parse(text)), patient=False).run_at_once(machine)
+    except CommandRefused as error:
+        machine.tell("error", name, error.message)
+    except RecursionError:
+        machine.tell("error", name, TOO_DEEP)
+
+
+def _name(text: str) -> str:
+    found = re.match(r"\s*(?:def|sec)\s+([A-Za-z_]\w*)", text)
+    return found[1] if found else UNNAMED
+
+
+def _body(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
+    """What is done: the inside of the only `def`, or single statements."""
+    if len(statements) == 1 and statements[0].kind == "def":
+        return statements[0].body
+    return statements
+
+
+def _injected(text: str) -> tuple[tuple[tuple[int, ...], Leg], ...]:
+    """The path in a control script: moves, each with the progress that is told before it."""
+    lines = text.splitlines()
+    start = next((i for i, line in enumerate(lines) if line.strip() == PATH), len(lines))
+    path: list[tuple[tuple[int, ...], Leg]] = []
+    marks: list[int] = []
+    for number, (name, values, named) in _calls(lines, start + 1):
+        if name == "signal_async_progress" and len(values) == 1:
+            marks.append(integer(values[0], 0, MOST_LEGS))
+        elif name in MOVES:
+            path.append((tuple(marks), leg_of(name, values, named)))
+            marks = []
+        else:
+            raise refused(number, f"no move of a path: {name!r}")
+    return tuple(path)
+
+
+Call = tuple[str, list[object], dict[str, object]]
+
+
+def _calls(lines: list[str], start: int) -> Iterable[tuple[int, Call]]:
+    for number, line in enumerate(lines[start:], start + 1):
+        text = stripped(line)
+        if text == "end":
+            return
+        if text:
+            yield number, _call(number, text)
+
+
+def _call(number: int, text: str) -> Call:
+    call = expression(number, text)
+    if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
+        raise refused(number, f"no move of a path: {text[:40]!r}")
+    try:
+        named = {each.arg or "": _literal(each.value) for each in call.keywords}
+        return call.func.id, [_literal(each) for each in call.args], named
+    except (ValueError, TypeError) as error:
+        raise refused(number, f"only numbers are understood here: {text[:40]!r}") from error
+
+
+def _literal(node: ast.expr) -> object:
+    """A number, a list, or a pose."""
+    if isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name):
+        return Pose(ast.literal_eval(node.slice))
+    return ast.literal_eval(node)
