@@ -126,6 +126,7 @@ class Peer:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)  # or a waiting accept() would keep it open
         self._listener.close()
         assert self.errors == []
 

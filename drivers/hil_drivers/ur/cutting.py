@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ from hil_drivers.ur.rtde_wire import (
 
 BACK_IS_REBOOT_S = 1.0
 """A clock that goes back further than this was started anew [s]."""
+
+LONG_STEP = 1.5
+"""Ticks between two states; from here on states are missing."""
 
 NETWORK = "look at cable and switch; connect the robot directly"
 
@@ -125,6 +129,8 @@ class Cutter:
 
     def _in_order(self, packages: bytes) -> bytes:
         """Count by the time stamps; packages from where the clock is wrong are cut off."""
+        if len(packages) == self._layout.size:
+            return self._next(packages)
         times = np.append(self._newest, self._layout.times(packages))
         # The step to the very first one is NaN: neither a gap nor a step back.
         steps = np.diff(times)
@@ -135,15 +141,30 @@ class Cutter:
             steps, times = steps[:first], times[: first + 1]
         self._newest = float(times[-1])
         ticks = steps * self._frequency_hz
-        gaps = ticks[ticks > 1.5]
+        gaps = ticks[ticks > LONG_STEP]
         self.counts.packages += len(steps)
         self.counts.duplicates += int((steps == 0).sum())
         self.counts.missing += int(np.rint(gaps).sum()) - len(gaps)
         return packages[: len(steps) * self._layout.size]
 
+    def _next(self, package: bytes) -> bytes:
+        """The same for one package, as it is at a robot's own pace: numpy costs five times more."""
+        now = self._layout.time(package)
+        step = now - self._newest
+        if step < 0 or not math.isfinite(now):
+            self.problem = _went_back(self._newest, now)
+            return b""
+        self._newest = now
+        self.counts.packages += 1
+        if step == 0:
+            self.counts.duplicates += 1
+        elif step * self._frequency_hz > LONG_STEP:
+            self.counts.missing += round(step * self._frequency_hz) - 1
+        return package
+
 
 def _went_back(before: float, now: float) -> tuple[str, str]:
-    if not np.isfinite(now):
+    if not math.isfinite(now):
         return f"says that its clock is at {now} s", NETWORK
     if before - now > BACK_IS_REBOOT_S:
         return (

@@ -38,6 +38,7 @@ TYPES: Mapping[str, tuple[str, int]] = {
 }
 """Type as RTDE names it → numpy type of one value in a row, and how many of them."""
 
+_TIME = struct.Struct(">d")
 _SWAPPED = {8: (">u8", "<u8"), 4: (">u4", "<u4"), 1: ("|u1", "|u1")}
 
 
@@ -145,6 +146,10 @@ class Layout:
     def is_head(self, data: bytes, begin: int) -> bool:
         """Whether a data package of this recipe begins here."""
         return int.from_bytes(data[begin : begin + 4], "big") == self.head
+
+    def time(self, package: bytes) -> float:
+        """Timestamp of one whole data package [s]."""
+        return float(_TIME.unpack_from(package, DATA_HEAD.size)[0])
 
     def times(self, packages: bytes) -> np.ndarray[Any, np.dtype[np.float64]]:
         """(N,) timestamps of whole data packages [s]."""
