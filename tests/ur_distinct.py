@@ -1,0 +1,37 @@
+"""A mock controller whose outputs are all different, so that no mix-up can stay hidden.
+
+Each number is made of its place among all outputs and of the tick; text messages come in between.
+"""
+
+import signal
+
+from hil_mock_robot.ur.app import machine_of, pacer_of
+from hil_mock_robot.ur.loop import Loop
+from hil_mock_robot.ur.options import parser_of
+from hil_mock_robot.ur.rtde import RtdeService
+from hil_mock_robot.ur.series import series_of
+from hil_mock_robot.ur.variables import WIRE
+from hil_mock_robot.ur.wire import Level
+
+
+def distinct(machine):
+    out = machine.outputs
+    for each in out.variables.values():
+        letter, _ = WIRE[each.type]
+        for place in each.places if each.name != "timestamp" else ():
+            number = 7 * place + machine.ticks % 5
+            sign = -1 if number % 2 else 1
+            made = {"d": sign * (number + 0.25), "i": sign * number, "B": number % 256}
+            out.flat[place] = made.get(letter, number)
+    service.say(Level.INFO, "test", f"tick {machine.ticks}")
+
+
+given = parser_of().parse_args()
+series = series_of(given.model)
+machine = machine_of(given, series)
+service = RtdeService(machine)
+machine.publishers.append(distinct)
+loop = Loop(machine, [service], pacer_of(given.speed, series), given.address)
+signal.signal(signal.SIGTERM, lambda *_: loop.end())
+print("ready", flush=True)  # noqa: T201
+loop.run()
