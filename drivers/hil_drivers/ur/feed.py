@@ -9,6 +9,9 @@ from hil.typing import FloatArray
 CATCH_UP = 1.25
 """Set-points per tick at most: a late one is caught up with gently, not by a jump."""
 
+TINY = 1e-6
+"""Of a set-point: what time stamps lose by rounding."""
+
 
 class Feed:
     """The set-points of one segment, paced by the robot's own time stamps.
@@ -38,7 +41,7 @@ class Feed:
     @property
     def over(self) -> bool:
         """Whether the last set-point was commanded."""
-        return self.place >= len(self._q) - 1
+        return self.place >= len(self._q) - 1 - TINY
 
     def due(self, device_time: float) -> FloatArray:
         """(n,) what to command now that the robot says which time it is [rad]."""

@@ -1,0 +1,245 @@
+"""The UR driver's arithmetic: options, pacing, lag, which row belongs to which segment, checks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
+from hil.payload import Payload
+from hil.robot import Segment, Status, state_dtype
+from hil_drivers.ur.checks import require_executable, require_liftable
+from hil_drivers.ur.facts import capabilities_of, limits_of
+from hil_drivers.ur.faults import fault_of
+from hil_drivers.ur.feed import CATCH_UP, Feed
+from hil_drivers.ur.lag import LagWatch
+from hil_drivers.ur.options import options_of
+from hil_drivers.ur.robot import UrRobot
+from hil_drivers.ur.session import Told, require_ready
+from hil_drivers.ur.standing import Standing
+
+TICK_S = 0.008
+
+
+@pytest.mark.parametrize(
+    ("options", "model", "said"),
+    [
+        ({}, "ur5", "address"),
+        ({"address": "10.0.0.300"}, "ur5", "address is '10.0.0.300'"),
+        ({"address": "10.0.0.3", "adress": 1}, "ur5", "no option adress"),
+        ({"address": "10.0.0.3"}, "lab6", "moves no lab6"),
+        ({"address": "10.0.0.3", "gain": 50}, "ur5", "gain is 50"),
+        ({"address": "10.0.0.3", "gain": True}, "ur5", "gain is True"),
+        ({"address": "10.0.0.3", "lookahead_s": "0.1"}, "ur5", "lookahead_s is '0.1'"),
+        ({"address": "10.0.0.3", "moves": "movel"}, "ur5", "moves is 'movel'"),
+        ({"address": "10.0.0.3", "frequency_hz": 100}, "ur5", "frequency_hz is 100"),
+        ({"address": "10.0.0.3", "frequency_hz": 500}, "ur5", "frequency_hz is 500"),
+        ({"address": "10.0.0.3", "torque_source": "current-as-torque"}, "ur5", "torque_source"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_with_what_would_be_right(options, model, said):
+    with pytest.raises(SpecError, match=said) as caught:
+        UrRobot("arm", model, **options)
+    assert caught.value.hint
+
+
+def test_one_arm_has_one_resource_however_its_address_is_written():
+    written = [" UR5.Lab.Example ", "ur5.lab.example"]
+    assert {UrRobot("a", "ur5", address=w).resource for w in written} == {"ur://ur5.lab.example"}
+    assert UrRobot("a", "ur5", address="192.0.2.7").resource == "ur://192.0.2.7"
+
+
+def test_rates_follow_the_series_and_the_share_of_the_speed_narrows_the_limits():
+    options = options_of({"address": "192.0.2.7", "speed_share": 0.5}, "ur5")
+    assert capabilities_of("ur5", options).rate_hz == 125
+    assert capabilities_of("ur5e", options_of({"address": "a"}, "ur5e")).rate_hz == 500
+    assert limits_of("ur5", options).qd_max == pytest.approx(np.full(6, np.pi / 2))
+
+
+def test_torque_sources_say_what_effort_is():
+    for source, kind, gains in (("current", "current", 6), ("target-moment", "torque", 0)):
+        options = options_of({"address": "a", "torque_source": source}, "ur5")
+        can = capabilities_of("ur5", options)
+        assert (can.effort_kind, len(can.drive_gains)) == (kind, gains)
+
+
+def ramp(rows=100):
+    return np.outer(np.arange(rows, dtype=float), np.ones(6))
+
+
+def test_a_set_point_per_tick_of_the_robot():
+    feed = Feed(ramp(), 125.0, begun=10.0)
+    told = [feed.due(10.0 + TICK_S * k)[0] for k in range(1, 100)]
+    assert told == pytest.approx(range(1, 100))
+    assert feed.over
+
+
+def test_ticks_that_were_missed_are_caught_up_with_gently():
+    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed.due(TICK_S)
+    steps, last = [], 1.0
+    for k in range(12, 70):  # ten ticks missed
+        told = feed.due(TICK_S * k)[0]
+        steps.append(told - last)
+        last = told
+    assert max(steps) <= CATCH_UP + 1e-9
+    assert last == pytest.approx(69.0)
+    assert feed.late_s == pytest.approx(0.0)
+
+
+def test_late_set_points_say_how_late():
+    feed = Feed(ramp(), 125.0, begun=0.0)
+    feed.due(TICK_S * 51)
+    assert feed.late_s == pytest.approx((51 - CATCH_UP) * TICK_S)
+
+
+def test_a_clock_that_stands_still_commands_the_same_again():
+    feed = Feed(ramp(), 125.0, begun=0.0)
+    assert feed.due(TICK_S)[0] == feed.due(TICK_S)[0]
+
+
+def test_lag_within_the_window_is_no_lag_at_any_speed():
+    watch = LagWatch(lag_s=0.2, lag_rad=0.01)
+    for k in range(100):
+        watch.tell(k * TICK_S, np.full(6, 3.0 * k * TICK_S))
+        if k > 25:
+            assert not watch.lost(np.full(6, 3.0 * (k - 25) * TICK_S))
+    assert watch.lost(np.full(6, 3.0 * (99 - 30) * TICK_S))
+
+
+def test_lag_says_which_joint_is_beside_the_path():
+    watch = LagWatch(lag_s=0.2, lag_rad=0.01)
+    watch.tell(0.0, np.zeros(6))
+    off = watch.off(np.array([0, 0, 0.3, 0, 0, 0]))
+    assert (off.argmax(), off.max()) == (2, pytest.approx(0.3))
+
+
+def rows_at(*times):
+    rows = np.zeros(len(times), state_dtype(6))
+    rows["device_time"] = times
+    return rows
+
+
+def stamped(standing, *times):
+    rows = rows_at(*times)
+    standing.stamp(rows)
+    moving = (rows["status"] & Status.MOVING) != 0
+    assert ((rows["status"] & Status.HOLDING != 0) == ~moving).all()
+    return rows["segment"].tolist(), moving.tolist()
+
+
+def test_rows_belong_to_the_segment_that_was_on_when_they_were_measured():
+    standing = Standing()
+    assert stamped(standing, 1.0, 2.0) == ([-1, -1], [False, False])
+    standing.begin(7, 3.0, moves=True)
+    assert stamped(standing, 2.5, 3.0, 3.1, 4.0) == ([-1, -1, 7, 7], [False, False, True, True])
+    standing.end(5.0)
+    standing.begin(8, 5.5, moves=False)
+    assert stamped(standing, 4.5, 5.0, 5.1, 5.6) == ([7, 7, 7, 8], [True, True, False, False])
+
+
+def test_a_motion_nobody_saw_end_ends_where_the_next_one_begins():
+    standing = Standing()
+    standing.begin(1, 1.0, moves=True)
+    standing.begin(2, 2.0, moves=True)
+    assert stamped(standing, 1.5, 2.5) == ([1, 2], [True, True])
+
+
+LIMITS = limits_of("ur5", options_of({"address": "a"}, "ur5"))
+
+
+def segment(q, qd=0.0, kind="move", speed=0.5, acceleration=1.0):
+    q = np.array(q, dtype=float)
+    return Segment(1, kind, q, np.full_like(q, qd), np.zeros_like(q), speed, acceleration)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (segment([[0.0] * 5]), "5 joints"),
+        (segment([[0.0] * 5 + [np.nan]]), "numbers that are none"),
+        (segment([[0.0] * 5 + [6.3]]), "joint range"),
+        (segment([[0.1] * 6]), "begins 0.1000 rad from"),
+        (segment([[0.0] * 6], qd=0.5), "begin and end at rest"),
+        (segment([[0.0] * 6], qd=4.0), "joint 0 at 4.000 rad/s"),
+        (segment([[0.0] * 6], speed=3.5), "3.500 rad/s"),
+        (segment([[0.0] * 6], acceleration=50.0), "50.0 rad/s²"),
+    ],
+)
+def test_segments_that_cannot_be_are_refused_before_anything_moves(asked, said):
+    with pytest.raises(CommandRefused, match=said):
+        require_executable(asked, LIMITS, np.zeros(6))
+
+
+def test_a_load_that_is_too_heavy_is_refused():
+    require_liftable(Payload(5.0), LIMITS)
+    with pytest.raises(CommandRefused, match="too heavy"):
+        require_liftable(Payload(5.1), LIMITS)
+
+
+RAW = np.dtype(
+    [
+        ("timestamp", "<f8"),
+        ("safety_mode", "<i4"),
+        ("robot_mode", "<i4"),
+        ("runtime_state", "<u4"),
+        ("target_speed_fraction", "<f8"),
+    ]
+)
+
+
+def raw(safety=1, mode=7, runtime=2, share=1.0):
+    return np.array([(12.0, safety, mode, runtime, share)], RAW)[0]
+
+
+def test_an_arm_that_obeys_has_no_fault():
+    assert fault_of(raw(), program=True) is None
+    assert fault_of(raw(runtime=1), program=False) is None
+
+
+@pytest.mark.parametrize(
+    ("row", "said", "remedy"),
+    [
+        (raw(safety=3, runtime=4), "a protective stop at device time 12.000 s", "unlock it"),
+        (raw(safety=7, mode=3), "an emergency stop; the arm is switched off", "release the button"),
+        (raw(mode=5), "brakes are on", "release the brakes"),
+        (raw(runtime=1), "program is stopped", "connect again"),
+        (raw(safety=77), "safety mode 77", "teach pendant"),
+    ],
+)
+def test_faults_are_told_with_the_remedy(row, said, remedy):
+    fault = fault_of(row, program=True)
+    assert said in fault.message
+    assert remedy in fault.hint
+
+
+CB3, E = (3, 15, 8, 0), (5, 12, 2, 0)
+
+
+@pytest.mark.parametrize(
+    ("model", "told", "version", "row", "kind", "said"),
+    [
+        ("ur5e", Told(), CB3, raw(), RobotConnectionError, "CB3 controller"),
+        ("ur5", Told(model="UR10"), CB3, raw(), RobotConnectionError, "moves a UR10"),
+        ("ur5", Told(), (3, 9, 0, 0), raw(), RobotConnectionError, "does not tell the payload"),
+        ("ur5e", Told(), (10, 1, 0, 0), raw(), RobotConnectionError, "not supported"),
+        ("ur5e", Told(remote="false"), E, raw(), RobotFault, "local control"),
+        ("ur5", Told(), CB3, raw(share=0.5), RobotFault, "speed slider is at 50%"),
+        ("ur5", Told(), CB3, raw(safety=3), RobotFault, "protective stop"),
+    ],
+)
+def test_an_arm_that_may_not_be_moved_is_refused(model, told, version, row, kind, said):
+    with pytest.raises(kind, match=said) as caught:
+        require_ready("192.0.2.7", model, told, version, row)
+    assert caught.value.hint
+
+
+def test_all_reasons_are_told_at_once():
+    with pytest.raises(RobotFault) as caught:
+        require_ready("a", "ur5e", Told(remote="false"), E, raw(safety=3, share=0.1))
+    assert all(word in caught.value.message for word in ("protective", "slider", "local"))
+
+
+def test_an_arm_that_may_be_moved_is_not_refused():
+    require_ready("a", "ur5e", Told(model="UR5", remote="true"), E, raw())
+    require_ready("a", "ur5", Told(), CB3, raw(safety=2))
