@@ -11,17 +11,23 @@ from collections.abc import Sequence
 from hil.errors import HilError
 from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.journal import Journal
 from hil_mock_robot.ur.body import Body
+from hil_mock_robot.ur.faults import read_faults
 from hil_mock_robot.ur.loop import Loop, Pacer
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.options import factor_of, loopback_of, parser_of, pose_of
 from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime
+from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.series import Series, series_of
 from hil_mock_robot.ur.services import services_of
+from hil_mock_robot.ur.side import SideService
+from hil_mock_robot.ur.troubles import Troubles
+from hil_mock_robot.ur.witness import Witness
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until SIGINT or SIGTERM; returns the exit code."""
+    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code."""
     given = parser_of().parse_args(arguments)
     try:
         return _run(given)
@@ -36,14 +42,37 @@ def _run(given: argparse.Namespace) -> int:
     series = series_of(given.model)
     pacer = pacer_of(given.speed, series)
     machine = machine_of(given, series)
-    loop = Loop(machine, services_of(machine), pacer, address)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    loop = loop_of(given, machine, pacer, address)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: loop.end())
     version = ".".join(map(str, series.version[:3]))
     speed = given.speed if factor_of(given.speed) is None else f"×{factor_of(given.speed):g}"
     print(f"ready: {given.model}, software {version}, on {address}, {speed}", flush=True)  # noqa: T201
     loop.run()
     return 0
+
+
+def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: str) -> Loop:
+    """The controller on its ports, with what goes wrong and who writes it down.
+
+    Raises:
+        SpecError: The file of faults cannot be used.
+        RobotConnectionError: The journal cannot be written.
+        PluginError: A port is taken.
+    """
+    services = services_of(machine)
+    owners = next((each.owners for each in services if isinstance(each, RtdeService)), None)
+    faults = read_faults(given.faults) if given.faults else ()
+    machine.line.random.seed(given.seed)
+    troubles = Troubles(machine, faults, owners)
+    witness = None
+    if given.journal:
+        journal = Journal(str(given.journal), address)
+        journal.open()
+        witness = Witness(machine, journal)
+        troubles.listeners.append(witness.struck)
+    side = SideService(given.side_port, machine, troubles, pacer) if given.side_port else None
+    return Loop(machine, services, pacer, address, troubles=troubles, witness=witness, side=side)
 
 
 def machine_of(given: argparse.Namespace, series: Series) -> Machine:

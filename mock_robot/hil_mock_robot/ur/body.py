@@ -58,6 +58,7 @@ class Body:
         arm: What is published about it.
         braked: Whether the mechanical brakes hold it: nothing moves, no current flows.
         declared: The load the controller believes in.
+        deaf: Whether it goes on believing in that, whatever is declared.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Body:
         self.arm: ArmDescription = published(truth.arm)
         self.braked = True
         self.declared = Payload()
+        self.deaf = False
         self._mounted = mounted
         self._sensors = Sensors(truth)
         setting = Setting(rate_hz, substep_hz, gravity, temperature_c)
@@ -123,8 +125,15 @@ class Body:
 
     def declare(self, payload: Payload) -> None:
         """Believe in another load, and mount it unless something else is said to hang there."""
+        if self.deaf:
+            return
         self.declared = payload
         self._simulation.set_payloads(self.mounted, payload)
+
+    def forget(self) -> None:
+        """Believe in no load any more; what hangs at the flange stays there."""
+        hanging, self.declared = self.mounted, Payload()
+        self._simulation.set_payloads(hanging, self.declared)
 
     def mount(self, payload: Payload | None) -> None:
         """Hang something to the flange, whatever is declared; None for what is declared."""

@@ -52,11 +52,13 @@ class Link(Protocol):
 
     Attributes:
         peer: Address of the client.
-        closed: Whether there is no connection any more.
     """
 
     peer: str
-    closed: bool
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is no connection any more."""
 
     @property
     def pending(self) -> int:

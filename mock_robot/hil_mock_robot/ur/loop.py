@@ -5,18 +5,17 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-import time
 from collections.abc import Iterable
 from typing import Protocol
 
-from hil.errors import PluginError
 from hil_mock_robot.ur.contracts import Service, Session
 from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.side import SideService
+from hil_mock_robot.ur.sockets import TcpLink, listen
+from hil_mock_robot.ur.troubles import Troubles
+from hil_mock_robot.ur.witness import Witness
 
 READ_BYTES = 65_536
-MOST_PENDING = 4_000_000
-"""Bytes that wait for a client that does not read; the connection is closed beyond that."""
-
 MOST_SESSIONS = 200
 DEAF_S = 10.0
 """Wall time a client that is sent everything may leave it unread; it is hung up on then."""
@@ -38,59 +37,6 @@ class Pacer(Protocol):
         """A tick was made."""
 
 
-class TcpLink:
-    """A non-blocking socket with a buffer; implements `Link`."""
-
-    def __init__(self, connection: socket.socket, peer: str) -> None:
-        connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self.socket, self.peer = connection, peer
-        self.closed = False
-        self._waiting = bytearray()
-        self._read_at = time.monotonic()
-
-    @property
-    def pending(self) -> int:
-        """Bytes that wait for the client to read."""
-        return len(self._waiting)
-
-    @property
-    def deaf_s(self) -> float:
-        """Wall time for which the client has taken nothing of what waits."""
-        return time.monotonic() - self._read_at if self._waiting else 0.0
-
-    def send(self, data: bytes) -> None:
-        """Send, or keep what the client does not take yet."""
-        if self.closed:
-            return
-        if not self._waiting:
-            self._read_at = time.monotonic()
-        self._waiting += data
-        self.flush()
-        if len(self._waiting) > MOST_PENDING:
-            self.close()
-
-    def flush(self) -> None:
-        """Hand over what waits, as far as the client takes it."""
-        if not self._waiting or self.closed:
-            return
-        try:
-            sent = self.socket.send(self._waiting)
-        except BlockingIOError:
-            return
-        except OSError:
-            self.close()
-            return
-        del self._waiting[:sent]
-        self._read_at = time.monotonic()
-
-    def close(self) -> None:
-        """Hang up."""
-        if not self.closed:
-            self.closed = True
-            self.socket.close()
-
-
 class Loop:
     """Serves a machine's ports and lets its time pass.
 
@@ -99,21 +45,33 @@ class Loop:
         services: What listens.
         pacer: When ticks are due.
         address: Loopback address to listen on.
+        troubles: What is wrong, for those who want that.
+        witness: Writes down what happens.
+        side: Not part of the controller: it is served whatever is wrong.
 
     Raises:
         PluginError: A port is taken.
     """
 
     def __init__(
-        self, machine: Machine, services: Iterable[Service], pacer: Pacer, address: str
+        self,
+        machine: Machine,
+        services: Iterable[Service],
+        pacer: Pacer,
+        address: str,
+        *,
+        troubles: Troubles | None = None,
+        witness: Witness | None = None,
+        side: SideService | None = None,
     ) -> None:
-        self._machine, self._pacer = machine, pacer
+        self._machine, self._pacer, self._address = machine, pacer, address
+        self._services, self._side = list(services), side
+        self._troubles, self._witness = troubles or Troubles(machine), witness
         self._listening: dict[socket.socket, Service] = {}
         self.sessions: dict[socket.socket, tuple[TcpLink, Session]] = {}
-        self._ending = False
+        self._ending = self._dark = False
         self._woken, self._waker = socket.socketpair()
-        for service in services:
-            self._listening[_listen(address, service.port)] = service
+        self._open([*self._services, *([side] if side is not None else [])])
 
     def run(self) -> None:
         """Until `end`."""
@@ -133,6 +91,8 @@ class Loop:
         """Hang up on everybody."""
         for each in [*self._listening, *self.sessions, self._woken, self._waker]:
             each.close()
+        if self._witness is not None:
+            self._witness.close()
 
     def turn(self) -> None:
         """Serve what has come, and tick when that is due."""
@@ -140,12 +100,51 @@ class Loop:
         wait = None if held else self._pacer.wait_s()
         self._serve(LONGEST_WAIT_S if wait is None else min(wait, LONGEST_WAIT_S))
         wait = self._pacer.wait_s()
-        if held or wait is None or wait > 0:
-            return
-        self._machine.tick()
+        if not held and wait is not None and wait <= 0:
+            self._tick()
+
+    def _tick(self) -> None:
+        self._troubles.tick()
+        self._suffer()
+        if not self._dark:
+            self._machine.tick()
         self._pacer.ticked()
         for _, session in list(self.sessions.values()):
             session.ticked()
+        if self._witness is not None:
+            self._witness.ticked()
+        if self._side is not None:
+            self._side.ticked()
+
+    def _suffer(self) -> None:
+        """Do to the ports what the troubles of this tick do to them."""
+        troubles = self._troubles
+        for link, _ in self.sessions.values():
+            link.blocked = self._unheard(link.port)
+        if troubles.dark and not self._dark:
+            self._shut()
+        elif self._dark and not troubles.dark:
+            self._open(self._services)
+        self._dark = troubles.dark
+
+    def _unheard(self, port: int) -> bool:
+        if self._side is not None and port == self._side.port:
+            return False
+        return self._troubles.unplugged or port in self._troubles.mute
+
+    def _open(self, services: Iterable[Service]) -> None:
+        for service in services:
+            self._listening[listen(self._address, service.port)] = service
+
+    def _shut(self) -> None:
+        """Close every port of the controller, and all connections to it."""
+        for each in [s for s, service in self._listening.items() if service is not self._side]:
+            del self._listening[each]
+            each.close()
+        for link, _ in self.sessions.values():
+            if self._side is None or link.port != self._side.port:
+                link.close()
+        self._forget_closed()
 
     def _held(self) -> bool:
         """Whether time waits for a client; one that does not read at all is hung up on."""
@@ -155,13 +154,15 @@ class Loop:
                 continue
             if link.deaf_s > DEAF_S:
                 link.close()
-            held = True
+            held = held or not link.blocked
         return held and self._pacer.patient
 
     def _serve(self, wait_s: float) -> None:
         self._forget_closed()
-        waiting = [s for s, (link, _) in self.sessions.items() if link.pending]
-        everybody = [*self._listening, *self.sessions, self._woken]
+        heard = [s for s, (link, _) in self.sessions.items() if not link.blocked]
+        ports = [s for s, service in self._listening.items() if not self._unheard(service.port)]
+        waiting = [s for s in heard if self.sessions[s][0].pending]
+        everybody = [*ports, *heard, self._woken]
         readable, writable, _ = select.select(everybody, waiting, [], max(0.0, wait_s))
         for each in writable:
             self.sessions[each][0].flush()
@@ -178,8 +179,11 @@ class Loop:
             if len(self.sessions) >= MOST_SESSIONS:
                 connection.close()
                 return
-            link = TcpLink(connection, peer)
-            self.sessions[connection] = (link, self._listening[listening].accept(link))
+            service = self._listening[listening]
+            link = TcpLink(connection, peer, service.port)
+            if self._witness is not None:
+                self._witness.connected(link)
+            self.sessions[connection] = (link, service.accept(link))
 
     def _receive(self, connection: socket.socket) -> None:
         link, session = self.sessions[connection]
@@ -190,27 +194,15 @@ class Loop:
         except OSError:
             data = b""
         if data:
+            if self._witness is not None:
+                self._witness.received(link, data)
             session.received(data)
         else:
             link.close()
 
     def _forget_closed(self) -> None:
         for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
-            _, session = self.sessions.pop(connection)
+            link, session = self.sessions.pop(connection)
             session.hung_up()
-
-
-def _listen(address: str, port: int) -> socket.socket:
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((address, port))
-    except OSError as error:
-        listening.close()
-        raise PluginError(
-            f"cannot listen on {address}:{port}: {error.strerror}",
-            hint="another mock or simulator runs there: use another address, --address 127.0.0.2",
-        ) from error
-    listening.listen()
-    listening.setblocking(False)
-    return listening
+            if self._witness is not None:
+                self._witness.disconnected(link)

@@ -11,7 +11,9 @@ import numpy as np
 from hil.typing import FloatArray
 from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
+from hil_mock_robot.ur.heat import HeatGuard
 from hil_mock_robot.ur.limits import MotionImpossible
+from hil_mock_robot.ur.line import Line
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.publishing import Publishing
 from hil_mock_robot.ur.series import Series
@@ -89,6 +91,9 @@ class Machine:
         self.watchdog: Watchdog | None = None
         self.speed_fraction = 1.0
         self.listeners: list[Callable[[Event], None]] = []
+        self.watches: dict[str, Callable[[Any], None]] = {}
+        self.line = Line(self.tick_s)
+        self._heat = HeatGuard()
         self.publishers: list[Callable[[Machine], None]] = []
         if powered:
             body.release()
@@ -115,6 +120,7 @@ class Machine:
         self.reading = self.body.step(self.setpoint)
         if self.reading.fault:
             self.protective_stop(self.reading.fault, held=False)
+        self._heat.look(self)
         self._publishing.publish(self)
 
     def write(self, name: str, value: Any) -> None:
@@ -122,6 +128,8 @@ class Machine:
         self.inputs[name] = value
         self.outputs.offer(name, value)
         self.written[name] = self.ticks
+        if name in self.watches:
+            self.watches[name](value)
 
     def move(self, motion: Motion | None) -> None:
         """Replace what moves the arm; None lets the set-point stand still where it is."""
@@ -191,6 +199,24 @@ class Machine:
         self.halt()
         self._come_to_rest(EMERGENCY_STOP_RAD_S2, held=True)
         self.tell("fault", code=code)
+
+    def cut_power(self) -> None:
+        """The controller goes dark: the mechanical brakes stop the arm at once."""
+        self.halt()
+        self._lock()
+
+    def boot(self, *, powered: bool) -> None:
+        """Start anew after `cut_power`: the clock at 0, nothing declared, nothing loaded."""
+        self.inputs, self.outputs = inputs_of(self.series), outputs_of(self.series)
+        remote = self.modes.remote
+        self.modes = Modes(self.tick_s, powered=powered)
+        self.modes.remote = remote
+        self.ticks, self.written, self.tcp = 0, {}, np.zeros(6)
+        self.speed_fraction = 1.0
+        self.body.forget()
+        self.setpoint = self.body.setpoint
+        self._publishing.publish(self)
+        self.tell("booted")
 
     def fail(self, text: str, code: int = 0) -> None:
         """A runtime error of the program: it ends, and says why."""

@@ -21,10 +21,15 @@ class RealTime:
     """
 
     def __init__(self, tick_s: float, factor: float = 1.0) -> None:
-        self._spacing_s = tick_s / factor
-        self.patient = factor > 1.0
+        self._tick_s = tick_s
         self._due = time.monotonic()
         self.slips = 0
+        self.change(factor)
+
+    def change(self, factor: float) -> None:
+        """Go on at another speed."""
+        self._spacing_s = self._tick_s / factor
+        self.patient = factor > 1.0
 
     def wait_s(self) -> float | None:
         """See `Pacer`."""

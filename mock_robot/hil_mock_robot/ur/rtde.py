@@ -33,7 +33,7 @@ class RtdeService:
 
     def accept(self, link: Link) -> RtdeSession:
         """See `Service`."""
-        session = RtdeSession(self, link)
+        session = RtdeSession(self, self.machine.line.over(link))
         self.sessions.append(session)
         return session
 

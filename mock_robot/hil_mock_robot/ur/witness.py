@@ -1,0 +1,165 @@
+"""The mock controller's journal: what came over the wire, what went wrong, when the arm rested.
+
+An independent witness of a run: it does not know what the client believes to have done.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Any
+
+import numpy as np
+
+from hil_mock_robot.journal import Journal, Moment
+from hil_mock_robot.rest import RestWatch
+from hil_mock_robot.ur.faults import Fault
+from hil_mock_robot.ur.machine import Event, Machine
+from hil_mock_robot.ur.sockets import TcpLink
+
+NAMES = {
+    1: "movej", 2: "movej_ik", 3: "movel", 4: "movel_fk", 6: "force_mode", 9: "speedj",
+    10: "speedl", 11: "servoj", 12: "servoc", 15: "speed_stop", 16: "servo_stop",
+    17: "set_payload", 24: "servol", 33: "stopl", 34: "stopj", 35: "set_watchdog",
+    41: "jog_start", 42: "jog_stop", 45: "move_path", 51: "move_until_contact",
+    65: "set_target_payload", 66: "direct_torque", 255: "stop_script",
+}  # fmt: skip
+"""Commands of the control script that the journal names; the others are numbers."""
+
+MOVES = frozenset({1, 2, 3, 4, 6, 9, 10, 11, 12, 24, 41, 45, 51, 66})
+STOPS = frozenset({15, 16, 33, 34, 42, 255})
+COMMAND_INPUTS = ("input_int_register_0", "input_int_register_24")
+DASHBOARD, SCRIPTS = 29999, (30001, 30002, 30003)
+DASHBOARD_STOPS = ("stop", "pause", "power off", "shutdown")
+END = re.compile(rb"^end\s*$", re.MULTILINE)
+MOVING = re.compile(rb"\b(?:move[jlpc]|servo[jlc]|speed[jl])\s*\(")
+STOPPING = re.compile(rb"\bstop[jl]\s*\(")
+NAMED = re.compile(rb"^\s*(?:def|sec)\s+(\w+)", re.MULTILINE)
+CONTROL = b"rtde_control"
+LONGEST_SCRIPT = 1_000_000
+TOLD = ("program_started", "program_stopped", "protective_stop", "emergency_stop", "watchdog",
+        "error", "refused", "fault", "booted")  # fmt: skip
+STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watchdog", "fault")
+
+
+class Witness:
+    """Writes the journal.
+
+    Args:
+        machine: What it looks at.
+        journal: Where it is written.
+    """
+
+    def __init__(self, machine: Machine, journal: Journal) -> None:
+        self._machine, self._journal = machine, journal
+        self._rest = RestWatch(journal)
+        self._command = 0
+        self._scripts: dict[TcpLink, bytes] = {}
+        self.sent = 0
+        machine.listeners.append(self.happened)
+        for name in COMMAND_INPUTS:
+            machine.watches[name] = self.commanded
+
+    def connected(self, link: TcpLink) -> None:
+        """A client is there."""
+        self._note("connect", port=link.port, peer=link.peer)
+
+    def disconnected(self, link: TcpLink) -> None:
+        """It is gone."""
+        self._scripts.pop(link, None)
+        self._note("disconnect", port=link.port, peer=link.peer)
+
+    def commanded(self, number: int) -> None:
+        """A client writes the command register; what it repeats is one line until it is stopped."""
+        self.sent += number in MOVES
+        if number == self._command:
+            return
+        self._command = number
+        if number == 0:
+            return
+        playing = self._machine.program is not None
+        name = NAMES.get(number, str(number))
+        if number in STOPS:
+            self._stopped(name, via="rtde", playing=playing)
+        elif number in MOVES:
+            self._started(name, via="rtde", playing=playing)
+        else:
+            self._note("command", by=name, via="rtde", playing=playing)
+
+    def received(self, link: TcpLink, data: bytes) -> None:
+        """Bytes came; what they mean is seen on the dashboard and the ports for scripts."""
+        if link.port == DASHBOARD:
+            for line in data.decode("utf-8", "replace").splitlines():
+                self._dashboard(line.strip().lower())
+        elif link.port in SCRIPTS:
+            text = (self._scripts.get(link, b"") + data)[-LONGEST_SCRIPT:]
+            whole = END.search(text) is not None or not NAMED.search(text)
+            self._scripts[link] = b"" if whole else text
+            if whole and text.strip():
+                self._script(text)
+
+    def happened(self, event: Event) -> None:
+        """The machine tells something."""
+        if event.kind not in TOLD:
+            return
+        details = {"name": event.name, "text": event.text, "code": event.code}
+        self._note(event.kind, **{key: value for key, value in details.items() if value})
+        if event.kind in STOPPING_EVENTS:
+            self._command = 0
+            self._rest.stopped(event.kind, self._moment())
+
+    def struck(self, fault: Fault, begins: bool) -> None:
+        """A fault on request begins or is over."""
+        self._note("fault" if begins else "fault_over", kind=fault.kind)
+
+    def ticked(self) -> None:
+        """A tick is over: is the arm at rest?"""
+        if self._rest.waiting:
+            machine = self._machine
+            speed = machine.reading.true_qd[None]
+            now = np.array([machine.now_s])
+            self._rest.see(now, speed, time.monotonic(), 0.0)
+
+    def close(self) -> None:
+        """The last line."""
+        self._rest.finish()
+        self._note("closed", set_points=self.sent)
+        self._journal.close()
+
+    def _dashboard(self, line: str) -> None:
+        if line in DASHBOARD_STOPS:
+            self._stopped(line, via="dashboard")
+        elif line:
+            self._note("dashboard", by=line)
+
+    def _script(self, text: bytes) -> None:
+        found = NAMED.search(text)
+        name = found[1].decode() if found else "line"
+        told: dict[str, Any] = {"via": "script", "bytes": len(text)}
+        if name.encode() == CONTROL:
+            self._note("program", by=name, **told)
+        elif MOVING.search(text):
+            self._started(name, **told)
+        elif STOPPING.search(text):
+            self._stopped(name, **told)
+        else:
+            self._note("program", by=name, **told)
+
+    def _started(self, by: str, **details: Any) -> None:
+        self._rest.moved()
+        self._note("start", by=by, **details)
+
+    def _stopped(self, by: str, **details: Any) -> None:
+        # What is streamed goes on in the register: the next set-point is a command again.
+        if details.get("via") != "rtde":
+            self._command = 0
+        self._note("stop", by=by, moving=self._machine.motion is not None, **details)
+        self._rest.stopped(by, self._moment())
+
+    def _note(self, event: str, **details: Any) -> None:
+        self._journal.note(event, self._moment(), **details)
+
+    def _moment(self) -> Moment:
+        machine = self._machine
+        fastest = float(np.abs(machine.reading.true_qd).max())
+        return Moment(time.monotonic(), machine.now_s, fastest)
