@@ -166,6 +166,8 @@ def test_a_view_that_grows_old_says_so() -> None:
          "step 12: dwell did not settle in 3.00 s"),
         ({"kind": "asked", "text": "Mount it"}, "asks: Mount it (answer: hil answer R yes)"),
         ({"kind": "prompt", "text": "Mount it", "answered_by": ""}, "answered by nobody"),
+        ({"kind": "prompt", "text": "Mount it", "answered_by": "anna", "answer": "no"},
+         "anna answered no"),
         ({"kind": "trip", "reason": "too hot"}, "tripped: too hot"),
         ({"kind": "control", "what": "stop", "who": "anna", "problem": "too late"},
          "anna asked to stop (not done: too late)"),

@@ -29,6 +29,8 @@ from hil.campaign.operator import (
     prompts_of,
     require_attended,
 )
+from hil.engine import Reply
+from hil.engine.prompt import NOBODY
 from hil.errors import PreflightFailed, SpecError, Stopped
 from hil.plan.plan import LoadStep, Step
 from hil.robot import Capabilities, Payload
@@ -67,18 +69,18 @@ def operator(*typed: str | None, there: bool = True) -> tuple[ConsoleOperator, F
 
 
 @pytest.mark.parametrize(
-    ("typed", "who"), [("yes", "anna"), ("Y", "anna"), ("no", ""), ("N", "")]
-)  # fmt: skip
-def test_yes_confirms_and_no_refuses(typed: str, who: str) -> None:
+    ("typed", "yes"), [("yes", True), ("Y", True), ("no", False), ("N", False)]
+)
+def test_yes_confirms_and_no_refuses_and_both_have_a_name(typed: str, yes: bool) -> None:
     asks, console = operator(None, typed)
-    assert asks(MOUNT, lambda: None) == who
+    assert asks(MOUNT, lambda: None) == Reply(yes, "anna")
     assert console.told[0] == "forgot"  # what was typed before the question is no answer to it
     assert MOUNT in console.told[1]
 
 
 def test_a_slip_of_the_fingers_is_asked_again() -> None:
     asks, console = operator("", "yess", "yes")
-    assert asks(MOUNT, lambda: None) == "anna"
+    assert asks(MOUNT, lambda: None) == Reply(True, "anna")
     assert console.told[2:] == ["Please type yes or no: "] * 2
 
 
@@ -95,13 +97,13 @@ def test_a_stop_ends_the_question() -> None:
 
 def test_without_a_console_nobody_answers_unless_others_can(tmp_path: Path) -> None:
     asks, _ = operator(there=False)
-    assert asks(MOUNT, lambda: None) == ""
+    assert asks(MOUNT, lambda: None) == NOBODY
     asks.listen(tmp_path)
-    assert answered_by_bert(asks, yes=True) == "bert"
+    assert answered_by_bert(asks, yes=True) == Reply(True, "bert")
 
 
-def answered_by_bert(asks: ConsoleOperator, *, yes: bool) -> str:
-    got: list[str] = []
+def answered_by_bert(asks: ConsoleOperator, *, yes: bool) -> Reply:
+    got: list[Reply] = []
     asking = threading.Thread(target=lambda: got.append(asks(MOUNT, lambda: None)))
     asking.start()
     until(lambda: asks.answer(yes, "bert", MOUNT) == "")
@@ -109,11 +111,11 @@ def answered_by_bert(asks: ConsoleOperator, *, yes: bool) -> str:
     return got[0]
 
 
-@pytest.mark.parametrize(("yes", "who"), [(True, "bert"), (False, "")])
-def test_others_may_answer_while_the_console_waits(yes: bool, who: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("yes", [True, False])
+def test_others_may_answer_while_the_console_waits(yes: bool, tmp_path: Path) -> None:
     asks, console = operator()
     asks.listen(tmp_path)
-    assert answered_by_bert(asks, yes=yes) == who
+    assert answered_by_bert(asks, yes=yes) == Reply(yes, "bert")
     assert f"hil answer {tmp_path} yes" in console.told[1]
     assert console.told[-1].startswith("bert answered")
 
@@ -128,8 +130,16 @@ def test_an_answer_to_another_question_is_not_taken(tmp_path: Path) -> None:
         if len(refusals) == 3:
             asks.answer(False, "bert", MOUNT)
 
-    assert asks(MOUNT, meanwhile) == ""
+    assert asks(MOUNT, meanwhile) == Reply(False, "bert")
     assert refusals[0] == f"the run asks something else now: {MOUNT!r}"
+
+
+def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> None:
+    asks, console = operator(None, None, None, "yes")
+    wishes = iter(["", "SIGINT: Enter goes on", "SIGINT: Enter goes on", ""])
+    assert asks(MOUNT, lambda: next(wishes)).yes
+    said = "pausing once the question is answered: SIGINT: Enter goes on\n"
+    assert console.told[2:] == [said, console.told[1]]
 
 
 def test_enter_ends_a_pause_but_not_one_pressed_before_it() -> None:
@@ -164,14 +174,17 @@ def test_written_answers_are_given_in_order(tmp_path: Path) -> None:
     scripted = answers(tmp_path, GOOD)
     scripted.require_match(ASKED)
     reads: list[int] = []
-    assert [scripted(text, lambda: reads.append(1)) for text in ASKED] == ["gripper", "script"]
+    assert [scripted(text, lambda: reads.append(1)) for text in ASKED] == [
+        Reply(True, "gripper"),
+        Reply(True, "script"),
+    ]
     assert len(reads) == 2
 
 
 def test_a_written_no_refuses_and_ends_the_asking(tmp_path: Path) -> None:
     scripted = answers(tmp_path, "[{prompt: Remove, answer: no, who: ci}]")
     scripted.require_match(ASKED)
-    assert scripted(ASKED[0], lambda: None) == ""
+    assert scripted(ASKED[0], lambda: None) == Reply(False, "ci")
 
 
 @pytest.mark.parametrize(
@@ -280,7 +293,7 @@ from hil.campaign.operator import ConsoleOperator
 time.sleep(0.3)
 who = ConsoleOperator()("Mount the 3 kg disc, with the label towards the base of the robot",
                         lambda: time.sleep(0.01))
-sys.stderr.write(f"[{who}]")
+sys.stderr.write(f"[{who.words}]")
 """
 
 
@@ -305,7 +318,7 @@ def test_on_a_narrow_terminal_the_question_is_wrapped_and_early_typing_is_no_ans
     assert max(len(line) for line in told.splitlines()) <= 40
     time.sleep(0.2)  # an answer given before the question would have been taken by now
     os.write(terminal, b"no\n")
-    assert "[]" in read_until(terminal, lambda told: "]" in told)
+    assert "[operator answered no]" in read_until(terminal, lambda told: "]" in told)
     os.waitpid(pid, 0)
     os.close(terminal)
 

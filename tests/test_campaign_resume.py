@@ -23,6 +23,7 @@ from hil.campaign import operator, resuming
 from hil.data import completeness
 from hil.data.completeness import completeness_of
 from hil.data.load import load_source
+from hil.engine import Reply
 from hil.engine.steps import Steps
 from hil.errors import DataError, PreflightFailed, RecordingError
 from hil.plan.plan import Plan
@@ -284,9 +285,9 @@ class Told:
             self.said.append(f"{payload.mass:g} kg")
             return set_payload(robot, payload)
 
-        def asked(text: str, meanwhile: Any) -> str:
+        def asked(text: str, meanwhile: Any) -> Reply:
             self.said.append(text)
-            return "Ada"
+            return Reply(yes=True, who="Ada")
 
         monkeypatch.setattr(MockRobot, "set_payload", declared)
         monkeypatch.setattr(operator, "mock_mounts", asked)

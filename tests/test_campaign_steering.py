@@ -76,6 +76,11 @@ def test_a_no_stops_the_run(tmp_path: Path) -> None:
         process.wait(5)
     assert RunDirectory.open(run).status == "stopped"
     assert [(event["who"], event["yes"]) for event in controls(run)] == [("bert", False)]
+    (prompt,) = [e for e in read_events(run / "events.jsonl") if e["kind"] == "prompt"]
+    assert (prompt["answered_by"], prompt["answer"]) == ("bert", "no")
+    stop = RunDirectory.open(run).stop
+    assert stop is not None
+    assert stop["reason"] == "bert answered no: 'Mount the 3 kg disc'"
 
 
 def test_the_verbs_speak_json_and_find_the_only_live_run(tmp_path: Path) -> None:

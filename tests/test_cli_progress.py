@@ -194,6 +194,22 @@ def test_a_pipe_is_told_what_is_asked(capsys: pytest.CaptureFixture[str]) -> Non
     assert piped(capsys, asked) == ["asking: Mount the 3 kg disc"]
 
 
+def test_a_no_is_told_with_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    no = {"kind": "prompt", "text": "Mount the disc", "answered_by": "anna", "answer": "no"}
+    assert piped(capsys, no) == ["anna answered no: Mount the disc"]
+
+
+def test_a_pause_during_a_question_comes_after_the_answer(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {"kind": "prompt", "text": "Mount it", "answered_by": ""}
+    wished = progress(10) | {"pausing": "asked by anna"}
+    told = piped(capsys, asked, wished)
+    assert told[1] == "pausing once the question is answered: asked by anna"
+    # On a terminal whoever asks says so, and asks again.
+    assert "pausing" not in on_terminal(monkeypatch, asked, wished).getvalue()
+
+
 @pytest.mark.parametrize("kind", ["stage", "state", "step", "progress", "prompt", "unheard of"])
 def test_events_that_lack_everything_do_no_harm(
     capsys: pytest.CaptureFixture[str], kind: str

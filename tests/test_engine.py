@@ -12,7 +12,7 @@ import pytest
 from engine_parts import ListSink, engine, small_plan
 from kinematic_robot import KinematicRobot
 
-from hil.engine import Observers, Outcome, RunState
+from hil.engine import Observers, Outcome, Reply, RunState
 from hil.engine.interlocks import Threshold, from_spec
 from hil.engine.states import IllegalTransition, StateMachine
 from hil.errors import (
@@ -174,19 +174,23 @@ def test_a_fault_while_reading_stops_the_robot_and_keeps_what_came_before() -> N
 def test_a_load_is_mounted_only_when_the_operator_confirms() -> None:
     asked: list[str] = []
 
-    def confirm(text: str, meanwhile: Any) -> str:
+    def confirm(text: str, meanwhile: Any) -> Reply:
         asked.append(text)
         meanwhile()
-        return "operator"
+        return Reply(yes=True, who="operator")
 
     robot = KinematicRobot()
     plan = small_plan("Mount 1 kg")
     assert engine(robot, ListSink(), plan=plan, prompt=confirm).run().error is None
     assert asked == ["Mount 1 kg"]
     refused = engine(
-        KinematicRobot(), ListSink(), plan=plan, prompt=lambda text, meanwhile: ""
+        KinematicRobot(),
+        ListSink(),
+        plan=plan,
+        prompt=lambda text, meanwhile: Reply(yes=False, who="anna"),
     ).run()
     assert refused.outcome is Outcome.STOPPED
+    assert refused.reason == "anna answered no: 'Mount 1 kg'"
 
 
 def test_a_payload_that_reads_back_differently_ends_the_run() -> None:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.engine import Reply
 from hil.errors import SpecError
 from hil.spec.source import Source, refuse, shown
 from hil.spec.yaml_source import read_source
@@ -58,7 +59,7 @@ class ScriptedOperator:
         self._next = 0
         self._skipping = False
 
-    def __call__(self, text: str, meanwhile: Callable[[], object]) -> str:
+    def __call__(self, text: str, meanwhile: Callable[[], object]) -> Reply:
         """See `hil.engine.Prompt`; a prompt without its answer raises `SpecError`."""
         meanwhile()
         while self._skipping and self._misses(self._next, text):
@@ -66,7 +67,7 @@ class ScriptedOperator:
         i, self._next = self._next, self._next + 1
         if problem := self._problem(i, text):
             raise SpecError(problem, hint=_HINT)
-        return self._answers[i].who if self._answers[i].yes else ""
+        return Reply(self._answers[i].yes, self._answers[i].who)
 
     def _misses(self, i: int, text: str) -> bool:
         return i < len(self._answers) and not self._answers[i].fits(text)

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from hil.campaign.answers import ScriptedOperator
 from hil.campaign.console import Console
-from hil.engine import Prompt
+from hil.engine import Prompt, Reply
+from hil.engine.prompt import NOBODY
 from hil.errors import PreflightFailed
 from hil.plan.plan import Plan
 from hil.robot import Robot
@@ -35,7 +36,7 @@ class ConsoleOperator:
         self._run: Path | None = None
         self._asking = threading.Lock()
         self._asked = ""
-        self._answer: tuple[bool, str] | None = None
+        self._answer: Reply | None = None
         self._looked = -NEW_PAUSE_AFTER_S
 
     @property
@@ -60,28 +61,28 @@ class ConsoleOperator:
                 return "the run asks nothing"
             if prompt != self._asked:
                 return f"the run asks something else now: {self._asked!r}"
-            self._answer = (yes, who)
+            self._answer = Reply(yes, who)
             return ""
 
-    def __call__(self, text: str, meanwhile: Callable[[], object]) -> str:
+    def __call__(self, text: str, meanwhile: Callable[[], object]) -> Reply:
         """Ask and wait.
 
         Args:
             text: What is to be done and confirmed.
-            meanwhile: Called while waiting; keeps the robot's state flowing, raises on a stop.
+            meanwhile: Called while waiting; see `hil.engine.Prompt`.
 
         Returns:
-            Who said yes; nothing for a no, or when nobody could answer.
+            Who answered what; `NOBODY` when nobody could.
         """
         if not (self.attended or self._run):
-            return ""
+            return NOBODY
         with self._asking:
             self._asked, self._answer = text, None
         try:
             meanwhile()  # lets the last progress line be written before the question
             self._console.forget_typed()
             self._ask(text)
-            return self._wait(meanwhile)
+            return self._wait(text, meanwhile)
         finally:
             with self._asking:
                 self._asked = ""
@@ -103,29 +104,32 @@ class ConsoleOperator:
             hint = [f"(or, from another terminal: {elsewhere})"] if elsewhere else []
             self._console.say(text, *hint, ask="Type yes when done, no to stop: ")
 
-    def _wait(self, meanwhile: Callable[[], object]) -> str:
+    def _wait(self, text: str, meanwhile: Callable[[], object]) -> Reply:
+        pausing: object = ""
         while self._answer is None:
             line = self._console.line(WAIT_S)
             if line is not None and line.lower() in YES + NO:
-                return self._who if line.lower() in YES else ""
+                return Reply(line.lower() in YES, self._who)
             if line is not None:
                 self._console.say(ask="Please type yes or no: ")
             if not (self.attended or self._run):  # the terminal has gone
-                return ""
-            meanwhile()
-        yes, who = self._answer
-        self._console.say(f"{who} answered {'yes' if yes else 'no'} from another terminal")
-        return who if yes else ""
+                return NOBODY
+            before, pausing = pausing, meanwhile()
+            if pausing and not before:
+                self._console.say(f"pausing once the question is answered: {pausing}")
+                self._ask(text)
+        self._console.say(f"{self._answer.words} from another terminal")
+        return self._answer
 
 
-def ask_operator(text: str, meanwhile: Callable[[], object]) -> str:
+def ask_operator(text: str, meanwhile: Callable[[], object]) -> Reply:
     """Ask once on the console; see `ConsoleOperator`."""
     return ConsoleOperator()(text, meanwhile)
 
 
-def mock_mounts(text: str, meanwhile: Callable[[], object]) -> str:
+def mock_mounts(text: str, meanwhile: Callable[[], object]) -> Reply:
     """A robot on a virtual clock is a mock: it mounts the declared load when it is told to."""
-    return "mock"
+    return Reply(yes=True, who="mock")
 
 
 def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
@@ -160,5 +164,6 @@ def require_attended(plan: Plan, prompt: Prompt, *, resumed: bool = False) -> No
         raise PreflightFailed(
             f"the run asks {times} for something to be done (first: {asked[0]!r}), and nobody "
             "could answer: it has no console",
-            hint="start it in a terminal, or write the answers down: hil run SPEC --answers FILE",
+            hint="start it in a terminal, or write the answers down: "
+            f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE",
         )

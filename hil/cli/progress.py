@@ -12,7 +12,7 @@ import time
 from hil.cli.output import duration, fold, width_of
 from hil.engine.observers import Event
 from hil.live.standing import ENDING, PAUSED, Standing
-from hil.live.words import state_words, step_words
+from hil.live.words import answer_words, state_words, step_words
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
@@ -56,14 +56,18 @@ class ProgressLines:
 
     def _announce(self) -> None:
         """Whoever asks for a pause hears at once that it was heard: a trajectory may take long."""
+        asked = self._standing.prompt
+        if asked and self._tty:
+            return  # whoever asks says so, and asks again
         before, self._pausing = self._pausing, self._standing.pausing
         if self._pausing and not before:
-            self._line(f"pausing at the next checkpoint: {self._pausing}")
+            moment = "once the question is answered" if asked else "at the next checkpoint"
+            self._line(f"pausing {moment}: {self._pausing}")
 
     def _prompt(self, event: Event) -> None:
         # On a terminal whoever asks prints the question; only the line must be out of its way.
         if event.get("answered_by"):
-            self._line(f"answered by {event['answered_by']}: {event.get('text', '')}")
+            self._line(f"{answer_words(event)}: {event.get('text', '')}")
         elif self._tty:
             self._end_line()
         else:

@@ -12,7 +12,7 @@ from hil.campaign.live_state import standing_in
 from hil.cli.output import duration, fold
 from hil.holder import plain
 from hil.live.standing import ENDING, Standing
-from hil.live.words import state_words, step_words
+from hil.live.words import answer_words, state_words, step_words
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0
@@ -141,7 +141,7 @@ _WORDS: dict[str, Callable[[Item, str], str]] = {
     "dwell": _dwell,
     "payload": lambda event, run: f"load {event['load']}: {event['mass_kg']:g} kg set",
     "asked": _asked,
-    "prompt": lambda event, run: f"answered by {event['answered_by'] or 'nobody'}",
+    "prompt": lambda event, run: answer_words(event),
     "paused": lambda event, run: f"paused: {event['reason']}",
     "resumed": lambda event, run: f"resumed by {event['by']}",
     "trip": lambda event, run: f"tripped: {event['reason']}",

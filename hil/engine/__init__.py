@@ -3,10 +3,10 @@
 from hil.engine.engine import Engine
 from hil.engine.interlocks import Interlock, Trip
 from hil.engine.observers import Event, Observer, Observers
+from hil.engine.prompt import Prompt, Reply
 from hil.engine.reading import Sink
 from hil.engine.result import RunResult
 from hil.engine.states import TRANSITIONS, Outcome, RunState
-from hil.engine.steps import Prompt
 
 __all__ = [
     "TRANSITIONS",
@@ -17,6 +17,7 @@ __all__ = [
     "Observers",
     "Outcome",
     "Prompt",
+    "Reply",
     "RunResult",
     "RunState",
     "Sink",

@@ -17,11 +17,12 @@ from hil.engine.bounded import bounded, supervised
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
 from hil.engine.pausing import GoOn, Pausing, nobody_goes_on
+from hil.engine.prompt import Prompt, Reply, nobody
 from hil.engine.reading import REST_WITHIN_S, STOP_WITHIN_S, Reading, Sink
 from hil.engine.requests import Requests
 from hil.engine.result import RunResult, result_of
 from hil.engine.states import RunState, StateMachine
-from hil.engine.steps import Measured, Prompt, Steps, nobody
+from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling
 from hil.engine.watchdog import Watchdog
 from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, Stopped
@@ -182,12 +183,12 @@ class Engine:
         self._watchdog.feed()
         self._telling.block(rows)
 
-    def _prompt(self, text: str, meanwhile: Callable[[], object]) -> str:
+    def _prompt(self, text: str, meanwhile: Callable[[], object]) -> Reply:
         self._sink.event("asked", text=text)
         self._telling.asking(text)
-        answered_by = self._ask(text, meanwhile)
-        self._telling.asking(text, answered_by or "nobody")
-        return answered_by
+        reply = self._ask(text, meanwhile)
+        self._telling.answered(text, reply)
+        return reply
 
     def _hung(self) -> None:
         """On the watchdog's thread: the control thread has not come round for seconds."""

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from hil.engine.dwell import DwellWatch
+from hil.engine.prompt import Prompt
 from hil.engine.reading import Reading, Sink
 from hil.errors import CommandRefused, RobotTimeout, Stopped
 from hil.excite.motion import Motion
@@ -35,21 +36,8 @@ PARK_WITHIN_S = 2.0
 DWELL_GRACE_S = 2.0
 """How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
 
-Prompt = Callable[[str, Callable[[], object]], str]
-"""Asks the operator; returns who confirmed, or nothing for a no.
-
-While it waits it calls its second argument again and again: that keeps reading the robot, and
-raises `Stopped` when somebody wants to stop.
-"""
-
-
 Measured = Callable[[Step, StructArray], object]
 """Is given the settled rows of every dwell; may raise when they say that something is wrong."""
-
-
-def nobody(text: str, meanwhile: Callable[[], object]) -> str:
-    """The prompt of an unattended run: nobody confirms."""
-    return ""
 
 
 class Steps:
@@ -103,10 +91,7 @@ class Steps:
         load = self._plan.loads[step.load]
         self.park()
         if load.prompt:
-            answered_by = self._prompt(load.prompt, self._reading.block)
-            self._sink.event("prompt", text=load.prompt, answered_by=answered_by)
-            if not answered_by:
-                raise Stopped(f"nobody confirmed: {load.prompt!r}")
+            self._confirm(load.prompt)
         self._reading.patience(COMMAND_WITHIN_S)
         read_back = self._robot.set_payload(load.payload)
         self._sink.event("payload", load=step.load, mass_kg=read_back.mass, com_m=read_back.com)
@@ -115,6 +100,17 @@ class Steps:
                 f"payload {load.payload} was declared, the robot reads back {read_back}",
                 hint="check the payload settings of the controller",
             )
+
+    def _confirm(self, text: str) -> None:
+        reply = self._prompt(text, self._while_asked)
+        self._sink.event("prompt", text=text, answered_by=reply.who, answer=reply.word)
+        if not reply.yes:
+            said = reply.words if reply.who else "nobody confirmed"
+            raise Stopped(f"{said}: {text!r}")
+
+    def _while_asked(self) -> str:
+        self._reading.block()
+        return self._reading.requests.why_paused
 
     def _move(self, step: Step, motion: Motion) -> None:
         self._command(segment_of(step, motion, self._plan.rate_hz))

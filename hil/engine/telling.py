@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.engine.observers import Observers
+from hil.engine.prompt import Reply
 from hil.engine.reading import Progress
 from hil.engine.states import RunState
 from hil.plan.plan import Plan, Step
@@ -68,9 +69,14 @@ class Telling:
         if self._step is not None and time.monotonic() >= self._next:
             self.progress()
 
-    def asking(self, text: str, answered_by: str = "") -> None:
-        """The operator is asked something, or has answered."""
-        self._observers.publish({"kind": "prompt", "text": text, "answered_by": answered_by})
+    def asking(self, text: str) -> None:
+        """The operator is asked something."""
+        self._observers.publish({"kind": "prompt", "text": text, "answered_by": ""})
+
+    def answered(self, text: str, reply: Reply) -> None:
+        """The operator has answered, or nobody could."""
+        said = {"answered_by": reply.who or "nobody", "answer": reply.word}
+        self._observers.publish({"kind": "prompt", "text": text, **said})
 
     def progress(self) -> None:
         """How far the run is."""

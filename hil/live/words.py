@@ -26,9 +26,17 @@ def words_of(event: Mapping[str, Any], standing: Standing) -> tuple[int, str] | 
     if kind == "step":
         return DEBUG, step_words(standing)
     if kind == "prompt":
-        who, text = event.get("answered_by"), event.get("text", "")
-        return (INFO, f"answered by {who}: {text}") if who else (WARNING, f"asking: {text}")
+        text = event.get("text", "")
+        if not event.get("answered_by"):
+            return WARNING, f"asking: {text}"
+        return INFO, f"{answer_words(event)}: {text}"
     return None
+
+
+def answer_words(event: Mapping[str, Any]) -> str:
+    """`answered by anna`, or `anna answered no`: that ends the run."""
+    who = event.get("answered_by") or "nobody"
+    return f"{who} answered no" if event.get("answer") == "no" else f"answered by {who}"
 
 
 def state_words(standing: Standing) -> str:

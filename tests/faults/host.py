@@ -23,6 +23,7 @@ import hil
 from hil.campaign import recording, run
 from hil.campaign.desk import Desk
 from hil.cli.app import _end_like_ctrl_c
+from hil.engine import Reply
 from hil.engine.pausing import nobody_goes_on
 from hil.errors import exit_code_of
 from hil.plan.plan_file import read_plan
@@ -159,11 +160,11 @@ def main() -> int:
     recording.plan_for = lambda experiment, robot: read_plan(Path("plan.json"))
     run._report = lambda directory: (None, None)
 
-    def confirm(text: str, meanwhile: Callable[[], object]) -> str:
+    def confirm(text: str, meanwhile: Callable[[], object]) -> Reply:
         until = time.monotonic() + case["prompt_s"]
         while time.monotonic() < until:
             meanwhile()
-        return "the matrix"
+        return Reply(yes=True, who="the matrix")
 
     report = hil.run(
         hil.load("spec.yaml", "station.yaml"),
