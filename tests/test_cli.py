@@ -392,8 +392,29 @@ def test_every_mock_arm_is_built_in() -> None:
 
 def test_a_waiver_needs_a_reason_and_is_recorded(tmp_path: Path) -> None:
     refused = hil("run", DWELL, "--runs", tmp_path, "--waive", "disk")
-    assert refused.returncode == 3
+    assert refused.returncode == 2
     done = hil("run", DWELL, "--runs", tmp_path, "--waive", "disk=a test", "--json")
     assert done.returncode == 0, done.stderr
     start = json.loads((Path(json.loads(done.stdout)["run"]) / "start.json").read_text("utf-8"))
     assert [(w["check"], w["reason"]) for w in start["waivers"]] == [("disk", "a test")]
+
+
+def test_recordings_are_found_by_the_number_of_their_run(
+    done_run: dict[str, Any], tmp_path: Path
+) -> None:
+    where = ("--runs", Path(done_run["run"]).parents[2])
+    again = hil("report", "1", *where, "--json")
+    assert json.loads(again.stdout)["run"] == done_run["run"]
+    fitted = hil("fit", "1", "-e", "static-wls", "-o", tmp_path / "models", *where, "--json")
+    assert fitted.returncode == 0, fitted.stderr
+    assert hil("fit", "7", "-e", "static-wls", *where).returncode == 8
+
+
+@pytest.mark.parametrize(
+    ("waiver", "told"), [("disk", "gives no reason"), ("nope=because", "names no check")]
+)
+def test_a_waiver_that_cannot_be_leaves_no_run(tmp_path: Path, waiver: str, told: str) -> None:
+    done = hil("run", DWELL, "--runs", tmp_path / "runs", "--waive", waiver)
+    assert done.returncode == 2
+    assert told in done.stderr
+    assert not (tmp_path / "runs").exists()

@@ -14,7 +14,7 @@ from kinematic_robot import KinematicRobot
 from plan_parts import JointSpace, always_clear, ur5
 
 from hil import plugins
-from hil.errors import CommandRefused, PreflightFailed, RobotConnectionError
+from hil.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.excite.motion import Hold, Line
 from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
@@ -219,7 +219,7 @@ def test_figures_that_json_has_no_number_for_are_kept_as_words(tmp_path: Path) -
 
 
 def test_a_waiver_for_no_check_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PreflightFailed, match="'paylod' names no check") as error:
+    with pytest.raises(SpecError, match="'paylod' names no check") as error:
         preflight(small_plan(), ScriptedRobot(), context(tmp_path, waivers=("paylod",)))
     assert "'payload'" in error.value.hint
 
@@ -269,7 +269,7 @@ def test_the_context_of_a_station_knows_its_surroundings(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("check", sorted(NEVER_WAIVED))
 def test_what_would_be_dangerous_cannot_be_waived(tmp_path: Path, check: str) -> None:
-    with pytest.raises(PreflightFailed, match="cannot be waived"):
+    with pytest.raises(SpecError, match="cannot be waived"):
         preflight(small_plan(), ScriptedRobot(), context(tmp_path, waivers=(check,)))
 
 

@@ -220,6 +220,10 @@ AT_THE_TOP = [
         "interlocks: [{kind: speed, limit_deg_s: 90, action: pause}]",
         "6:53: interlocks.0.action: must be stop, not 'pause'",
     ),
+    (
+        "interlocks: [{kind: stale, enabled: false}]",
+        "6:37: interlocks.0.enabled: cannot be switched off: nothing else would notice a dead line",
+    ),
     ("record:", "6:8: record: has no value: give it one, or remove the key"),
     (
         "validate: {hold_out: {loads: [0, 2]}}",

@@ -142,7 +142,9 @@ def _attended(
 ) -> RunReport:
     """Motion, fit, verdict and report, with signals and observers looked after."""
     from hil.campaign.execute import Attendance
+    from hil.preflight import require_waivable
 
+    require_waivable(waivers)
     watching, signals = Observers(tuple(observers)), SignalWatch()
     at = desk or console_desk(operator)
     try:

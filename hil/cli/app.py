@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 import hil
-from hil.cli import bench, data, live, models, recover, running, runs, specs, system
+from hil.cli import bench, data, listening, live, models, recover, running, runs, specs, system
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.errors import HilError, RecordingError, RobotConnectionError, Stopped, exit_code_of
@@ -31,7 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (specs, running, runs, live, recover, models, data, system, bench):
+for group in (specs, running, listening, runs, live, recover, models, data, system, bench):
     group.register(app)
 
 

@@ -27,7 +27,9 @@ Who = Annotated[str, typer.Option("--operator", help="Who asks; recorded. By def
 Reason = Annotated[str, typer.Option("--reason", help="Why; recorded.")]
 Wait = Annotated[
     float,
-    typer.Option("--wait", metavar="SECONDS", help="How long to wait until the run has obeyed."),
+    typer.Option(
+        "--wait", min=0, metavar="SECONDS", help="How long to wait until the run has obeyed."
+    ),
 ]
 
 

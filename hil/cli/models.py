@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.runs import RunArgument
 
 Sources = Annotated[
-    list[Path], typer.Argument(help="Run directories or MCAP files.", show_default=False)
+    list[str],
+    typer.Argument(
+        metavar="SOURCE...",
+        help="Runs (directory, name or number) or MCAP files.",
+        show_default=False,
+    ),
 ]
 
 
@@ -35,7 +42,7 @@ def fit(
         ),
     ] = "",
     validate: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option("--validate", help="Held-out run or MCAP file; repeat for several."),
     ] = None,
     options: Annotated[
@@ -48,17 +55,18 @@ def fit(
     page: Annotated[
         Path | None, typer.Option("--report", help="Also write an HTML report here.")
     ] = None,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Fit an estimator to recordings and judge it on others."""
     from hil import api
 
     result = api.fit(
-        sources,
+        _found(sources, runs),
         estimator=estimator,
         robot=robot or None,
         payload=payload or None,
-        validate=validate or (),
+        validate=_found(validate or (), runs),
         parameters=api.parse_parameters(options or ()),
         out=out,
         page=page,
@@ -74,12 +82,13 @@ def fit(
 def evaluate(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
     sources: Sources,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Judge a saved model on recordings it has not seen."""
     from hil import api
 
-    rows = api.evaluate(model, sources)
+    rows = api.evaluate(model, _found(sources, runs))
     if json:
         print_json({"model": str(model), "validation": rows})
     else:
@@ -87,17 +96,32 @@ def evaluate(
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="Run directory.", show_default=False)],
+    run: RunArgument,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Write (again) the HTML report of a run."""
+    from hil.record.catalogue import find_run
     from hil.report import render_report
 
-    page = render_report(run)
+    path = find_run(run, runs)
+    page = render_report(path)
     if json:
-        print_json({"run": str(run), "report": str(page)})
+        print_json({"run": str(path), "report": str(page)})
     else:
         typer.echo(str(page))
+
+
+def _found(sources: Iterable[str], runs: Path) -> list[Path]:
+    """Files and directories as they are given; anything else is a run's name or number."""
+    from hil.record.catalogue import find_run
+
+    given = [(text, Path(text)) for text in sources]
+    plain = [path.exists() or path.name != text for text, path in given]
+    return [
+        path if as_it_is else find_run(text, runs)
+        for (text, path), as_it_is in zip(given, plain, strict=True)
+    ]
 
 
 def _print_validation(rows: list[dict[str, Any]]) -> None:

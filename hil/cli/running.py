@@ -12,7 +12,7 @@ from hil.cli import live as live_verbs
 from hil.cli.live_view import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
 from hil.cli.runs import RunArgument, fail, tell_run
-from hil.errors import PreflightFailed, Rejected
+from hil.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.run import RunReport
@@ -31,7 +31,10 @@ AnswersOption = Annotated[
 WaitOption = Annotated[
     float,
     typer.Option(
-        "--wait", metavar="SECONDS", help="How long to wait for a robot that somebody else holds."
+        "--wait",
+        min=0,
+        metavar="SECONDS",
+        help="How long to wait for a robot that somebody else holds.",
     ),
 ]
 
@@ -134,7 +137,7 @@ def _waivers(texts: Iterable[str]) -> dict[str, str]:
     pairs = [text.partition("=") for text in texts]
     for name, _, reason in pairs:
         if not (name and reason.strip()):
-            raise PreflightFailed(
+            raise SpecError(
                 f"--waive {name!r} gives no reason",
                 hint='for example: --waive "disk=the recording is short"',
             )

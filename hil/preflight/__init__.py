@@ -7,6 +7,7 @@ from hil.preflight.preflight import (
     preflight,
     preflight_context,
     require_preflight,
+    require_waivable,
 )
 
 __all__ = [
@@ -19,4 +20,5 @@ __all__ = [
     "preflight",
     "preflight_context",
     "require_preflight",
+    "require_waivable",
 ]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hil import plugins
 from hil.arms import arm_names, load_arm
-from hil.errors import HilError, PreflightFailed
+from hil.errors import HilError, PreflightFailed, SpecError
 from hil.excite.workspace import Clearance
 from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
@@ -72,11 +72,11 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
         One result per check, failed ones that `context.waivers` names marked as waived.
 
     Raises:
-        PreflightFailed: A waiver names a check that does not exist or cannot be waived.
+        SpecError: A waiver names a check that does not exist or cannot be waived.
         RobotError: The robot's state cannot be read.
     """
-    names = [*BUILT_IN, *(name for name in plugins.names("hil.checks") if name not in BUILT_IN)]
-    _require_known(context.waivers, names)
+    names = _names()
+    require_waivable(context.waivers)
     situation = Situation(plan, robot, robot.read()[-1], context)
     results = [_run(name, situation) for name in names]
     return [
@@ -135,14 +135,24 @@ def _run(name: str, situation: Situation) -> CheckResult:
         return CheckResult(name, False, f"the check itself broke: {told}", hint=hint)
 
 
-def _require_known(waivers: Sequence[str], names: Sequence[str]) -> None:
+def require_waivable(waivers: Collection[str]) -> None:
+    """Refuse waivers of checks that do not exist or are never waived.
+
+    Raises:
+        SpecError: With every one of them.
+    """
     if refused := sorted(NEVER_WAIVED.intersection(waivers)):
-        raise PreflightFailed(
+        raise SpecError(
             f"the check {refused[0]!r} cannot be waived", hint="mend what it complains about"
         )
+    names = _names()
     unknown = [waiver for waiver in waivers if waiver not in names]
     if unknown:
-        raise PreflightFailed(
+        raise SpecError(
             "\n".join(f"the waiver {waiver!r} names no check" for waiver in unknown),
             hint=did_you_mean(unknown[0], names),
         )
+
+
+def _names() -> list[str]:
+    return [*BUILT_IN, *(name for name in plugins.names("hil.checks") if name not in BUILT_IN)]

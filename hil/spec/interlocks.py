@@ -179,6 +179,15 @@ class StaleInterlock(Strict):
         0.5, description="Wall time without a newer sample."
     )
     action: Stop = "stop"
+    enabled: Annotated[bool, Field(strict=True, description="Always true.")] = True
+
+    @model_validator(mode="after")
+    def _stays_on(self) -> StaleInterlock:
+        if not self.enabled:
+            raise mistake(
+                "cannot be switched off: nothing else would notice a dead line", "enabled"
+            )
+        return self
 
 
 class RecorderInterlock(Strict):
