@@ -17,7 +17,7 @@ SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur1
 RANGES = {
     "lookahead_s": (0.03, 0.2),
     "gain": (100.0, 2000.0),
-    "watchdog_hz": (0.5, 50.0),
+    "watchdog_hz": (0.1, 50.0),
     "stop_rad_s2": (0.5, 40.0),
     "stop_m_s2": (0.1, 150.0),
     "lag_s": (0.05, 2.0),

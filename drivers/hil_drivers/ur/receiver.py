@@ -143,6 +143,16 @@ class Receiver:
             if self._closed.is_set():
                 self._end_stream()
 
+    def keep(self, seconds: float | None) -> None:
+        """From now on let go of rows that wait for longer than that, by the robot's clock.
+
+        Args:
+            seconds: None to lose nothing, as after `open`.
+        """
+        if self._stream is not None:
+            rate = self.frequency_hz
+            self._stream.keep = None if seconds is None else max(1, int(seconds * rate))
+
     def take(self, timeout_s: float = 1.0) -> StructArray:
         """All rows since the last call, in order, at least one; see `dtype`.
 

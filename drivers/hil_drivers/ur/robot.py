@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -26,11 +27,22 @@ from hil_drivers.ur.faults import fault_of
 from hil_drivers.ur.motion import MotionProcess
 from hil_drivers.ur.options import options_of
 from hil_drivers.ur.receiver import Receiver
-from hil_drivers.ur.rows import TOPIC, further_rows, further_topic, require_source, state_rows
-from hil_drivers.ur.session import Told, require_ready, told_by_dashboard
+from hil_drivers.ur.rows import (
+    TOPIC,
+    further_rows,
+    further_topic,
+    program_running,
+    require_source,
+    state_rows,
+)
+from hil_drivers.ur.session import Told, require_arm, require_ready, told_by_dashboard
 from hil_drivers.ur.standing import Standing
 
 READ_BACK_S = 2.0
+KEPT_S = 5.0
+"""How much waits to be read while the arm stands, by its clock: nobody wants what it did while a
+plan was made, for minutes. Of a motion everything is kept [s]."""
+
 RAMP_GRACE_S = 0.5
 """How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
 
@@ -56,7 +68,7 @@ class UrRobot:
         self._further: list[StructArray] = []
         self._standing = Standing()
         self._told = Told()
-        self._connected = False
+        self._connected = self._listening = False
         self._prepared: Segment | None = None
         self._newest: StructArray | None = None
         self._problem: HilError | None = None
@@ -125,6 +137,7 @@ class UrRobot:
             )
             self._motion.connect()
             self._receiver.take(READ_BACK_S)  # from before the program was uploaded
+            self._receiver.keep(KEPT_S)
         except BaseException:
             self._let_go()
             raise
@@ -132,6 +145,33 @@ class UrRobot:
         self._problem, self._stopped_by = None, None
         self._faulty = self._replaced = False
         self._connected = True
+
+    def listen(self) -> None:
+        """Be told, and command nothing; see `hil.robot.Listens`.
+
+        Raises:
+            RobotConnectionError: Nobody is there, or it is another arm.
+            SpecError: It does not send what shall be the effort.
+        """
+        if self._listening and self._receiver.alive:
+            return
+        self._let_go()
+        address = self._options.address
+        with contextlib.suppress(RobotConnectionError):  # RTDE alone will do for listening
+            self._told = told_by_dashboard(address)
+        try:
+            self._receiver.open()
+            require_source(self._options.torque_source, self._receiver.missing)
+            require_arm(address, self._model, self._told, self._receiver.version)
+        except BaseException:
+            self._let_go()
+            raise
+        self._listening, self._further, self._newest = True, [], None
+
+    @property
+    def program_running(self) -> bool:
+        """See `hil.robot.Listens`."""
+        return self._newest is not None and bool(program_running(self._newest[-1:])[0])
 
     def set_payload(self, payload: Payload) -> Payload:
         """Declare a load and wait until the controller says that it believes in it.
@@ -177,6 +217,7 @@ class UrRobot:
             self._standing.begin(segment.index, newest, moves=False)
             return
         self._stopped_by = None
+        self._receiver.keep(None)
         begun = self._motion.start()
         self._replaced = False
         self._standing.begin(segment.index, begun, moves=True)
@@ -198,9 +239,11 @@ class UrRobot:
             raise problem
         raw = self._receiver.take(timeout_s)
         self._newest = raw
-        self._look(raw)
         rows = state_rows(raw, self._options.torque_source)
         self._further.append(further_rows(raw, self._topic))
+        if self._listening:
+            return rows
+        self._look(raw)
         self._standing.stamp(rows)
         if self._faulty:
             rows["status"][-1] |= Status.FAULT
@@ -231,6 +274,8 @@ class UrRobot:
 
     def close(self) -> None:
         """Stop, end the program, let go of the controller."""
+        if self._listening:
+            self._let_go()
         if not self._connected:
             return
         try:
@@ -251,6 +296,7 @@ class UrRobot:
             told = self._motion.look()[0]
             if self._standing.moving and not int(told["status"]) & Status.MOVING:
                 self._standing.end(float(told["device_time"]))
+                self._receiver.keep(KEPT_S)
         except HilError as error:
             fault = fault or error
         if fault is not None and not self._faulty:
@@ -291,19 +337,21 @@ class UrRobot:
         return newest[0]
 
     def _require_connection(self) -> None:
-        if not self._connected:
+        if not (self._connected or self._listening):
             raise RobotConnectionError(
                 f"{self._name} is not connected", hint="call connect() first"
             )
 
     def _require_health(self) -> None:
         self._require_connection()
+        if self._listening:
+            raise CommandRefused(f"{self._name} is only listened to", hint="call connect() first")
         if self._faulty:
             raise RobotFault(
                 f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
             )
 
     def _let_go(self) -> None:
-        self._connected = False
+        self._connected = self._listening = False
         self._motion.close()
         self._receiver.close()

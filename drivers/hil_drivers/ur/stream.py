@@ -34,6 +34,9 @@ class Stream:
         silence_s: Without a data package for so long, the connection counts as lost [s].
         capacity_s: How much waits to be taken at most, by the robot's clock [s].
         texts: Where text messages go; the oldest are forgotten.
+
+    Attributes:
+        keep: Rows that wait to be taken at most, older ones being let go; None for all of them.
     """
 
     def __init__(
@@ -50,6 +53,7 @@ class Stream:
         self._cutter = Cutter(agreement.layout, agreement.frequency_hz)
         self._capacity = max(1, int(capacity_s * agreement.frequency_hz))
         self._texts = texts
+        self.keep: int | None = None
         self._queue: deque[tuple[bytes, float, int]] = deque()
         self._waiting = 0
         self._problem: tuple[str, str] | None = None
@@ -159,6 +163,7 @@ class Stream:
             # Rows that came are kept even so: the queue may be too long by one reading.
             self._queue.append((packages, host_time, count))
             self._waiting += count
+            self._forget()
             self.counts.deepest = max(self.counts.deepest, self._waiting)
             self._changed.notify_all()
             if not self._changed.wait_for(self._has_room, PATIENCE_S):
@@ -168,6 +173,11 @@ class Stream:
                 )
                 self._changed.notify_all()
         self._heard = time.monotonic()
+
+    def _forget(self) -> None:
+        """Let go of the oldest as far as the rest is as much as is to be kept."""
+        while self.keep is not None and self._waiting - self._queue[0][2] >= self.keep:
+            self._waiting -= self._queue.popleft()[2]
 
     def _has_room(self) -> bool:
         return self._waiting < self._capacity or self._problem is not None
