@@ -15,6 +15,11 @@ SPEEDJ, SPEED_STOP, SET_PAYLOAD, TARGET_PAYLOAD, WATCHDOG = 9, 15, 17, 65, 35
 STOP_SCRIPT = 255
 
 
+def beside(*change):
+    """Joint angles near `HOME`."""
+    return HOME + np.array(change)
+
+
 class Client:
     """One control session; register numbers count from `offset`."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -12,6 +11,8 @@ from hil.typing import FloatArray
 from hil_mock_robot.ur.machine import Machine
 
 INT32 = 2**31
+LARGEST = 1e9
+"""What no pose, speed or force is beyond: larger numbers only overflow."""
 
 
 class Registers:
@@ -44,10 +45,10 @@ class Registers:
         """A number that a client has written.
 
         Raises:
-            CommandRefused: It is infinite or no number at all.
+            CommandRefused: It is too large for any physical quantity, or no number at all.
         """
         value = float(self._in.flat[self._doubles + number])
-        if not math.isfinite(value):
+        if not abs(value) <= LARGEST:
             raise CommandRefused(f"input double register {self.offset + number} is {value}")
         return value
 

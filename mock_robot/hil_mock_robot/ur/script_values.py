@@ -15,6 +15,8 @@ Value = bool | int | float | str | list[Any] | None
 LONGEST = 10_000
 """Elements of a list, letters of a text."""
 LARGEST_INT = 2**53
+LARGEST = 1e9
+"""What no coordinate and no speed is beyond: larger numbers only overflow."""
 
 _NUMERIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -66,7 +68,9 @@ def six(value: Any) -> tuple[float, ...]:
     """
     if not isinstance(value, list) or len(value) != 6:
         raise CommandRefused(f"six numbers are needed, not {shown(value)}")
-    return tuple(number(each) for each in value)
+    if not all(abs(number(each)) <= LARGEST for each in value):
+        raise CommandRefused(f"too large a number: {shown(value)}")
+    return tuple(map(float, value))
 
 
 def truth(value: Any) -> bool:
