@@ -12,7 +12,7 @@
     │   ├── RobotTimeout             (also TimeoutError)
     │   ├── RobotFault               the controller reports a fault
     │   ├── CommandRefused           the controller said no
-    │   └── StaleState               data stopped arriving
+    │   └── StaleState               the driver gets no data, or data without a time
     ├── InterlockTripped         5   motion was stopped by an interlock
     ├── Stopped                  6   somebody stopped it (130 when by signal)
     ├── RecordingError           7   the recorder could not keep the data
@@ -95,7 +95,7 @@ class CommandRefused(RobotError):
 
 
 class StaleState(RobotError):
-    """State samples stopped arriving or repeat themselves."""
+    """A driver gets no state any more, or state without a time; state that repeats itself trips."""
 
 
 class InterlockTripped(HilError):

@@ -10,6 +10,8 @@ from kinematic_robot import KinematicRobot
 from hil.engine import TRANSITIONS, Outcome, RunState
 from hil.engine.freshness import Deadline
 from hil.errors import (
+    HilError,
+    InterlockTripped,
     PreflightFailed,
     RecordingError,
     RobotFault,
@@ -62,17 +64,25 @@ def test_a_fault_without_words_names_its_code() -> None:
     assert "fault 77" in result.reason
 
 
-@pytest.mark.parametrize("broken", ["frozen", "nan"])
+@pytest.mark.parametrize(
+    ("broken", "error", "outcome"),
+    [
+        ("frozen", InterlockTripped, Outcome.TRIPPED),
+        ("nan", StaleState, Outcome.FAILED),
+    ],
+)
 @pytest.mark.parametrize("segment", [1, 2])
-def test_a_clock_that_stands_still_ends_the_run(broken: str, segment: int) -> None:
+def test_a_clock_that_stands_still_ends_the_run(
+    broken: str, error: type[HilError], outcome: Outcome, segment: int
+) -> None:
     def break_clock(block: StructArray) -> None:
         if (block["segment"] == segment).any():
             block["device_time"] = 0.01 if broken == "frozen" else np.nan
             block["status"] = Status.MOVING
 
     result = engine(KinematicRobot(break_clock), ListSink()).run()
-    assert isinstance(result.error, StaleState)
-    assert result.outcome is Outcome.FAILED
+    assert isinstance(result.error, error)
+    assert result.outcome is outcome
 
 
 def test_a_motion_that_never_ends_times_out() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import StaleState
+from hil.errors import InterlockTripped, StaleState
 from hil.typing import StructArray
 
 STALE_AFTER_S = 0.5
@@ -18,17 +18,23 @@ STALE_AFTER_BLOCKS = 50
 
 
 class Freshness:
-    """Follows the device clock and raises when it stands still.
+    """Follows the device clock and trips when it brings nothing newer: the interlock `stale`.
 
     Args:
         after_s: Wall time without a newer sample that counts as stale [s]; None for the default.
+        wall: Whether the robot lives in wall time; on a virtual clock blocks are counted.
         now: Monotonic clock [s].
     """
 
     def __init__(
-        self, after_s: float | None = None, now: Callable[[], float] = time.monotonic
+        self,
+        after_s: float | None = None,
+        *,
+        wall: bool = True,
+        now: Callable[[], float] = time.monotonic,
     ) -> None:
         self._after_s = STALE_AFTER_S if after_s is None else after_s
+        self._wall = wall
         self._now = now
         self._newest = -np.inf
         self._since = now()
@@ -38,7 +44,8 @@ class Freshness:
         """Judge one block.
 
         Raises:
-            StaleState: Its time is not a number, or has not advanced for too long.
+            StaleState: Its time is not a number.
+            InterlockTripped: Its time has not advanced for too long.
         """
         times = block["device_time"]
         if not np.isfinite(times).all():
@@ -50,13 +57,25 @@ class Freshness:
             self._newest, self._since, self._blocks = float(times[-1]), self._now(), 0
             return
         self._blocks += 1
-        quiet = self._now() - self._since
-        if quiet > self._after_s or self._blocks > STALE_AFTER_BLOCKS:
-            raise StaleState(
-                f"the robot's clock stands still at {self._newest:.3f} s: "
-                f"{self._blocks} blocks in {quiet:.2f} s brought nothing new",
+        if silence := self._too_long():
+            raise InterlockTripped(
+                f"interlock stale: the robot's clock {self._how(float(times[-1]))}: {silence}",
                 hint="check the connection and the controller; the data so far is kept",
             )
+
+    def _too_long(self) -> str:
+        """How long nothing new came, in words; nothing while that is within bounds."""
+        if not self._wall:
+            blocks = f"{self._blocks} blocks in a row brought nothing new"
+            return blocks if self._blocks > STALE_AFTER_BLOCKS else ""
+        quiet = self._now() - self._since
+        limit = f"limit {self._after_s:g} s"
+        return f"nothing new for {quiet:.3g} s, {limit}" if quiet > self._after_s else ""
+
+    def _how(self, time_s: float) -> str:
+        if time_s < self._newest:
+            return f"went backwards, from {self._newest:.3f} s to {time_s:.3f} s"
+        return f"stands still at {self._newest:.3f} s"
 
 
 class Deadline:

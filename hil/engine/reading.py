@@ -96,10 +96,10 @@ class Reading:
         self._sink = sink
         self._interlocks = tuple(interlocks)
         self._joint_names = tuple(joint_names)
-        self._freshness = Freshness(stale_after_s)
         self._told = told
         self.patience = patience
         self.wall = robot.capabilities.clock == "wall"
+        self._freshness = Freshness(stale_after_s, wall=self.wall)
         self.requests = requests
         self.progress = Progress()
         self.newest: np.void | None = None
@@ -109,8 +109,8 @@ class Reading:
 
         Raises:
             Stopped: A stop was requested.
-            RobotError: The robot reports a fault, or its state stopped arriving.
-            InterlockTripped: A sample violates an interlock; the robot was told to stop.
+            RobotError: The robot reports a fault.
+            InterlockTripped: A sample violates an interlock, or none is new for too long.
             RecordingError: The sink cannot keep the data.
         """
         self.requests.obey_stop()

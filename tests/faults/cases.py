@@ -88,7 +88,7 @@ FAULTS: Mapping[str, Ending] = {
         why="no command arrives: the controller's watchdog acts after 1 s, 4 s of this fast device",
     ),
     "frozen data": Ending(
-        "failed", 4, 0.7, mock="freeze", why="0.5 s without news is stale, then 0.1 s"
+        "tripped", 5, 0.7, mock="freeze", why="the stale interlock's 0.5 s without news, then 0.1 s"
     ),
     "hung driver": Ending(
         "failed", 4, 3.0, mock="hang", why="a read that does not come back in 1 s plus grace"
