@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 import rtde_peer as peer
+from fuzzing import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from rtde_peer import Conversation, Peer
@@ -59,6 +60,7 @@ def test_order_of_widths_does_not_matter():
     assert (row["timestamp"], row["flag"], row["bits"], row["mode"]) == (1.0, 1, 2**40, -5)
 
 
+@examples(100)
 @given(cuts=st.lists(st.integers(0, 10_000), max_size=12))
 def test_the_stream_may_be_cut_anywhere(cuts):
     whole = peer.text("hello") + b"".join(data_package(i / 125) for i in range(30))
@@ -70,6 +72,7 @@ def test_the_stream_may_be_cut_anywhere(cuts):
     assert cutter.problem is None
 
 
+@examples(150)
 @given(
     noise=st.binary(max_size=200),
     place=st.integers(0, 2000),

@@ -72,6 +72,11 @@ def open_unfinished(path: Path) -> Unfinished:
     """
     directory = RunDirectory.open(path)
     start = directory.start
+    if start.get("passive"):
+        raise DataError(
+            f"{path} is a passive recording: there is no plan to go on with",
+            hint=f"use what there is (hil fit {path}), or record again",
+        )
     for name in ("spec.yaml", "station.yaml", "plan.json"):
         if not (path / name).is_file():
             raise DataError(

@@ -22,6 +22,7 @@ from hil.data.described import (
     mapping,
     origin_of_import,
     origin_of_run,
+    payload_of,
     payload_of_import,
     reading,
     robot_of_run,
@@ -30,6 +31,7 @@ from hil.data.described import (
 )
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import Series, StepNote, assemble, cut
+from hil.data.stays import FoundSteps, found_plan
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import DwellRule
@@ -111,7 +113,7 @@ def _robot_of(source: Path) -> Mapping[str, Any]:
 
 def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     run = RunDirectory.open(path)
-    start, plan, where = run.start, read_json(path / "plan.json"), path / "plan.json"
+    start, plan, where = run.start, _plan_of(run), path / "plan.json"
     steps = steps_of_plan(plan, where, _unsettled(run), kinds)
     origin, rule = origin_of_run(start, str(path)), dwell_rule_of(plan, where)
     if not run.recordings:
@@ -133,6 +135,22 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
             found[piece.step].append(piece)
     ordered = [piece for step in sorted(found) for piece in found[step]]
     return assemble(ordered, origin, rule.samples)
+
+
+def _plan_of(run: RunDirectory) -> dict[str, Any]:
+    """The plan of a run; that of a passive recording which was killed is found in its rows."""
+    file = run.path / "plan.json"
+    start = run.start
+    if file.exists() or not start.get("passive"):
+        return read_json(file)
+    found = FoundSteps()
+    for part in run.recordings:
+        if (rows := _part(part)) is not None:
+            found.add(rows)
+    with reading(run.path / "start.json"):
+        payload = payload_of(start["loads"][0])
+        name, robot = str(start["experiment"]), robot_of_run(start)
+        return found_plan(found.steps(), name=name, robot=robot, payload=payload)
 
 
 def _part(path: Path) -> StructArray | None:

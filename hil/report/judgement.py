@@ -51,6 +51,8 @@ def sentence_of(facts: RunFacts) -> str:
 def next_command(facts: RunFacts, run: str) -> str:
     """What to type next about the run at `run`; empty when nothing is left to do."""
     wanted = facts.estimators_wanted
+    if facts.start.get("passive"):
+        return "" if facts.fits else f"hil fit {run} --estimator ESTIMATOR"
     if facts.status in RESUMABLE and facts.steps:
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:

@@ -7,6 +7,7 @@ from hil.robot.protocol import (
     HasTopics,
     Identity,
     Limits,
+    Listens,
     Robot,
     Segment,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "HasTopics",
     "Identity",
     "Limits",
+    "Listens",
     "Payload",
     "Robot",
     "Segment",

@@ -163,3 +163,21 @@ class HasResource(Protocol):
     @property
     def resource(self) -> str:
         """Such as `ur://192.168.0.5`; known before `connect`, the same from every station file."""
+
+
+@runtime_checkable
+class Listens(Protocol):
+    """What a robot also offers when it can be recorded while somebody else drives it.
+
+    `hil record` uses it: `listen`, then `read` and `drain` (if it has topics) until the end, then
+    `close`. Nothing is commanded, no program is uploaded or ended, and nothing is taken that
+    another client may need. While listening, `read` gives rows with the `FAULT` bit instead of
+    raising `RobotFault`: whoever drives the robot deals with that.
+    """
+
+    def listen(self) -> None:
+        """Connect to be told, in place of `connect`; idempotent. Raises `RobotConnectionError`."""
+
+    @property
+    def program_running(self) -> bool:
+        """Whether a program was running (or paused) in the newest row that `read` has given."""

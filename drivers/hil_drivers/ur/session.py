@@ -77,6 +77,22 @@ def require_ready(
         raise _error(RobotFault, address, not_ready)
 
 
+def require_arm(address: str, model: str, told: Told, version: tuple[int, ...]) -> None:
+    """Refuse an arm that is not the station's: its samples would be fitted to another model.
+
+    Args:
+        address: Of the controller.
+        model: The arm of the station.
+        told: By the dashboard.
+        version: Of the controller, by RTDE.
+
+    Raises:
+        RobotConnectionError: It is another arm.
+    """
+    if wrong := _wrong_arm(model, told, version):
+        raise _error(RobotConnectionError, address, wrong)
+
+
 def _wrong_arm(model: str, told: Told, version: tuple[int, ...]) -> list[tuple[str, str]]:
     wrong = []
     if SERIES_HZ[model] != (125 if version[0] <= 3 else 500):
