@@ -130,7 +130,7 @@ def test_until_the_program_stops_records_everything_and_commands_nothing(use, tm
     run = RunDirectory.open(found.run)
     rows = read_topic(run.recordings[0])
     assert len(rows) == found.counts["samples"]
-    assert np.allclose(np.diff(rows["device_time"]), 0.008)
+    assert np.allclose(np.diff(rows["device_time"]), 0.008, atol=5e-4)
     extra = read_topic(run.recordings[0], "/robot/extra")
     assert np.array_equal(extra["device_time"][: len(rows)], rows["device_time"])
     assert run.status == "completed"

@@ -68,6 +68,12 @@ def test_stays_are_those_that_the_whole_recording_shows():
         assert set(rows["segment"][dwell]) == {2 * number + 1}
 
 
+def test_the_last_rows_of_a_stay_are_at_rest_however_gently_the_motion_begins():
+    rows = found(motion([(0.0, STAY), (0.3, 4.0)]), [52, 53])
+    assert np.abs(rows["qd"][rows["segment"] == 1]).max() < 0.005
+    assert set(rows["segment"]) == {1, 2, 3}
+
+
 def test_even_segments_move_and_poses_come_again():
     steps = steps_of(found(motion(), []))
     kinds = [(step["kind"], step.get("pose"), step.get("approach")) for step in steps]

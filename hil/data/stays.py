@@ -77,15 +77,23 @@ class StayFinder:
     def _stands(self) -> bool:
         return self._stood is not None
 
-    def _end_of_stay(self, rows: StructArray, speed: FloatArray, at: int) -> int:
+    def _end_of_stay(self, rows: StructArray, speed: FloatArray, at: int) -> int | None:
+        """Where the stay ends; None when all rows from `at` may already be of the next motion."""
         assert self._stood is not None
         away = np.abs(rows["q"][at:] - self._stood).max(axis=1) > self._rule.drift
         left = np.flatnonzero((speed[at:] > LEAVES_AT * self._rule.speed) | away)
-        end = at + int(left[0]) if len(left) else len(rows)
+        over = bool(len(left))
+        end = at + int(left[0]) if over else len(rows)
+        # A motion that begins gently began before it was noticed: a dwell's last rows must rest.
+        slow = np.flatnonzero(speed[at:end] < self._rule.speed)
+        rest = at + int(slow[-1]) + 1 if len(slow) else at
+        if over or end - rest < MOST_HELD:
+            end = rest
         rows["segment"][at:end] = self._segment
-        if end < len(rows):
+        if over:
             self._segment, self._stood = self._segment + 1, None
-        return end
+            return end
+        return end if end > at else None
 
     def _move(self, rows: StructArray, speed: FloatArray, at: int) -> int | None:
         """Where the motion from `at` ends, or the slow rows begin that are not judged yet.
