@@ -334,3 +334,11 @@ def test_popups_and_log_lines_are_told(cb3):
 def test_a_role_is_kept(cb3):
     cb3.ask("setUserRole locked")
     assert cb3.ask("getUserRole") == "LOCKED"
+
+
+def test_a_controller_that_has_booted_has_nothing_loaded(cb3):
+    cb3.ask("load a.urp")
+    cb3.ask("popup hello")
+    cb3.machine.tell("booted")
+    assert cb3.ask("get loaded program") == "No program loaded"
+    assert cb3.service.pendant.popup == ""

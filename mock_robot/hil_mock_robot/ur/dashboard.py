@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from hil_mock_robot.ur.contracts import Link, Program
 from hil_mock_robot.ur.dashboard_commands import command_of
-from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.pendant import Pendant
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -39,10 +39,15 @@ class DashboardService:
         self, machine: Machine, programs: Mapping[str, Callable[[], Program]] | None = None
     ) -> None:
         self.pendant = Pendant(machine, programs or {})
+        machine.listeners.append(self._heard)
 
     def accept(self, link: Link) -> DashboardSession:
         """Greet a client."""
         return DashboardSession(self.pendant, link)
+
+    def _heard(self, event: Event) -> None:
+        if event.kind == "booted":
+            self.pendant.forget()
 
 
 class DashboardSession:

@@ -100,6 +100,11 @@ class Pendant:
             machine.play(make() if make else IdleProgram(name))
         return self.running
 
+    def forget(self) -> None:
+        """The controller has booted: nothing is loaded or shown."""
+        self.loaded = self.popup = ""
+        self.operational = "NONE"
+
     def show(self, text: str) -> None:
         """Show a popup."""
         self.popup = text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hil_mock_robot.arm import FAULTS, PROTECTIVE_STOP, RUNAWAY
 from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.inbox import ScriptInbox
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.primary_messages import (
     Level,
@@ -16,7 +17,6 @@ from hil_mock_robot.ur.primary_messages import (
     version_message,
 )
 from hil_mock_robot.ur.primary_state import state_packet
-from hil_mock_robot.ur.uploads import inbox_of
 
 PRIMARY, SECONDARY = 30001, 30002
 RATE_HZ = 10
@@ -86,7 +86,7 @@ class PrimarySession:
 
     def __init__(self, service: PrimaryService, link: Link) -> None:
         self._service, self._link = service, link
-        self._inbox = inbox_of(service.machine)
+        self._inbox = ScriptInbox(service.machine)
         self._sent = -1
         link.send(version_message(service.machine.series, service.machine.now_s))
         self._publish()

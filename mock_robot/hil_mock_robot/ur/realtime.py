@@ -9,9 +9,9 @@ import struct
 from dataclasses import dataclass
 
 from hil_mock_robot.ur.contracts import Link
+from hil_mock_robot.ur.inbox import ScriptInbox
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.series import Series
-from hil_mock_robot.ur.uploads import inbox_of
 from hil_mock_robot.ur.variables import Values
 
 BASE: tuple[tuple[str, int], ...] = (
@@ -134,7 +134,7 @@ class RealtimeSession:
 
     def __init__(self, machine: Machine, packet: Packet, link: Link) -> None:
         self._machine, self._packet, self._link = machine, packet, link
-        self._inbox = inbox_of(machine)
+        self._inbox = ScriptInbox(machine)
         self.dropped = 0
 
     def received(self, data: bytes) -> None:
