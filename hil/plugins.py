@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, packages_distributions
 from typing import Any
 
 from hil.errors import PluginError
@@ -118,6 +118,14 @@ def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:
     return tuple(
         _describe(group, point, try_loading) for group in GROUPS for point in _registered(group)
     )
+
+
+def origin_of(thing: object) -> str:
+    """Class and distribution that an object of a plug-in comes from, for messages."""
+    kind = type(thing)
+    name = f"{kind.__module__}.{kind.__qualname__}"
+    owners = packages_distributions().get(kind.__module__.partition(".")[0], ())
+    return f"{name} of {owners[0]}" if owners else name
 
 
 def _describe(group: str, point: EntryPoint, try_loading: bool) -> PluginInfo:

@@ -25,7 +25,7 @@ from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling
 from hil.engine.watchdog import Watchdog
-from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, Stopped
+from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, RobotTimeout, Stopped
 from hil.plan.plan import Plan
 from hil.robot import Robot
 from hil.typing import StructArray
@@ -137,6 +137,7 @@ class Engine:
         except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
             error = self._unexpected(caught)
         error = self._halt(error)
+        self._notes += self._reading.judge.notes
         self._machine.to(RunState.DONE)
         result = result_of(error, self._reading.progress, self._telling.wall_s, tuple(self._notes))
         self._telling.state(RunState.DONE, result.reason or result.outcome.value)
@@ -147,12 +148,15 @@ class Engine:
         if self._robot.capabilities.clock == "virtual":
             self._execute_plan(preflight)
             return
-        supervised(
-            lambda: self._execute_plan(preflight),
-            self._given_up,
-            "the control loop",
-            lambda: self.request_stop("stopped by the keyboard", by_signal=True),
-        )
+        try:
+            supervised(
+                lambda: self._execute_plan(preflight),
+                self._given_up,
+                "the control loop",
+                lambda: self.request_stop("stopped by the keyboard", by_signal=True),
+            )
+        except RobotTimeout as error:
+            raise (self._reading.judge.hanging or error) from error
 
     def _execute_plan(self, preflight: Callable[[], object]) -> None:
         self._enter(RunState.PREFLIGHT)
@@ -192,7 +196,9 @@ class Engine:
 
     def _hung(self) -> None:
         """On the watchdog's thread: the control thread has not come round for seconds."""
-        reason = "the driver did not return from a call for seconds; the watchdog stopped the robot"
+        hanging = self._reading.judge.hanging
+        who = hanging.message if hanging else "the driver did not return from a call for seconds"
+        reason = f"{who}; the watchdog stopped the robot"
         self._notes.append(reason)
         # Whatever the thread does when the call returns after all, it is not a motion.
         self.request_stop(reason)

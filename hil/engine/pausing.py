@@ -80,7 +80,7 @@ class Pausing:
             if self._requests.pause and (who := self._go_on()):
                 self._requests.pause, self._requests.resumed_by = "", who
             if self._requests.held:
-                clear_since = self._since(clear_since) if self._reading.clear(block) else None
+                clear_since = self._since(clear_since) if self._reading.judge.clear(block) else None
                 if clear_since is not None and self._now - clear_since >= CLEAR_FOR_S:
                     self._requests.held = ""
             if (why := self._requests.why_paused) and why != told:

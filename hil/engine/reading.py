@@ -12,6 +12,7 @@ import numpy as np
 from hil.engine.bounded import bounded
 from hil.engine.freshness import Deadline, Freshness
 from hil.engine.interlocks import Interlock, Trip
+from hil.engine.judging import Judge
 from hil.engine.requests import Requests
 from hil.errors import HilError, RecordingError, RobotFault
 from hil.robot import HasTopics, Robot, Status
@@ -94,7 +95,7 @@ class Reading:
         self._robot = robot
         self._topics = robot if isinstance(robot, HasTopics) else None
         self._sink = sink
-        self._interlocks = tuple(interlocks)
+        self.judge = Judge(interlocks)
         self._joint_names = tuple(joint_names)
         self._told = told
         self.patience = patience
@@ -118,16 +119,10 @@ class Reading:
         self._freshness.check(block)
         if (block["status"] & Status.FAULT).any():
             raise self._fault(block)
-        for interlock in self._interlocks:
-            if trip := interlock.check(block):
-                self._obey(interlock, trip)
+        for interlock, trip in self.judge.violations(block):
+            self._obey(interlock, trip)
         self._told(block)
         return block
-
-    def clear(self, block: StructArray) -> bool:
-        """Whether no interlock that pauses is anywhere near its limit in a block."""
-        pausing = (i for i in self._interlocks if i.action == "pause")
-        return all(interlock.clear(block) for interlock in pausing)
 
     def _obey(self, interlock: Interlock, trip: Trip) -> None:
         if interlock.action == "pause":
