@@ -89,6 +89,11 @@ class Body:
         return self._simulation.setpoint
 
     @property
+    def gravity(self) -> tuple[float, float, float]:
+        """In the base frame [m/s²]."""
+        return self._simulation.setting.gravity
+
+    @property
     def mounted(self) -> Payload:
         """What really hangs at the flange."""
         return self._mounted or self.declared

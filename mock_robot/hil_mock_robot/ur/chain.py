@@ -107,8 +107,8 @@ class Posture:
         x, y, _ = self.elbow
         return self._c1 * out - y * pan, self._s1 * out + x * pan, up
 
-    def columns(self, point: Triple) -> list[Triple]:
-        """Geometric Jacobian of a point fixed to the flange: linear (6), then angular (6) columns.
+    def jacobian(self, point: Triple) -> list[float]:
+        """Geometric Jacobian of a point fixed to the flange: 36 numbers, row by row.
 
         Args:
             point: In the base frame [m].
@@ -122,33 +122,24 @@ class Posture:
         bx, by, bz = flange[2], flange[5], flange[8]
         ux, uy, uz = _minus(point, self._origin_5)
         wx, wy, wz = _minus(point, self._origin_6)
-        side = (s1, -c1, 0.0)
         return [
-            (-y, x, 0.0),
-            (-c1 * h1, -s1 * h1, reach),
-            (-c1 * h2, -s1 * h2, reach - self._x2),
-            (-c1 * h3, -s1 * h3, reach - self._x3),
-            (ay * uz - az * uy, az * ux - ax * uz, ax * uy - ay * ux),
-            (by * wz - bz * wy, bz * wx - bx * wz, bx * wy - by * wx),
-            (0.0, 0.0, 1.0), side, side, side, (ax, ay, az), (bx, by, bz),
+            -y, -c1 * h1, -c1 * h2, -c1 * h3, ay * uz - az * uy, by * wz - bz * wy,
+            x, -s1 * h1, -s1 * h2, -s1 * h3, az * ux - ax * uz, bz * wx - bx * wz,
+            0.0, reach, reach - self._x2, reach - self._x3, ax * uy - ay * ux, bx * wy - by * wx,
+            0.0, s1, s1, s1, ax, bx,
+            0.0, -c1, -c1, -c1, ay, by,
+            1.0, 0.0, 0.0, 0.0, az, bz,
         ]  # fmt: skip
 
-    def twist(self, point: Triple, qd: Numbers) -> list[float]:
-        """Velocity of a point fixed to the flange [m/s], then angular velocity [rad/s]."""
-        speeds = floats(qd)
-        columns = self.columns(point)
-        twist = [0.0] * 6
-        for i, speed in enumerate(speeds):
-            if speed:
-                vx, vy, vz = columns[i]
-                wx, wy, wz = columns[i + 6]
-                twist[0] += vx * speed
-                twist[1] += vy * speed
-                twist[2] += vz * speed
-                twist[3] += wx * speed
-                twist[4] += wy * speed
-                twist[5] += wz * speed
-        return twist
+
+def twist_of(jacobian: list[float], qd: Numbers) -> list[float]:
+    """Velocity [m/s], then angular velocity [rad/s], of the point a Jacobian belongs to."""
+    a, b, c, d, e, f = floats(qd)
+    J = jacobian
+    return [
+        J[i] * a + J[i + 1] * b + J[i + 2] * c + J[i + 3] * d + J[i + 4] * e + J[i + 5] * f
+        for i in (0, 6, 12, 18, 24, 30)
+    ]
 
 
 def _minus(a: Triple, b: Triple) -> Triple:

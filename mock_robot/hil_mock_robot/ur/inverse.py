@@ -124,8 +124,7 @@ def approach(
         if size > least * STAGNANT:
             return None
         least = size
-        columns = posture.columns((now[9], now[10], now[11]))
-        J = np.hstack((columns[:6], columns[6:])).T
+        J = np.array(posture.jacobian((now[9], now[10], now[11]))).reshape(6, 6)
         step = J.T @ np.linalg.solve(J @ J.T + DAMPING**2 * np.eye(6), error)
         q += step * min(1.0, LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
     return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.typing import FloatArray
-from hil_mock_robot.ur.chain import Posture, lengths_of
+from hil_mock_robot.ur.chain import Posture, lengths_of, twist_of
 from hil_mock_robot.ur.inverse import solve
 from hil_mock_robot.ur.poses import Frame, Numbers, compose, frame_of, pose_from
 from hil_mock_robot.ur.poses import pose_inv as pose_inv
@@ -31,14 +31,15 @@ def pose_of(arm: ArmDescription, q: Numbers, tcp: Numbers) -> FloatArray:
 
 def jacobian(arm: ArmDescription, q: Numbers, tcp: Numbers) -> FloatArray:
     """Geometric Jacobian (6, 6) of the tool in the base frame: linear rows, then angular ones."""
-    posture = Posture(lengths_of(arm), q)
-    tool = compose(posture.flange, frame_of(tcp))
-    columns = posture.columns((tool[9], tool[10], tool[11]))
-    return np.array((columns[:6], columns[6:])).transpose(0, 2, 1).reshape(6, 6)
+    return np.array(_jacobian(arm, q, tcp)).reshape(6, 6)
 
 
 def tool_velocity(arm: ArmDescription, q: Numbers, qd: Numbers, tcp: Numbers) -> FloatArray:
     """Velocity (6,) of the tool in the base frame, [m/s] and [rad/s]."""
+    return np.array(twist_of(_jacobian(arm, q, tcp), qd))
+
+
+def _jacobian(arm: ArmDescription, q: Numbers, tcp: Numbers) -> list[float]:
     posture = Posture(lengths_of(arm), q)
     tool = compose(posture.flange, frame_of(tcp))
-    return np.array(posture.twist((tool[9], tool[10], tool[11]), qd))
+    return posture.jacobian((tool[9], tool[10], tool[11]))

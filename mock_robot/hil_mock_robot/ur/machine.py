@@ -10,9 +10,10 @@ import numpy as np
 
 from hil.typing import FloatArray
 from hil_mock_robot.ur.body import Body, Reading
+from hil_mock_robot.ur.cartesian import Cartesian
 from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
 from hil_mock_robot.ur.heat import HeatGuard
-from hil_mock_robot.ur.limits import MotionImpossible
+from hil_mock_robot.ur.limits import MotionImpossible, leaving, out_of
 from hil_mock_robot.ur.line import Line
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.publishing import Publishing
@@ -94,7 +95,7 @@ class Machine:
         self.watches: dict[str, Callable[[Any], None]] = {}
         self.line = Line(self.tick_s)
         self._heat = HeatGuard()
-        self.publishers: list[Callable[[Machine], None]] = []
+        self.publishers: list[Callable[[Machine], None]] = [Cartesian(self).publish]
         if powered:
             body.release()
         self.setpoint: Setpoint = body.setpoint
@@ -166,19 +167,20 @@ class Machine:
         if self.runtime is RuntimeState.PAUSED and self.modes.running:
             self.runtime = RuntimeState.PLAYING
 
-    def protective_stop(self, code: int, *, held: bool = True) -> None:
+    def protective_stop(self, code: int, *, held: bool = True, text: str = "") -> None:
         """Stop because something is wrong.
 
         Args:
             code: A code of `hil_mock_robot.arm.FAULTS`, or UR's own.
             held: The servo still does what it is told; else the mechanical brakes do it.
+            text: In words, where the code does not say it.
         """
         first = self.modes.running
         self.modes.protective_stop(code)
         self.pause()
         self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=held)
         if first:
-            self.tell("protective_stop", code=code)
+            self.tell("protective_stop", text=text, code=code)
 
     def emergency_stop(self) -> None:
         """The red button."""
@@ -265,11 +267,14 @@ class Machine:
             self.setpoint = np.stack((self.setpoint[0], np.zeros(6), np.zeros(6)))
         else:
             self.setpoint = after
+            joint = leaving(self.body.arm, after[0], after[1])
+            if joint is not None and self.modes.running:
+                self._break_off(out_of(self.body.arm, joint))
 
     def _break_off(self, error: MotionImpossible) -> StopJoints:
         """A motion cannot begin or go on: a protective stop, or a runtime error of its program."""
         if error.code:
-            self.protective_stop(error.code)
+            self.protective_stop(error.code, text=error.text)
         else:
             self.fail(error.text)
         self.motion = StopJoints(PROTECTIVE_STOP_RAD_S2, self.tick_s)
