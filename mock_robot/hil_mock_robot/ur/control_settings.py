@@ -39,9 +39,11 @@ def _set_watchdog(script: ControlScript) -> None:
     set_watchdog(script.machine, variable, script.registers.double(0), "stop")
 
 
-def _protective_stop(script: ControlScript) -> None:
+def _protective_stop(script: ControlScript) -> Steps:
+    """The program pauses before it can say that it is done: the client sees the stop first."""
     if script.has((3, 8), (5, 0)):
         script.machine.protective_stop(PROTECTIVE_STOP_BY_PROGRAM)
+        yield
 
 
 def _teach_mode(script: ControlScript) -> None:
