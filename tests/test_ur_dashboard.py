@@ -1,9 +1,15 @@
 """The dashboard of the mock UR controller, line by line."""
 
+from pathlib import Path
+
 import pytest
+from fuzzing import examples
+from hypothesis import given
+from hypothesis import strategies as st
 from ur_machine import SERIAL, Wire, machine_of, pass_time
 
 from hil_mock_robot.ur.dashboard import LONGEST_LINE, DashboardService
+from hil_mock_robot.ur.dashboard_commands import COMMANDS
 from hil_mock_robot.ur.mode_codes import RobotMode, RuntimeState
 
 REFUSAL = (
@@ -342,3 +348,39 @@ def test_a_controller_that_has_booted_has_nothing_loaded(cb3):
     cb3.machine.tell("booted")
     assert cb3.ask("get loaded program") == "No program loaded"
     assert cb3.service.pendant.popup == ""
+
+
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "mock-ur-dashboard.md"
+LINES = st.one_of(
+    st.binary(max_size=60),
+    st.builds(
+        lambda command, rest: f"{command.text} {rest}".encode(),
+        st.sampled_from(COMMANDS),
+        st.text(max_size=20),
+    ),
+)
+
+
+@examples(100)
+@given(lines=st.lists(LINES, max_size=8), cuts=st.lists(st.integers(1, 200), max_size=5))
+def test_any_line_gets_one_reply_however_it_is_cut(lines, cuts):
+    lines = [line.replace(b"\n", b" ") for line in lines]
+    lines = [line for line in lines if line.decode("utf-8", "replace").strip().lower() != "quit"]
+    desk = DESKS[len(lines) % 2]
+    data = b"".join(line + b"\n" for line in lines)
+    at = 0
+    for cut in [*cuts, len(data)]:
+        desk.session.received(data[at : at + cut])
+        at += cut
+    desk.session.received(data[at:])
+    said = [line for line in lines if line.decode("utf-8", "replace").strip()]
+    assert desk.wire.take().count(b"\n") == len(said)
+    assert desk.ask("robotmode").startswith("Robotmode: ")
+
+
+DESKS = (Desk(), Desk("ur5e"))
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.text)
+def test_every_command_is_documented(command):
+    assert f"`{command.text}" in PAGE.read_text(encoding="utf-8")
