@@ -151,15 +151,16 @@ def test_every_state_getter_of_ur_rtde_equals_the_outputs(arm, rate_hz, number):
 def test_receiving_follows_the_controller_at_its_rate(controller, arm, rate_hz):
     where = controller(arm)
     with receiving(where) as receive:
-        stamps, since = set(), time.monotonic()
-        while time.monotonic() - since < 1.0:
+        first, since, stamps = receive.getTimestamp(), time.monotonic(), set()
+        while max(stamps, default=0.0) < first + 1.0:
             stamps.add(receive.getTimestamp())
             time.sleep(0.0005)
-        # ur_rtde keeps the latest state only, and misses the more the busier the computer is.
-        assert 10 < len(stamps) < 1.5 * rate_hz
+            assert time.monotonic() < since + 10.0
+        # A busy computer is late and catches up, by half a second at most; it is never early.
+        assert time.monotonic() - since > 0.4
         ticks = np.array(sorted(stamps)) * rate_hz
         assert ticks == pytest.approx(ticks.round())
-        assert np.ptp(ticks) == pytest.approx(rate_hz, rel=0.4)
+        assert np.diff(ticks).min() == pytest.approx(1.0)
         assert receive.getRobotMode() == 7
         assert receive.getSafetyMode() == 1
         upright = [0, -math.pi / 2, 0, -math.pi / 2, 0, 0]
