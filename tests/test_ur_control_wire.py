@@ -173,7 +173,7 @@ def test_an_asynchronous_move_is_watched_and_stopped(at_home):
     assert status.isAsyncOperationRunning()
     at_home.pass_time(0.8)
     at_home.control.stopJ(2.0)
-    assert at_home.standing()
+    at_home.until(at_home.standing)
     assert HOME[0] + 0.1 < at_home.q[0] < target[0] - 0.3
     assert at_home.control.getAsyncOperationProgress() < 0
 
@@ -407,7 +407,7 @@ def test_a_custom_function_runs_and_the_control_script_comes_back(at_home):
     body = f"movej([{target}], a=5, v=1)\nsleep(0.1)\nset_digital_out(3, True)\n"
     assert at_home.control.sendCustomScriptFunction("mine", body)
     np.testing.assert_allclose(at_home.q, HOME + 0.1, atol=1e-5)
-    assert at_home.receive.getActualDigitalOutputBits() & 8
+    at_home.until(lambda: at_home.receive.getActualDigitalOutputBits() & 8)
     assert at_home.control.isProgramRunning()
     assert at_home.control.isSteady() in (True, False)
 
@@ -416,7 +416,7 @@ def test_stop_script_and_reupload(at_home):
     control = at_home.control
     control.stopScript()
     assert not control.isProgramRunning()
-    assert at_home.receive.getRuntimeState() == 1
+    at_home.until(lambda: at_home.receive.getRuntimeState() == 1)
     assert not control.setPayload(1.0, [0, 0, 0])
     assert control.reuploadScript()
     at_home.until(control.isProgramRunning)
@@ -429,7 +429,7 @@ def test_a_protective_stop_by_program(desk):
         control = rtde_control.RTDEControlInterface(where)
         try:
             assert not control.triggerProtectiveStop()  # its answer never comes
-            assert receive.isProtectiveStopped()
+            Desk(desk.model, where, receive, control).until(receive.isProtectiveStopped)
             assert not control.moveJ(HOME.tolist(), 1.0, 1.0)
         finally:
             control.disconnect()

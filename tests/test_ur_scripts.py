@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from fuzzing import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from ur_control_parts import HOME, beside
 from ur_machine import machine_of
@@ -380,7 +381,7 @@ WORDS = [
 ONE = machine_of("ur5e")
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@examples(200)
 @given(
     st.one_of(
         st.text(max_size=200),
@@ -401,7 +402,7 @@ def test_no_text_crashes_the_controller(text):
     assert np.isfinite(ONE.setpoint).all()
 
 
-@settings(max_examples=50, deadline=None, suppress_health_check=list(HealthCheck))
+@examples(50)
 @given(st.binary(max_size=300))
 def test_no_bytes_crash_the_inbox(data):
     ScriptInbox(ONE).feed(data + b"\n")
