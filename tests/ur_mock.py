@@ -21,7 +21,7 @@ from hil_mock_robot.journal import read_journal
 SIDE_PORT = 30100
 READY_WITHIN_S = 60.0
 ANSWER_WITHIN_S = 60.0
-_numbers = itertools.count(1)
+_numbers = itertools.count(100)
 
 
 class MockUr:
@@ -106,6 +106,8 @@ def mock_ur(
         elif process.poll() is None:
             process.kill()
             process.wait(20)
+        assert process.stdout is not None
+        process.stdout.close()
 
 
 def _wait_until_ready(process: subprocess.Popen[str]) -> None:

@@ -46,7 +46,7 @@ class Line:
     def begin(self, fault: Fault) -> None:
         """From the next package on, suffer from a fault."""
         if fault.kind == "cut":
-            self.cut = True
+            self.cut = fault.for_s > 0
             for end in self._ends:
                 end.close()
         elif fault.kind in LASTING:

@@ -70,6 +70,7 @@ class Loop:
         self._listening: dict[socket.socket, Service] = {}
         self.sessions: dict[socket.socket, tuple[TcpLink, Session]] = {}
         self._ending = self._dark = False
+        self._suffered: tuple[bool, frozenset[int], bool] = (False, frozenset(), False)
         self._woken, self._waker = socket.socketpair()
         self._open([*self._services, *([side] if side is not None else [])])
 
@@ -96,6 +97,7 @@ class Loop:
 
     def turn(self) -> None:
         """Serve what has come, and tick when that is due."""
+        self._suffer()
         held = self._held()
         wait = None if held else self._pacer.wait_s()
         self._serve(LONGEST_WAIT_S if wait is None else min(wait, LONGEST_WAIT_S))
@@ -117,8 +119,12 @@ class Loop:
             self._side.ticked()
 
     def _suffer(self) -> None:
-        """Do to the ports what the troubles of this tick do to them."""
+        """Do to the ports what the troubles do to them."""
         troubles = self._troubles
+        now = (troubles.unplugged, troubles.mute, troubles.dark)
+        if now == self._suffered:
+            return
+        self._suffered = now
         for link, _ in self.sessions.values():
             link.blocked = self._unheard(link.port)
         if troubles.dark and not self._dark:

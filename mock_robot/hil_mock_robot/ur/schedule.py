@@ -31,13 +31,16 @@ class Schedule:
         for fault in faults:
             self.add(fault)
 
-    def add(self, fault: Fault) -> None:
-        """One more; without a time it begins with the next tick."""
+    def add(self, fault: Fault) -> bool:
+        """One more; whether it begins at once because no time was given."""
         if fault.motion is not None or fault.program is not None:
             self._waiting.append(fault)
+        elif fault.at_s is not None:
+            self._dated.append((self._count(fault.at_s), fault))
         else:
-            at = self.ticks + 1 if fault.at_s is None else self._count(fault.at_s)
-            self._dated.append((at, fault))
+            self._begin(fault, self.ticks + 1)
+            return True
+        return False
 
     def began(self, what: str) -> None:
         """Note that a `motion` or `program` begins with this tick."""
@@ -54,19 +57,23 @@ class Schedule:
         if begun or over:
             self._dated = [(first, each) for first, each in self._dated if first > self.ticks]
             self._ends = [(end, each) for end, each in self._ends if end > self.ticks]
-            self._ends += [
-                (self.ticks + self._count(each.for_s), each)
-                for each in begun
-                if each.for_s < math.inf
-            ]
-            self.lasting = [each for each in self.lasting if each not in over] + begun
+            self.lasting = [each for each in self.lasting if each not in over]
+        for fault in begun:
+            self._begin(fault, self.ticks)
         return begun, over
 
-    def clear(self) -> list[Fault]:
-        """Forget everything; returns what was lasting."""
-        lasting, self.lasting = self.lasting, []
-        self._dated, self._waiting, self._ends = [], [], []
+    def clear(self, keep: str) -> list[Fault]:
+        """Forget everything but what lasts and is of one kind; returns what was lasting else."""
+        lasting = [fault for fault in self.lasting if fault.kind != keep]
+        self.lasting = [fault for fault in self.lasting if fault.kind == keep]
+        self._ends = [(end, fault) for end, fault in self._ends if fault.kind == keep]
+        self._dated, self._waiting = [], []
         return lasting
+
+    def _begin(self, fault: Fault, tick: int) -> None:
+        self.lasting.append(fault)
+        if fault.for_s < math.inf:
+            self._ends.append((tick + self._count(fault.for_s), fault))
 
     def _count(self, seconds: float) -> int:
         """Ticks in a time, rounded up, at least one."""

@@ -59,22 +59,20 @@ class Troubles:
         return self._schedule.lasting
 
     def add(self, given: object) -> Fault:
-        """One more fault, from the side channel; without a time it begins with the next tick.
+        """One more fault, from the side channel; without a time it begins at once.
 
         Raises:
             SpecError: It is unknown or cannot be.
         """
         fault = fault_of("fault", given)
-        self._schedule.add(fault)
+        if self._schedule.add(fault):
+            self._strike(fault, begins=True)
         return fault
 
     def clear(self) -> None:
         """End what lasts and forget what was to come; a reboot still takes its time."""
-        for fault in self._schedule.clear():
-            if fault.kind == "reboot":
-                self._schedule.lasting.append(fault)
-            else:
-                self._strike(fault, begins=False)
+        for fault in self._schedule.clear(keep="reboot"):
+            self._strike(fault, begins=False)
         self._machine.line.mend()
 
     def tick(self) -> None:
