@@ -183,7 +183,11 @@ class Receiver:
     version = (3, 15, 8, 0)
 
     def __init__(self, host, frequency_hz=None):
-        self._last = None
+        self._heard = time.monotonic()
+
+    @property
+    def age_s(self):
+        return time.monotonic() - self._heard
 
     def open(self):
         pass
@@ -197,6 +201,7 @@ class Receiver:
             if WORLD.cut:
                 raise RobotConnectionError("the controller has hung up")
             if rows := WORLD.rows_due():
+                self._heard = time.monotonic()
                 return np.array(rows, ROW)
             if time.monotonic() > until:
                 raise RobotTimeout("no row")

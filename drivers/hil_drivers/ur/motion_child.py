@@ -144,8 +144,6 @@ class UrMotion:
         """See `hil.robot.Robot`; raises `RobotTimeout` when somebody else had better do it."""
         if self._mover is not None:
             self._mover.stop()
-        elif self._alone:
-            stop_directly(self._options.address, self._options.stop_rad_s2)
 
     def client_gone(self) -> None:
         """Whoever drove the arm has died: nobody else will stop it."""

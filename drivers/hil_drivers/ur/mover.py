@@ -34,6 +34,9 @@ PLAYING = 2
 """RTDE `runtime_state` of a program that runs."""
 
 LOOK_S = 0.02
+FRESH_S = 0.1
+"""A state younger than this is taken for the present one where the arm is to be stopped [s]."""
+
 OBEY_WITHIN_S = 0.03
 """How soon a stop must have been handed to the controller; whoever asked has other ways [s]."""
 
@@ -48,6 +51,10 @@ KICKS_PER_PERIOD = 4.0
 
 class Ticks(Protocol):
     """Where the controller's samples come from: RTDE rows with the names of RTDE's variables."""
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the newest one came [s]."""
 
     def take(self, timeout_s: float) -> StructArray:
         """All rows since the last call, at least one; raises `RobotTimeout`."""
@@ -115,11 +122,16 @@ class Mover(threading.Thread):
 
     def run(self) -> None:
         """Look at every row until the end."""
+        threading.Thread(target=self._keep_watch, name="hil-ur-watch", daemon=True).start()
         while not self._ending.is_set():
             try:
                 rows = self._ticks.take(LOOK_S)
             except RobotTimeout:
-                self._silent(time.monotonic() - self._heard)
+                for_s = time.monotonic() - self._heard
+                if self._halted.is_set() and for_s < FRESH_S:
+                    self._tick(self.newest)
+                else:
+                    self._silent(for_s)
             except HilError as error:
                 self._lost(error.message)
             else:
@@ -352,19 +364,24 @@ class Mover(threading.Thread):
             self._stop_directly()
 
     def _silent(self, for_s: float) -> None:
-        if for_s > SILENT_S:
-            self._lost(f"the controller has not said anything for {for_s:.1f} s")
-        moves = self.phase not in (Phase.IDLE, Phase.BRAKING)
-        if moves and (for_s > self._options.late_s or self._halted.is_set()):
-            # Not by ur-rtde: it waits for an answer, for minutes if need be.
-            self.phase = Phase.BRAKING
-            self._obeyed.set()
-            self._until = np.inf
+        """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
+        moves = self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING)
+        if moves and for_s > self._options.late_s:
             self.failure = self.failure or StaleState(
                 f"the controller has not said anything for {for_s:.2f} s while the arm was moving",
                 hint="check the network between this computer and the controller",
             )
+        if moves and (self.failure is not None or self._halted.is_set()):
+            self.phase = Phase.BRAKING
+            self._obeyed.set()
+            self._until = np.inf
             self._stop_directly()
+
+    def _keep_watch(self) -> None:
+        """On a thread of its own: whatever `ur-rtde` waits for, silence ends the session."""
+        while not self._ending.wait(LOOK_S):
+            if self._ticks.age_s > SILENT_S:
+                self._lost(f"the controller has not said anything for {self._ticks.age_s:.1f} s")
 
     def _lost(self, why: str) -> None:
         """Leave before `ur-rtde` connects again by itself."""

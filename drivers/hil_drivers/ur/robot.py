@@ -46,6 +46,8 @@ plan was made, for minutes. Of a motion everything is kept [s]."""
 RAMP_GRACE_S = 0.5
 """How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
 
+STILL_RAD_S = 1e-3
+
 
 class UrRobot:
     """Implements `hil.robot.Robot` for arms of Universal Robots.
@@ -72,7 +74,7 @@ class UrRobot:
         self._prepared: Segment | None = None
         self._newest: StructArray | None = None
         self._problem: HilError | None = None
-        self._faulty = False
+        self._faulty = self._halted = False
         self._stopped_by: float | None = None
         self._replaced = False
 
@@ -143,7 +145,7 @@ class UrRobot:
             raise
         self._standing, self._further = Standing(), []
         self._problem, self._stopped_by = None, None
-        self._faulty = self._replaced = False
+        self._faulty = self._replaced = self._halted = False
         self._connected = True
 
     def listen(self) -> None:
@@ -216,7 +218,7 @@ class UrRobot:
             newest = -np.inf if self._newest is None else float(self._newest["timestamp"][-1])
             self._standing.begin(segment.index, newest, moves=False)
             return
-        self._stopped_by = None
+        self._stopped_by, self._halted = None, False
         self._receiver.keep(None)
         begun = self._motion.start()
         self._replaced = False
@@ -257,7 +259,7 @@ class UrRobot:
         """
         if not self._connected:
             return
-        self._prepared = None
+        self._prepared, self._halted = None, True
         newest = self._receiver.newest
         if newest is not None:
             speed = float(np.abs(newest["target_qd"]).max())
@@ -299,17 +301,19 @@ class UrRobot:
                 self._receiver.keep(KEPT_S)
         except HilError as error:
             fault = fault or error
+        if self._standing.moving and self._halted and _still(row):
+            # Who moved it may not be there any more to say that the motion is over.
+            self._standing.end(float(row["timestamp"]))
         if fault is not None and not self._faulty:
-            self._problem, self._faulty = fault, True
+            self._problem, self._faulty, self._halted = fault, True, True
         self._watch_stop(row)
 
     def _watch_stop(self, row: np.void) -> None:
         """A stop that has not worked is made again, in another way."""
-        now, speed = float(row["timestamp"]), float(np.abs(row["target_qd"]).max())
-        if self._stopped_by is None or now < self._stopped_by:
+        if self._stopped_by is None or float(row["timestamp"]) < self._stopped_by:
             return
         self._stopped_by = None
-        if speed > 1e-3:
+        if not _still(row):
             self._stop_directly()
             stop_program(self._options.address)
 
@@ -355,3 +359,7 @@ class UrRobot:
         self._connected = self._listening = False
         self._motion.close()
         self._receiver.close()
+
+
+def _still(row: Any) -> bool:
+    return bool(np.abs(row["target_qd"]).max() < STILL_RAD_S)

@@ -1,0 +1,369 @@
+"""The UR driver against the mock controller: real sockets, the unmodified `ur-rtde`."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import time
+
+import numpy as np
+import pytest
+from ur_mock import mock_ur
+
+from hil.errors import (
+    CommandRefused,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+    SpecError,
+)
+from hil.excite.motion import Line
+from hil.payload import Payload
+from hil.robot import Segment, Status
+from hil.testing.conformance import robot_conformance
+from hil.testing.moves import begin, follow, hold, move, settle, standing_at
+from hil_drivers.ur.robot import UrRobot
+from hil_drivers.ur.rows import TOPIC
+
+pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
+
+SLOW = {"late_s": 2.0, "lag_s": 1.0, "watchdog_hz": 0.5}
+"""For a machine that is shared with other work."""
+
+STOP_S = 0.1
+
+
+@pytest.fixture(scope="module")
+def mock():
+    with mock_ur() as running:
+        yield running
+
+
+@contextlib.contextmanager
+def robot_on(running, model="ur5", **options):
+    robot = UrRobot("arm", model, **({"address": running.address} | SLOW | options))
+    try:
+        robot.connect()
+        yield robot
+    finally:
+        with contextlib.suppress(HilError):
+            robot.close()
+
+
+@pytest.fixture
+def robot(mock):
+    with robot_on(mock) as connected:
+        yield connected
+
+
+def trajectory(robot, way=0.3, seconds=2.0, index=40):
+    """From rest to rest and back, led along."""
+    q = standing_at(robot)
+    rate = robot.capabilities.rate_hz
+    goal = q.copy()
+    goal[-1] += way
+    ends = tuple(q.tolist()), tuple(goal.tolist())
+    samples = Line(*ends, 2 * abs(way) / seconds, 4.0, jerk=40.0, rate_hz=rate).sample(rate)
+    speed, acceleration = np.abs(samples.qd).max(), np.abs(samples.qdd).max()
+    return Segment(
+        index, "trajectory", samples.q, samples.qd, samples.qdd, float(speed), float(acceleration)
+    )
+
+
+def until_it_raises(robot, within_s=20.0):
+    """Read until something is wrong; returns it, and the rows before."""
+    rows, until = [], time.monotonic() + within_s
+    while time.monotonic() < until:
+        try:
+            rows.append(robot.read())
+        except HilError as error:
+            return error, np.concatenate(rows) if rows else None
+    raise AssertionError("nothing was wrong")
+
+
+def first(journal, event, after=0.0, **details):
+    for line in journal:
+        late_enough = line["event"] == event and line["monotonic_s"] >= after
+        if late_enough and all(line.get(key) == value for key, value in details.items()):
+            return line
+    raise AssertionError(f"no {event} {details} in {[line['event'] for line in journal][-30:]}")
+
+
+def test_it_keeps_the_contract_of_a_robot(mock):
+    robot_conformance(lambda: UrRobot("arm", "ur5", address=mock.address, **SLOW))
+
+
+def test_every_state_of_the_controller_arrives_once(robot):
+    rows = [robot.read()]
+    while sum(map(len, rows)) < 250:
+        rows.append(robot.read())
+    times = np.concatenate(rows)["device_time"]
+    assert np.diff(times) == pytest.approx(0.008)
+    further = robot.drain()[TOPIC]
+    assert len(further) == len(times)
+    assert further["device_time"] == pytest.approx(times)
+
+
+def test_it_says_which_arm_it_is(robot, mock):
+    who = robot.identity
+    assert (who.model, who.serial.isdigit(), who.firmware) == ("ur5", True, "3.15.8.106339")
+    assert who.details["torque_source"] == "current"
+    assert robot.resource == f"ur://{mock.address}"
+
+
+def test_a_trajectory_is_followed_to_its_end(robot):
+    asked = trajectory(robot)
+    mine = follow(robot, asked)
+    assert mine[-1]["q"] == pytest.approx(asked.q[-1], abs=5e-3)
+    # It is followed late, not beside the way.
+    assert mine["q"][:, -1].max() < asked.q[:, -1].max() + 5e-3
+    seconds = mine["device_time"][-1] - mine["device_time"][0]
+    assert seconds == pytest.approx(len(asked.q) / 125, abs=1.5)
+
+
+def test_moves_may_be_led_and_the_next_one_may_be_the_controllers(mock):
+    with robot_on(mock, moves="servoj") as led:
+        asked = move(led, 0.1)
+        assert follow(led, asked)[-1]["q"] == pytest.approx(asked.q[-1], abs=5e-3)
+    with robot_on(mock) as own:
+        asked = move(own, 0.1)
+        assert follow(own, asked)[-1]["q"] == pytest.approx(asked.q[-1], abs=5e-3)
+
+
+def test_a_move_to_where_it_stands_is_over_at_once(robot):
+    here = standing_at(robot)[None]
+    zeros = np.zeros_like(here)
+    mine = follow(robot, Segment(50, "move", here, zeros, zeros, 0.0, 0.0))
+    assert not mine[-1]["status"] & Status.MOVING
+
+
+def test_trajectories_moves_and_holds_follow_each_other(robot):
+    for make in (lambda r: trajectory(r, 0.1), lambda r: move(r, 0.1), hold, hold, trajectory):
+        follow(robot, make(robot))
+
+
+def test_a_load_is_read_back_and_one_that_is_too_heavy_refused(robot):
+    declared = Payload(2.0, (0.0, 0.0, 0.05))
+    assert declared.agrees_with(robot.set_payload(declared))
+    with pytest.raises(CommandRefused, match="too heavy"):
+        robot.set_payload(Payload(20.0))
+    robot.set_payload(Payload())
+
+
+def test_a_load_is_not_changed_while_the_arm_moves(robot):
+    begin(robot, move(robot, 0.4))
+    with pytest.raises(CommandRefused, match="moving"):
+        robot.set_payload(Payload(1.0))
+    robot.stop()
+    settle(robot)
+
+
+def test_what_an_idle_arm_did_while_nobody_read_is_let_go_of(robot):
+    robot.read()
+    time.sleep(6.0)
+    assert len(robot.read()) < 5.5 * 125
+
+
+def test_a_torque_source_the_controller_does_not_have_is_refused():
+    with mock_ur("--model", "ur5e") as running:
+        robot = UrRobot(
+            "arm", "ur5e", address=running.address, torque_source="current-as-torque", **SLOW
+        )
+        with pytest.raises(SpecError, match="current-as-torque"):
+            robot.connect()
+        with robot_on(running, "ur5e") as connected:
+            assert connected.capabilities.rate_hz == 500
+            asked = move(connected, 0.1)
+            assert follow(connected, asked)[-1]["q"] == pytest.approx(asked.q[-1], abs=5e-3)
+            declared = Payload(1.0, (0.0, 0.0, 0.05), (0.01, 0.01, 0.01, 0.0, 0.0, 0.0))
+            assert connected.set_payload(declared).inertia == pytest.approx(declared.inertia)
+            asked = trajectory(connected, 0.1, 1.0)
+            assert follow(connected, asked)[-1]["q"] == pytest.approx(asked.q[-1], abs=5e-3)
+
+
+def test_another_arm_than_the_stations_is_refused(mock):
+    with pytest.raises(RobotConnectionError, match="CB3 controller"):
+        UrRobot("arm", "ur5e", address=mock.address).connect()
+    with pytest.raises(RobotConnectionError, match="moves a UR5"):
+        UrRobot("arm", "ur10", address=mock.address).connect()
+
+
+def test_nobody_there_is_told_with_what_to_look_at():
+    with pytest.raises(RobotConnectionError, match="29999") as caught:
+        UrRobot("arm", "ur5", address="127.0.0.254").connect()
+    assert caught.value.hint
+
+
+def test_a_second_driver_is_told_who_owns_the_inputs(mock, robot):
+    with pytest.raises(RobotConnectionError, match="owns the inputs"):
+        UrRobot("arm", "ur5", address=mock.address, **SLOW).connect()
+    follow(robot, move(robot, 0.05))
+
+
+def test_local_control_is_refused_before_anything_is_uploaded():
+    with mock_ur("--model", "ur5e", "--local") as running:
+        with pytest.raises(RobotFault, match="local control"):
+            UrRobot("arm", "ur5e", address=running.address).connect()
+        assert running.side("state")["program"] is None
+
+
+MOTIONS = {"move": lambda r: move(r, 0.4), "trajectory": lambda r: trajectory(r, 0.5, 3.0)}
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_stop_is_on_the_wire_within_a_tenth_of_a_second(kind, tmp_path):
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        asked = time.monotonic()
+        robot.stop()
+        took = time.monotonic() - asked
+        settle(robot)
+        journal = running.journal()
+        stop = first(journal, "stop", after=asked)
+        assert took < STOP_S
+        assert stop["monotonic_s"] - asked < STOP_S
+        assert stop["by"] == {"move": "stopj", "trajectory": "servo_stop"}[kind]
+        assert not [
+            e for e in journal if e["event"] == "start" and e["monotonic_s"] > stop["monotonic_s"]
+        ]
+        assert first(journal, "rest", after=asked)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_motion_process_that_is_killed_does_not_keep_the_arm_from_being_stopped(kind, tmp_path):
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        os.kill(robot._motion.pid, signal.SIGKILL)
+        asked = time.monotonic()
+        robot.stop()
+        assert time.monotonic() - asked < STOP_S
+        stop = first(running.journal(), "stop", after=asked)
+        assert (stop["by"], stop["via"]) == ("hil_stop", "script")
+        assert stop["monotonic_s"] - asked < STOP_S
+        error, _ = until_it_raises(robot)
+        assert isinstance(error, RobotConnectionError)
+        settle(robot)
+        robot.connect()
+        follow(robot, move(robot, 0.1))
+
+
+def test_a_motion_process_that_hangs_does_not_either(tmp_path):
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
+        begin(robot, move(robot, 0.4))
+        os.kill(robot._motion.pid, signal.SIGSTOP)
+        try:
+            asked = time.monotonic()
+            robot.stop()
+            assert time.monotonic() - asked < STOP_S
+            stop = first(running.journal(), "stop", after=asked)
+            assert stop["by"] == "hil_stop"
+        finally:
+            os.kill(robot._motion.pid, signal.SIGCONT)
+        settle(robot)
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize(
+    ("fault", "said"), [("protective_stop", "protective stop"), ("emergency_stop", "emergency")]
+)
+def test_a_stop_of_the_controllers_is_a_fault_with_the_remedy(kind, fault, said, tmp_path):
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        running.side("fault", kind=fault)
+        error, rows = until_it_raises(robot)
+        assert isinstance(error, RobotFault)
+        assert said in error.message
+        assert error.hint
+        assert rows[-1]["status"] & Status.FAULT
+        robot.stop()
+        settle(robot)
+        with pytest.raises(RobotFault, match="does not obey"):
+            robot.prepare(move(robot, 0.1))
+        with pytest.raises(RobotFault, match=said):
+            robot.connect()
+
+
+def test_after_a_protective_stop_was_unlocked_it_moves_again(tmp_path):
+    with mock_ur("--speed", "4") as running, robot_on(running) as robot:
+        begin(robot, move(robot, 0.4))
+        running.side("fault", kind="protective_stop")
+        until_it_raises(robot)
+        robot.stop()
+        settle(robot)
+        time.sleep(2.0)
+        running.side("clear")
+        dashboard(running.address, "unlock protective stop")
+        time.sleep(0.3)
+        robot.connect()
+        here = standing_at(robot)
+        time.sleep(0.5)
+        assert standing_at(robot) == pytest.approx(here, abs=1e-3), "the old motion goes on"
+        follow(robot, move(robot, 0.1))
+
+
+def dashboard(address, command):
+    with socket.create_connection((address, 29999), 5.0) as line:
+        file = line.makefile("rw", newline="\n")
+        file.readline()
+        file.write(f"{command}\n")
+        file.flush()
+        return file.readline().strip()
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_program_that_somebody_stops_is_a_fault(kind):
+    with mock_ur() as running, robot_on(running) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        dashboard(running.address, "stop")
+        error, _ = until_it_raises(robot)
+        assert isinstance(error, RobotFault)
+        assert "program" in error.message
+        robot.stop()
+        settle(robot)
+        robot.connect()
+        follow(robot, move(robot, 0.1))
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@pytest.mark.parametrize("fault", ["cut", "unplugged", "silence"])
+def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kind, fault, tmp_path):
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running, late_s=0.3) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        running.side("fault", kind=fault)
+        error, _ = until_it_raises(robot)
+        asked = time.monotonic()
+        with contextlib.suppress(RobotConnectionError):
+            robot.stop()
+        assert time.monotonic() - asked < STOP_S
+        assert isinstance(error, HilError)
+        time.sleep(3.0)
+        running.side("clear")
+        journal = running.journal()
+        began = first(journal, "fault", kind=fault)["monotonic_s"]
+        stops = [
+            e["monotonic_s"]
+            for e in journal
+            if e["monotonic_s"] > began and e["event"] in ("stop", "watchdog", "program_stopped")
+        ]
+        assert stops, [e["event"] for e in journal]
+        assert not [e for e in journal if e["event"] == "start" and e["monotonic_s"] > stops[0]]
+        state = running.side("state")
+        assert max(map(abs, state["qd_target"])) < 1e-6
+        robot.connect()
+        follow(robot, move(robot, 0.05))
+
+
+def test_a_load_the_controller_does_not_take_is_seen():
+    with mock_ur() as running, robot_on(running) as robot:
+        running.side("fault", kind="payload_refused")
+        declared = Payload(2.0, (0.0, 0.0, 0.05))
+        with contextlib.suppress(CommandRefused):
+            assert not declared.agrees_with(robot.set_payload(declared))
+
+
+def test_nothing_plays_after_closing(mock):
+    with robot_on(mock) as robot:
+        follow(robot, move(robot, 0.05))
+    assert mock.side("state")["program"] is None
