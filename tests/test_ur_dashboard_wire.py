@@ -159,6 +159,33 @@ def test_local_control_is_told_to_the_dashboard_client():
         assert client.robotmode() == "Robotmode: RUNNING"
 
 
+CONTROL = """
+import sys
+from rtde_control import RTDEControlInterface
+control = RTDEControlInterface(sys.argv[1])
+print(control.isProgramRunning())
+control.stopScript()
+"""
+
+
+def control(where):
+    """`ur-rtde`'s control interface in a process of its own: its constructor may hang."""
+    command = [sys.executable, "-c", CONTROL, where]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def test_the_control_interface_asks_the_dashboard_for_remote_control(e_series):
+    ran = control(e_series)
+    assert ran.stdout.split() == ["True"], ran.stderr
+
+
+def test_the_control_interface_is_refused_in_local_control():
+    with mock(75, "--model", "ur5e", "--local") as where:
+        ran = control(where)
+    assert ran.returncode != 0
+    assert "Please enable remote control on the robot!" in ran.stderr
+
+
 @pytest.mark.parametrize("model", ["cb3", "e_series"])
 def test_python_urx_connects_reads_and_moves(model, request):
     pytest.importorskip("urx", reason="python-urx is a test tool (LGPL): pip install urx")

@@ -26,7 +26,7 @@ def pass_time(machine, seconds, sessions=()):
 
 
 class Wire:
-    """A link that takes everything, or nothing any more after `stall`."""
+    """A link that takes everything; set `pending` for a client that does not read."""
 
     peer = "127.0.0.1"
 
