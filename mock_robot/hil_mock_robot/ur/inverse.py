@@ -23,7 +23,9 @@ from hil_mock_robot.ur.poses import (
 SINGULAR = 1e-9
 """Sine of the wrist 2 angle below which only the sum of its neighbours matters."""
 ROUNDING = 1e-9
-"""How far a cosine may exceed 1 at the very end of the arm's reach."""
+"""How far a cosine may exceed 1 at the very end of the arm's reach, and a joint its limit [rad]."""
+FAR = 1e3
+"""Metres and radians beyond which, as for what is no number, there is no solution."""
 ITERATIONS, DAMPING, LARGEST_STEP_RAD, STAGNANT = 60, 1e-3, 0.3, 0.9999
 """Of the fallback; it gives up when a step leaves more than this share of the error."""
 
@@ -50,6 +52,8 @@ def solve(
         position_m: Largest position error of what the fallback finds [m].
         orientation_rad: Its largest orientation error [rad].
     """
+    if not all(abs(number) < FAR for each in (pose, q_near, tcp) for number in floats(each)):
+        return None
     flange = compose(frame_of(pose), inverted(frame_of(tcp)))
     found = nearest(arm, flange, q_near)
     if found is None:
@@ -98,13 +102,13 @@ def unwind(
     unwound = []
     for angle, goal, least, most in zip(q, near, low, high, strict=True):
         nearest = angle + 2 * pi * round((goal - angle) / (2 * pi))
-        if nearest > most:
+        if nearest > most + ROUNDING:
             nearest -= 2 * pi
-        elif nearest < least:
+        elif nearest < least - ROUNDING:
             nearest += 2 * pi
-        if not least <= nearest <= most:
+        if not least - ROUNDING <= nearest <= most + ROUNDING:
             return None
-        unwound.append(nearest)
+        unwound.append(min(max(nearest, least), most))
     return unwound
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hil.arms import ArmDescription
 from hil.errors import CommandRefused
 from hil.typing import FloatArray
@@ -54,6 +56,16 @@ def out_of(arm: ArmDescription, joint: int) -> MotionImpossible:
     return MotionImpossible(
         f"joint {joint + 1} must stay between {low:.4f} and {high:.4f} rad", JOINT_LIMITS
     )
+
+
+def require_finite(*numbers: float | FloatArray) -> None:
+    """Refuse what is no number.
+
+    Raises:
+        MotionImpossible: With code 204.
+    """
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise MotionImpossible("a target is not a finite number", SUDDEN_CHANGE)
 
 
 def leaving(arm: ArmDescription, q: FloatArray, qd: FloatArray) -> int | None:

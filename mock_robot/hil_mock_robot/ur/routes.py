@@ -16,7 +16,7 @@ from hil_mock_robot.ur.inverse import solve
 from hil_mock_robot.ur.kinematics import pose_of, tool_frame
 from hil_mock_robot.ur.limits import MotionImpossible, require_within
 from hil_mock_robot.ur.pieces import Piece
-from hil_mock_robot.ur.poses import compose, frame_of, inverted, rotation_vector
+from hil_mock_robot.ur.poses import Numbers, compose, frame_of, inverted, rotation_vector
 from hil_mock_robot.ur.profiles import timed
 
 NO_SOLUTION = "Inverse kinematics: unable to find a solution"
@@ -37,7 +37,7 @@ class Leg:
     """
 
     kind: Literal["j", "l", "p"]
-    target: FloatArray
+    target: Numbers
     v: float
     a: float
     radius: float = 0.0
@@ -94,7 +94,7 @@ def joint_route(site: Site, legs: Sequence[Leg], first: int, q: FloatArray) -> l
     """
     stretches, radii, at = [], [], q
     for i, leg in enumerate(legs):
-        _require_speed(leg)
+        _require_numbers(leg)
         target = _joints_of(site, leg, at)
         way = joint_size(target - at)
         if way > LEAST_WAY:
@@ -115,8 +115,8 @@ def tool_route(site: Site, legs: Sequence[Leg], first: int, q: FloatArray) -> li
     arm, tcp = site.known
     stretches, radii, at = [], [], pose_of(arm, q, tcp)
     for i, leg in enumerate(legs):
-        _require_speed(leg)
-        target = leg.target if leg.is_pose else pose_of(arm, leg.target, tcp)
+        _require_numbers(leg)
+        target = np.array(leg.target) if leg.is_pose else pose_of(arm, leg.target, tcp)
         if solve(arm, target, q, tcp, position_m=1e-6, orientation_rad=1e-6) is None:
             raise MotionImpossible(NO_SOLUTION, hint="the target of a move is out of reach")
         turn = rotation_vector(compose(inverted(frame_of(at)), frame_of(target)))
@@ -142,12 +142,13 @@ def _joints_of(site: Site, leg: Leg, near: FloatArray) -> FloatArray:
         if found is None:
             raise MotionImpossible(NO_SOLUTION, hint="the target of a move is out of reach")
         return found
+    target = np.array(leg.target, dtype=np.float64)
     if site.arm is not None:
-        require_within(site.arm, leg.target)
-    return leg.target
+        require_within(site.arm, target)
+    return target
 
 
-def _require_speed(leg: Leg) -> None:
+def _require_numbers(leg: Leg) -> None:
     values = np.array([*leg.target, leg.v, leg.a, leg.radius, leg.time_s])
     if not np.isfinite(values).all() or (leg.time_s <= 0.0 and min(leg.v, leg.a) <= 0.0):
         raise MotionImpossible(

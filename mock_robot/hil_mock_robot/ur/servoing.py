@@ -11,7 +11,7 @@ from hil.typing import FloatArray
 from hil_mock_robot.ur.blends import Size, joint_size
 from hil_mock_robot.ur.contracts import Setpoint
 from hil_mock_robot.ur.following import ToolFollower
-from hil_mock_robot.ur.limits import out_of, require_within
+from hil_mock_robot.ur.limits import out_of, require_finite, require_within
 from hil_mock_robot.ur.poses import Numbers
 from hil_mock_robot.ur.stopping import StopJoints, StopL
 
@@ -45,7 +45,7 @@ class ServoJ:
         self._tick_s, self._arm = tick_s, arm
         self._fastest = np.full(6, FASTEST_RAD_S) if arm is None else arm.qd_max
         self._target: FloatArray | None = None
-        self._ticks_left = 0
+        self._ticks_left = 0.0
         self._rate = 0.0
         self._share: float | None = None
 
@@ -58,26 +58,27 @@ class ServoJ:
             lookahead_s: 0.03 to 0.2 [s]; what lies outside counts as the nearest of these.
             gain: 100 to 2000, likewise.
         """
-        self._target = np.array(q, dtype=np.float64)
-        self._ticks_left = max(1, round(time_s / self._tick_s))
-        lookahead = min(max(lookahead_s, LOOKAHEAD_S[0]), LOOKAHEAD_S[1])
-        self._rate = 2.0 / lookahead * sqrt(min(max(gain, GAIN[0]), GAIN[1]) / USUAL_GAIN)
+        self._target = np.array((*q, time_s, lookahead_s, gain), dtype=np.float64)
+        self._ticks_left = max(1.0, time_s / self._tick_s)
+        lookahead = min(max(LOOKAHEAD_S[0], lookahead_s), LOOKAHEAD_S[1])
+        self._rate = 2.0 / lookahead * sqrt(min(max(GAIN[0], gain), GAIN[1]) / USUAL_GAIN)
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
         """See `Motion`; over when the aims have stopped and the last one is reached.
 
         Raises:
-            MotionImpossible: With code 150 for a target beyond the joint limits.
+            MotionImpossible: With code 150 for a target beyond the joint limits, 204 for none.
         """
-        target, q, v = self._target, now[0], now[1]
-        if target is None:
+        if self._target is None:
             return StopJoints(BRAKE_RAD_S2, self._tick_s).advance(now, scale)
+        require_finite(self._target)
+        target, q, v = self._target[:6], now[0], now[1]
         if self._arm is not None:
             require_within(self._arm, target)
-        self._ticks_left -= 1
+        self._ticks_left -= 1.0
         self._slide(scale)
         near = np.abs(q - target).max() < ARRIVED_RAD and np.abs(v).max() < RESTING_RAD_S
-        if near and self._ticks_left < 0:
+        if near and self._ticks_left < 0.0:
             return np.array((target, np.zeros(6), np.zeros(6))) if v.any() else None
         return self._filtered(q - target, q, v)
 
@@ -114,7 +115,7 @@ class SpeedJ:
 
     def aim(self, qd: Numbers, a: float) -> None:
         """Turn with `qd` (6,) [rad/s]; the joint that has most to change does it with `a`."""
-        self._speed, self._a = np.array(qd, dtype=np.float64), max(abs(a), 1e-6)
+        self._speed, self._a = np.array(qd, dtype=np.float64), abs(a) or 1.0
         if self._arm is not None:
             self._speed /= max(1.0, float((np.abs(self._speed) / self._arm.qd_max).max()))
 
@@ -124,6 +125,7 @@ class SpeedJ:
         Raises:
             MotionImpossible: With code 150 when a joint could hardly stop within its limits.
         """
+        require_finite(self._speed, self._a)
         v = _towards(now[1], scale * self._speed, self._a * self._tick_s, joint_size)
         q = now[0] + 0.5 * self._tick_s * (now[1] + v)
         if self._arm is not None:
@@ -148,7 +150,7 @@ class SpeedL:
 
     def aim(self, xd: Numbers, a: float) -> None:
         """Move with `xd` (6,) [m/s, rad/s] in the base frame; speed up with `a` [m/s², rad/s²]."""
-        self._speed, self._a = np.array(xd, dtype=np.float64), max(abs(a), 1e-6)
+        self._speed, self._a = np.array(xd, dtype=np.float64), abs(a) or 1.0
 
     def advance(self, now: Setpoint, scale: float) -> Setpoint | None:
         """See `SpeedJ.advance`.
@@ -156,6 +158,7 @@ class SpeedL:
         Raises:
             MotionImpossible: With code 150 near joint limits, 154 near a singularity.
         """
+        require_finite(self._speed, self._a)
         if self._twist is None:
             self._twist = np.array(self._follower.twist(now))
         goal, step = scale * self._speed, self._a * self._tick_s

@@ -76,7 +76,7 @@ class StopL:
         twist = np.array(self._follower.twist(now))
         speed = float(max(np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])))
         left = 1.0 - self._a * self._tick_s / speed if speed > 0.0 else 0.0
-        if left <= 0.0:
+        if not left > 0.0:
             v = np.zeros(6)
             return np.array((now[0] + 0.5 * self._tick_s * now[1], v, -now[1] / self._tick_s))
         after = self._follower.drift(now, left * twist)
