@@ -274,10 +274,12 @@ def test_a_paused_path_goes_on_with_the_move_it_fell_into():
     client.pass_ticks(20)
     client.machine.pause()
     client.pass_ticks(100)
+    paused_at = client.q[0]
     client.machine.resume()
     seen = set()
     while client.progress is not None:
         seen.add(client.progress)
+        assert client.q[0] > paused_at - 1e-9
         client.machine.tick()
     assert seen == {1, 2}
     np.testing.assert_allclose(client.q, PATH[-1][1].target, atol=1e-9)
