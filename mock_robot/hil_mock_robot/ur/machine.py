@@ -206,6 +206,8 @@ class Machine:
         """The controller goes dark: the mechanical brakes stop the arm at once."""
         self.halt()
         self._lock()
+        self.reading = self.body.step(self.setpoint)
+        self.tell("power_cut")
 
     def boot(self, *, powered: bool) -> None:
         """Start anew after `cut_power`: the clock at 0, nothing declared, nothing loaded."""

@@ -23,7 +23,7 @@ RATE_HZ = 10
 MOST_PENDING = 200_000
 """Bytes that wait for a client that does not read; messages are dropped whole beyond that."""
 
-OWN_CODES = 100
+OWN_CODES = 10
 """Below that, a code is one of `hil_mock_robot.arm.FAULTS`; from there on it is UR's own C…."""
 
 ERROR_CODES = {1: 153, 2: 157, RUNAWAY: 153, PROTECTIVE_STOP: 158}

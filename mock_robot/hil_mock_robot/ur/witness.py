@@ -38,7 +38,7 @@ NAMED = re.compile(rb"^\s*(?:def|sec)\s+(\w+)", re.MULTILINE)
 CONTROL = b"rtde_control"
 LONGEST_SCRIPT = 1_000_000
 TOLD = ("program_started", "program_stopped", "protective_stop", "emergency_stop", "watchdog",
-        "error", "refused", "fault", "booted")  # fmt: skip
+        "error", "refused", "fault", "power_cut", "booted")  # fmt: skip
 STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watchdog", "fault")
 
 
@@ -104,7 +104,9 @@ class Witness:
             return
         details = {"name": event.name, "text": event.text, "code": event.code}
         self._note(event.kind, **{key: value for key, value in details.items() if value})
-        if event.kind in STOPPING_EVENTS:
+        if event.kind == "power_cut":
+            self._rest.locked(event.kind, self._moment())
+        elif event.kind in STOPPING_EVENTS:
             self._command = 0
             self._rest.stopped(event.kind, self._moment())
 
