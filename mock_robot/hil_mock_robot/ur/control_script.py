@@ -21,6 +21,7 @@ from hil_mock_robot.ur.control_touch import TOUCHES
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.operation import Operation
+from hil_mock_robot.ur.poses import Numbers
 from hil_mock_robot.ur.registers import Registers
 from hil_mock_robot.ur.threaded import Steps, Threaded
 
@@ -60,7 +61,7 @@ class ControlScript(Threaded):
         self.touch = Touch()
         self.internal = NO_COMMAND
         self.stop_linear = False
-        self.waypoint: FloatArray | None = None
+        self.waypoint: Numbers | None = None
         self.servo: tuple[FloatArray, float, float, float] = (np.zeros(6), 0.0, 0.1, 300.0)
         self.speed = self.jog = (True, np.zeros(6), 0.0)
         self.contact = 0

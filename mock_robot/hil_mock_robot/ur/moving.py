@@ -10,6 +10,7 @@ from hil.errors import CommandRefused
 from hil.typing import FloatArray
 from hil_mock_robot.ur.kinematics import pose_of, solve
 from hil_mock_robot.ur.machine import Machine
+from hil_mock_robot.ur.poses import Numbers
 from hil_mock_robot.ur.servoing import SpeedJ, SpeedL
 from hil_mock_robot.ur.stopping import StopJoints, StopL
 from hil_mock_robot.ur.threaded import Steps, Threaded
@@ -58,7 +59,7 @@ def within_limits(machine: Machine, q: Sequence[float] | FloatArray) -> bool:
     return bool(((arm.q_min <= q) & (q <= arm.q_max)).all())
 
 
-def pose_at(machine: Machine, q: FloatArray) -> FloatArray:
+def pose_at(machine: Machine, q: Numbers) -> FloatArray:
     """(6,) where the TCP is with joint angles (6,)."""
     return pose_of(machine.body.arm, q, machine.tcp)
 
