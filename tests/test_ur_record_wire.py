@@ -5,13 +5,16 @@ The mock shares no code with the driver; `ur-rtde` beside it is the witness.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +34,12 @@ pytestmark = [pytest.mark.wire, pytest.mark.timeout(180)]
 SCRIPTS = 30002
 SPREAD = np.array([0.5, 0.4, 0.6, 0.7, 0.7, 0.9])
 HOME = np.array([0.0, -1.57, 0.0, -1.57, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def mock():
+    with mock_ur() as running:
+        yield running
 
 
 @pytest.mark.parametrize(("model", "rate"), [("ur5", 125.0), ("ur5e", 500.0)])
@@ -81,17 +90,14 @@ def test_every_value_is_the_one_that_ur_rtde_reads():
         with child, Receiver(mock.address, silence_s=60.0) as receiver:
             assert child.stdin is not None
             assert child.stdout is not None
-            while receiver.counts.packages < 5:  # its constructor waits for a state
-                mock.step(1)
-            on = child.stdout.readline
-            for _ in range(20):
-                mock.step(1)
-            assert on().strip() == "on"
+            while not select.select([child.stdout], [], [], 0.05)[0]:
+                mock.step(1)  # its constructor waits for a state, and never longer than 2.5 s
+            assert child.stdout.readline().strip() == "on"
             mock.step(5)
             time.sleep(0.3)
             child.stdin.write("\n")
             child.stdin.flush()
-            theirs = json.loads(on())
+            theirs = json.loads(child.stdout.readline())
             ours = receiver.newest
             assert ours is not None
             row = ours[0]
@@ -117,8 +123,8 @@ def test_every_value_is_the_one_that_ur_rtde_reads():
         ({"kind": "reboot"}, "hung up|broke the connection|restarted"),
     ],
 )
-def test_what_goes_wrong_on_the_line_is_told_after_the_last_good_state(fault, says):
-    with mock_ur() as mock, Receiver(mock.address, silence_s=0.5) as receiver:
+def test_what_goes_wrong_on_the_line_is_told_after_the_last_good_state(mock, fault, says):
+    with reached(mock) as receiver:
         first = receiver.take(5.0)
         mock.side("fault", **fault)
         rows, error = until_it_ends(receiver, first)
@@ -128,8 +134,8 @@ def test_what_goes_wrong_on_the_line_is_told_after_the_last_good_state(fault, sa
 
 
 @pytest.mark.parametrize(("kind", "counted"), [("drop", "missing"), ("duplicate", "duplicates")])
-def test_what_is_lost_or_comes_twice_is_counted(kind, counted):
-    with mock_ur("--speed", "5") as mock, Receiver(mock.address) as receiver:
+def test_what_is_lost_or_comes_twice_is_counted(mock, kind, counted):
+    with reached(mock) as receiver:
         receiver.take(5.0)
         mock.side("fault", kind=kind, packages=3)
         until = time.monotonic() + 10
@@ -236,6 +242,21 @@ def steps(receiver: Receiver, count: int) -> list[float]:
         rows = np.concatenate((rows, receiver.take(5.0)))
     found = np.unique(np.diff(rows["timestamp"]).round(6))
     return found.tolist()
+
+
+@contextlib.contextmanager
+def reached(mock: MockUr) -> Iterator[Receiver]:
+    """A receiver of a mock that may have been cut off or rebooted a moment ago."""
+    mock.side("clear")
+    receiver, until = Receiver(mock.address, silence_s=0.5), time.monotonic() + 20
+    while not receiver.alive:
+        try:
+            receiver.open()
+        except RobotConnectionError:
+            assert time.monotonic() < until
+            time.sleep(0.1)
+    with receiver:
+        yield receiver
 
 
 def until_it_ends(
