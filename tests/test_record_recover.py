@@ -510,3 +510,39 @@ def test_refusal_to_read_a_torn_file_names_the_command(torn: Path) -> None:
     with pytest.raises(DataError) as caught:
         read_topic(torn)
     assert f"hil recover {torn}" in caught.value.hint
+
+
+def cut_run(folder: Path, content: bytes) -> RunDirectory:
+    """A run whose only recording was finished once and cut off later."""
+    run = RunDirectory.create(folder, "ur5", "cut")
+    run.write_start({"uid": "u"})
+    run.part_path(0).write_bytes(content)
+    return run
+
+
+@pytest.mark.parametrize("missing", [1, 8, 9, 300, 2000])
+def test_a_finished_file_that_was_cut_off_later_is_recovered_too(
+    tmp_path: Path, whole: tuple[StructArray, bytes], missing: int
+) -> None:
+    run = cut_run(tmp_path, whole[1][:-missing])
+    (recovery,) = recover(run.path).files
+    assert recovery.did == "rebuilt"
+    assert recovery.torn == run.path / "recording" / "00.mcap.torn"
+    assert read_info(run.part_path(0)).complete
+    assert recover(run.path).files == ()
+
+
+def test_a_finished_file_that_is_whole_is_left_alone(
+    tmp_path: Path, whole: tuple[StructArray, bytes]
+) -> None:
+    run = cut_run(tmp_path, whole[1])
+    result = recover(run.path)
+    assert (result.files, result.problems) == ((), ())
+    assert [path.name for path in (run.path / "recording").iterdir()] == ["00.mcap"]
+
+
+def test_a_finished_file_of_which_nothing_is_left_is_a_problem(tmp_path: Path) -> None:
+    run = cut_run(tmp_path, b"")
+    ((path, error),) = recover(run.path).problems
+    assert path == run.part_path(0)
+    assert "is not an MCAP file" in error.message

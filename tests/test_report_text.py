@@ -5,8 +5,9 @@ import subprocess
 import sys
 
 import pytest
-from report_runs import JOINTS, fourier_plan, rows_of_plan, write_run
+from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 
+from hil.campaign.view import list_runs
 from hil.errors import DataError
 from hil.report import summary_lines
 
@@ -59,7 +60,75 @@ def test_an_interrupted_run_is_called_interrupted(tmp_path):
     run = write_run(tmp_path, fourier_plan(), outcome=None)
     lines = summary_lines(run.path)
     assert lines[0].startswith("INTERRUPTED")
-    assert "2 of 6 steps were done" in " ".join(lines)
+    assert "Measured: 0 of 3 trajectories" in " ".join(lines)
+
+
+def cut_off(tmp_path):
+    """A run that was killed: its recording is torn, nothing says how it ended."""
+    plan = dwell_plan()
+    return write_run(tmp_path, plan, rows=rows_of_plan(plan)[:700], outcome=None, finish=False)
+
+
+def test_an_interrupted_run_tells_what_its_data_tells(tmp_path):
+    run = cut_off(tmp_path)
+    text = " ".join(" ".join(summary_lines(run.path)).split())
+    assert "recorded 700 samples in 5.6 s; 0 missing in 0 gaps, 0 duplicates" in text
+    assert "measured 20 of 48 dwells, 5 of 10 references" in text
+    (listed,) = list_runs(tmp_path)
+    assert listed["duration_s"] == pytest.approx(699 / 125)
+
+
+def test_a_resumed_run_that_was_killed_counts_both_attempts(tmp_path):
+    run = cut_off(tmp_path)
+    first = run.path / "recording" / "00.mcap.partial"
+    (run.path / "recording" / "01.mcap.partial").write_bytes(first.read_bytes())
+    (run.path / "resume-01.json").write_text('{"hil_run": 1, "attempt": 1}')
+    assert "1400 samples in 11.2 s" in " ".join(" ".join(summary_lines(run.path)).split())
+
+
+def test_a_finished_recording_that_was_cut_off_is_a_warning(tmp_path):
+    run = write_run(tmp_path, fourier_plan())
+    file = run.path / "recording" / "00.mcap"
+    assert "torn" not in " ".join(summary_lines(run.path))
+    file.write_bytes(file.read_bytes()[:-100])
+    told = " ".join(" ".join(summary_lines(run.path)).split())
+    assert f"00.mcap is torn although it was finished: hil recover {run.path}" in told
+
+
+def test_lines_in_the_log_that_are_no_events_are_counted(tmp_path):
+    run = write_run(tmp_path, fourier_plan())
+    log = run.path / "events.jsonl"
+    log.write_bytes(log.read_bytes() + b'{"t": 17, "ti')  # what a crash leaves is no news
+    assert "no event" not in " ".join(summary_lines(run.path))
+    log.write_bytes(log.read_bytes() + b'\n\xff\x00garb\x80age\n[]\n{"kind"\nnull\n')
+    assert "events.jsonl holds 4 lines that are no events" in " ".join(summary_lines(run.path))
+    assert run.verify() == ["events.jsonl holds 4 lines that are no events: something else "
+                            "wrote into it"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["plan.json", "start.json"])
+@pytest.mark.parametrize("content", ['{"steps": 3}', "{}", "{", "[]"])
+def test_a_run_with_a_damaged_document_is_not_offered_to_be_resumed(tmp_path, name, content):
+    run = stopped_early(tmp_path, fourier_plan())
+    (run.path / name).write_text(content)
+    text = " ".join(" ".join(summary_lines(run.path)).split())
+    assert "hil resume" not in text
+    assert f"Warning: {run.path / name} " in text
+
+
+def test_a_reason_keeps_its_lines(tmp_path):
+    reason = "weighing: load 1: 3 kg declared, 1 kg weighed\n  torque it adds:\n  elbow: 0.1, 0.2"
+    run = stopped_early(tmp_path, fourier_plan())
+    stop = run.path / "stop.json"
+    stop.write_text(json.dumps(json.loads(stop.read_text()) | {"reason": reason}))
+    lines = summary_lines(run.path)
+    assert "  torque it adds:" in lines
+    assert any(line.startswith("  elbow: 0.1, 0.2.") for line in lines)
+
+
+def test_one_of_a_kind_is_no_plural(tmp_path):
+    run = stopped_early(tmp_path, fourier_plan(), missing=38, gaps=1, duplicates=1)
+    assert "38 missing in 1 gap, 1 duplicate" in " ".join(" ".join(summary_lines(run.path)).split())
 
 
 def test_a_tripped_run_gives_its_reason(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from hil.record.files import read_json
 from hil.record.lock import is_live
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
+from hil.record.span import recorded_s
 
 
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
@@ -61,10 +63,19 @@ def _entry(listing: RunListing) -> dict[str, Any]:
         "robot": listing.robot,
         "date": listing.date,
         "uid": listing.uid,
-        "duration_s": stop.get("device_s"),
+        "duration_s": stop.get("device_s", _recorded_s(listing)),
         "verdict": verdict_word(listing.path),
         "problem": listing.problem,
     }
+
+
+def _recorded_s(listing: RunListing) -> float | None:
+    """What a run without stop document recorded so far; None where nobody can say."""
+    if listing.status not in ("interrupted", "running"):
+        return None
+    with contextlib.suppress(OSError):
+        return recorded_s(RunDirectory(listing.path).recordings)
+    return None
 
 
 def _stop(run: RunDirectory) -> dict[str, Any]:

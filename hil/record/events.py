@@ -21,6 +21,7 @@ from hil.errors import DataError, RecordingError
 from hil.record.files import fsync_directory, json_line
 
 _CLOSE = None
+_BEGINNING = b'{"t": '
 
 
 class EventLog:
@@ -125,13 +126,31 @@ def read_events(path: Path) -> list[dict[str, Any]]:
     Raises:
         DataError: The file cannot be read.
     """
+    return [event for event in map(_event_of, _lines_of(path)) if event is not None]
+
+
+def foreign_lines(path: Path) -> int:
+    """How many lines of a log are no events, and not what a crash leaves of one either.
+
+    Raises:
+        DataError: The file cannot be read.
+    """
+    spoilt = (line for line in _lines_of(path) if line.strip() and _event_of(line) is None)
+    return sum(not _is_torn_event(line) for line in spoilt)
+
+
+def _lines_of(path: Path) -> list[bytes]:
     try:
-        lines = Path(path).read_bytes().splitlines()
+        return Path(path).read_bytes().split(b"\n")
     except FileNotFoundError:
         return []
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror or error}") from error
-    return [event for event in map(_event_of, lines) if event is not None]
+
+
+def _is_torn_event(line: bytes) -> bool:
+    """Whether a line begins as every event does, and has no end."""
+    return line[: len(_BEGINNING)] == _BEGINNING[: len(line)] and not line.endswith(b"}")
 
 
 def _event_of(line: bytes) -> dict[str, Any] | None:

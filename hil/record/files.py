@@ -86,6 +86,9 @@ def json_document(value: Any) -> bytes:
     return text.encode("utf-8", "backslashreplace") + b"\n"
 
 
+_DAMAGED = "it is damaged, or no file of hil: take it from a copy that is whole"
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """The object a JSON file holds.
 
@@ -97,9 +100,10 @@ def read_json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path} is not valid JSON: {error}") from error
+        raise DataError(f"{path} is not valid JSON: {error}", hint=_DAMAGED) from error
     if not isinstance(document, dict):
-        raise DataError(f"{path} holds a {type(document).__name__}, not a JSON object")
+        kind = type(document).__name__
+        raise DataError(f"{path} holds a {kind}, not a JSON object", hint=_DAMAGED)
     return document
 
 
@@ -112,7 +116,8 @@ def require_known_version(where: Path, document: Mapping[str, Any], key: str, kn
     try:
         version = int(str(document[key]))
     except (KeyError, ValueError):
-        raise DataError(f"{where} does not say which format it has ({key})") from None
+        told = f"{where} does not say which format it has ({key})"
+        raise DataError(told, hint=_DAMAGED) from None
     if version > known:
         raise DataError(
             f"{where} was written by a newer hil: {key} is {version}, known here up to {known}",

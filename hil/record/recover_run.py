@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, HilError, RecordingError
+from hil.record.ending import torn_although_finished
 from hil.record.lock import hold_run, run_holder
+from hil.record.parts import recordings_in
 from hil.record.recover import recover_file
 from hil.record.recovery import Recovery
 from hil.record.rundir import RunDirectory
@@ -82,6 +84,8 @@ def _all_of(
     folder: Path, out: Path | None, discard: bool
 ) -> tuple[list[Recovery], list[tuple[Path, HilError]]]:
     files = sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
+    whole = recordings_in(folder) if folder.is_dir() else ()
+    files += [f for f in torn_although_finished(whole) if not _unfinished(f).exists()]
     # What an earlier recovery kept is looked at again only to be deleted.
     files += sorted(folder.glob(f"*.mcap{TORN_SUFFIX}")) if discard and out is None else []
     done: list[Recovery] = []
@@ -92,6 +96,11 @@ def _all_of(
         except (DataError, RecordingError) as error:
             problems.append((file, error))
     return done, problems
+
+
+def _unfinished(file: Path) -> Path:
+    """A recovery that was killed leaves both; the unfinished one is dealt with first."""
+    return file.with_name(file.name + PARTIAL_SUFFIX)
 
 
 def _inside(folder: Path | None, file: Path) -> Path | None:

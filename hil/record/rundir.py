@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from hil.errors import DataError, RecordingError
-from hil.record.events import EventLog, read_events
+from hil.record.events import EventLog, foreign_lines, read_events
 from hil.record.files import (
     fsync_directory,
     json_document,
@@ -237,7 +237,8 @@ class RunDirectory:
     def verify(self) -> list[str]:
         """What differs from the checksums of the newest stop document, one line per file.
 
-        The event log may have grown since: what it held then must be there still.
+        The event log may have grown since: what it held then must be there still, and what came
+        must be events.
         """
         ends = (self.stop_of(attempt) for attempt in reversed(range(self.attempts)))
         stop = next((end for end in ends if end is not None), {})
@@ -245,11 +246,18 @@ class RunDirectory:
         if not isinstance(recorded, dict):
             return ["stop.json holds no checksums"]
         lengths = {_EVENTS: stop.get("events_bytes")}
-        return [
+        changed = [
             problem
             for name, digest in recorded.items()
             if (problem := _changed(self.path / name, name, digest, lengths.get(name)))
         ]
+        return changed + self.foreign_events()
+
+    def foreign_events(self) -> list[str]:
+        """What in the event log nobody of ours wrote, in words; nothing where all is well."""
+        lines = foreign_lines(self.events_path)
+        held = "1 line that is no event" if lines == 1 else f"{lines} lines that are no events"
+        return [f"{_EVENTS} holds {held}: something else wrote into it"] if lines else []
 
     def _checksums(self) -> dict[str, Any]:
         inside = (path for path in self.path.rglob("*") if path.is_file())

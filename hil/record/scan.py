@@ -26,6 +26,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
 INDEX_HEADER = struct.Struct("<HI")
 _FOOTER = struct.Struct("<QQI")
+FOOTER_BYTES = _FOOTER.size
 _CHECKSUM_BYTES = 4
 _CHUNK_TIMES = struct.Struct("<QQ")
 INDEX_ENTRY_BYTES = 16

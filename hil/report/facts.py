@@ -12,6 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import DataError, HilError
+from hil.plan.plan import Plan
+from hil.plan.plan_file import read_plan
+from hil.record.ending import torn_although_finished
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (
@@ -25,6 +28,7 @@ from hil.report.documents import (
     yaml_document,
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
+from hil.report.interrupted import recorded_by
 from hil.spec.load import load_spec
 
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
@@ -39,6 +43,8 @@ class RunFacts:
         status: `completed`, `stopped`, `tripped`, `failed`, `interrupted` or `damaged`.
         start, stop, plan, preflight, verdict: The documents; empty where absent or damaged. A
             resumed run has the stop document of its last attempt.
+        recorded: What the stop document counts; where there is none, counted by the data.
+        whole: Whether start document and plan can be used: nothing goes on without them.
         spec: The spec as plain YAML; empty where absent or damaged.
         steps: The plan's steps in JSON form.
         events: As logged.
@@ -50,6 +56,8 @@ class RunFacts:
     status: str
     start: Document
     stop: Document
+    recorded: Document
+    whole: bool
     plan: Document
     preflight: Document
     verdict: Document
@@ -101,7 +109,7 @@ class RunFacts:
     @property
     def measured(self) -> str:
         """By the data, such as `6 of 24 dwells, 2 of 6 references`; empty when nobody counted."""
-        counts = as_object(self.stop.get("complete")).items()
+        counts = as_object(self.recorded.get("complete")).items()
         return ", ".join(
             f"{as_object(n).get('done')} of {as_object(n).get('of')} "
             f"{PLURALS.get(kind, f'{kind}s')}"
@@ -182,22 +190,59 @@ def read_facts(path: Path) -> RunFacts:
         )
     problems: list[str] = []
     start = document(path / "start.json", problems)
-    run = RunDirectory.open(path) if start else RunDirectory(path)
-    plan = document(path / "plan.json", problems)
+    run = RunDirectory.open(path) if "hil_run" in start else RunDirectory(path)
+    plan_document, plan = _plan(path / "plan.json", problems)
+    whole = _is_known(path / "start.json", start, problems) and plan is not None
+    stop = document(path / name_of_attempt("stop.json", run.attempts - 1), problems)
+    rate_hz = as_float(as_object(start.get("robot")).get("rate_hz") or plan_document.get("rate_hz"))
+    status = _status(run, problems)
+    problems += _torn(run)
     return RunFacts(
         path=path,
-        status=_status(run, problems),
+        status=status,
         start=start,
-        stop=document(path / name_of_attempt("stop.json", run.attempts - 1), problems),
-        plan=plan,
+        stop=stop,
+        recorded=stop if status != "interrupted" else recorded_by(run, plan, rate_hz),
+        whole=whole,
+        plan=plan_document,
         preflight=document(path / "preflight.json", problems),
         verdict=document(path / "verdict.json", problems),
         spec=yaml_document(path / "spec.yaml", problems),
-        steps=as_objects(plan.get("steps")),
+        steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
         fits=read_fits(_folders(path / "fit"), problems),
         problems=tuple(problems),
     )
+
+
+def _plan(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
+    """The plan as it stands there, and as what it is; None for one that nobody can execute."""
+    if not path.exists():
+        return {}, None
+    told = document(path, problems)
+    try:
+        return told, read_plan(path)
+    except DataError as error:
+        if error.message not in problems:
+            problems.append(error.message)
+        return told, None
+
+
+def _is_known(path: Path, start: Document, problems: list[str]) -> bool:
+    """Whether the start document is one; a damaged one is a problem already."""
+    if "hil_run" in start:
+        return True
+    if path.exists() and not any(str(path) in problem for problem in problems):
+        problems.append(f"{path} does not say which format it has (hil_run)")
+    return False
+
+
+def _torn(run: RunDirectory) -> list[str]:
+    return [
+        f"{path.name} is torn although it was finished: hil recover {run.path} makes a whole file "
+        "of what is left"
+        for path in torn_although_finished(run.recordings)
+    ]
 
 
 def _folders(path: Path) -> list[Path]:
@@ -215,6 +260,7 @@ def _status(run: RunDirectory, problems: list[str]) -> str:
 
 def _events(run: RunDirectory, problems: list[str]) -> list[Document]:
     try:
+        problems += run.foreign_events()
         return list(run.events())
     except DataError as error:
         problems.append(error.message)

@@ -53,7 +53,7 @@ def next_command(facts: RunFacts, run: str) -> str:
     wanted = facts.estimators_wanted
     if facts.start.get("passive"):
         return "" if facts.fits else f"hil fit {run} --estimator ESTIMATOR"
-    if facts.status in RESUMABLE and facts.steps:
+    if facts.status in RESUMABLE and facts.whole:
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
         return f"hil fit {run} --estimator {wanted[0]}"
@@ -191,7 +191,7 @@ def _ending(facts: RunFacts) -> str:
         "tripped": "An interlock stopped the robot",
         "failed": "The run failed",
     }
-    reason = " ".join(str(facts.stop.get("reason") or "no reason was recorded").split())
+    reason = str(facts.stop.get("reason") or "no reason was recorded").strip()
     return f"{words[facts.status]}: {reason.rstrip('.')}."
 
 

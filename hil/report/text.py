@@ -20,7 +20,7 @@ from hil.report.judgement import (
     verdict_words,
 )
 from hil.report.weighing import weighing_warnings, weighings
-from hil.report.words import criterion_text, duration, joint_title, number, when
+from hil.report.words import counted, criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
 LABEL = 11
@@ -40,14 +40,34 @@ def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
     """
     facts = read_facts(Path(run))
     lines = [*wrap(f"{badge_of(facts).text}  {facts.name}", width), ""]
-    lines += [*wrap(sentence_of(facts), width), ""]
+    lines += [*_paragraph(sentence_of(facts), width), ""]
     for label, value in _details(facts):
         lines += _labelled(label, value, width)
     for fit in facts.judged_fits:
         lines += ["", *_fit_lines(fit, width)]
     for warning in _warnings(facts):
-        lines += ["", *wrap(f"Warning: {warning}", width)]
+        lines += ["", *_paragraph(f"Warning: {warning}", width)]
     return lines + _commands(facts, run)
+
+
+def _paragraph(text: str, width: int) -> list[str]:
+    """Wrapped, with the line breaks and the indents it has: reasons may hold small tables."""
+    lines: list[str] = []
+    for line in text.splitlines():
+        indent = " " * (len(line) - len(line.lstrip()))
+        lines += _wrapped(line, width, "", indent)
+    return lines
+
+
+def _wrapped(text: str, width: int, first: str, others: str) -> list[str]:
+    return wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=others,
+        break_long_words=False,  # a path that is cut in two cannot be copied
+        break_on_hyphens=False,
+    )
 
 
 def _warnings(facts: RunFacts) -> list[str]:
@@ -71,7 +91,7 @@ def _report(facts: RunFacts) -> str:
 
 
 def _details(facts: RunFacts) -> list[tuple[str, str]]:
-    start, stop = facts.start, facts.stop
+    start, recorded = facts.start, facts.recorded
     out = [
         ("run", str(facts.path)),
         ("started", when(start.get("started"))),
@@ -84,13 +104,14 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("verdict", verdict_words(facts)),
         ("report", _report(facts)),
     ]
-    if "samples" in stop:
-        took = duration(as_float(stop.get("device_s")))
-        said = (
-            f"{stop['samples']} samples in {took}; {stop.get('missing', 0)} missing in "
-            f"{stop.get('gaps', 0)} gaps, {stop.get('duplicates', 0)} duplicates"
+    if "samples" in recorded:
+        took = duration(as_float(recorded.get("device_s")))
+        missing = (
+            f"{recorded.get('missing', 0)} missing in {counted(recorded.get('gaps', 0), 'gap')}"
         )
-        out.insert(5, ("recorded", said))
+        twice = counted(recorded.get("duplicates", 0), "duplicate")
+        samples = counted(recorded["samples"], "sample")
+        out.insert(5, ("recorded", f"{samples} in {took}; {missing}, {twice}"))
     return [(label, value) for label, value in out if value]
 
 
@@ -103,14 +124,7 @@ def _program(facts: RunFacts) -> str:
 
 
 def _labelled(label: str, value: str, width: int) -> list[str]:
-    return wrap(
-        value,
-        width,
-        initial_indent=label.ljust(LABEL),
-        subsequent_indent=" " * LABEL,
-        break_long_words=False,  # a path that is cut in two cannot be copied
-        break_on_hyphens=False,
-    )
+    return _wrapped(value, width, label.ljust(LABEL), " " * LABEL)
 
 
 def _fit_lines(fit: FitFacts, width: int) -> list[str]:

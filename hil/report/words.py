@@ -38,6 +38,11 @@ def count(value: int) -> str:
     return f"{value:,}".replace(",", "\u202f")
 
 
+def counted(number: Any, what: str) -> str:
+    """`1 gap`, `2 gaps`."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def duration(seconds: float | None) -> str:
     """`12.3 s`, `4 min 05 s` or `1 h 19 min`."""
     if seconds is None or not math.isfinite(seconds):
