@@ -92,3 +92,20 @@ def test_the_schema_of_import_maps_is_printed() -> None:
     schema = json.loads(hil("schema", "map").stdout)
     assert schema["title"] == "hil map"
     assert "joint_names" in schema["required"]
+
+
+LACKING = """
+import sys, hil, hil_mock_robot
+from pathlib import Path
+FILE = Path(hil_mock_robot.__file__).with_name("ranges.yaml")
+from hil.cli.app import _named
+error = FileNotFoundError(2, "No such file or directory", str(FILE))
+sys.stdout.write(f"{type(_named(error)).__name__} {_named(error).exit_code} {_named(error)}")
+"""
+
+
+def test_a_file_that_an_installation_lacks_is_no_fault_of_a_recording() -> None:
+    done = subprocess.run([sys.executable, "-c", LACKING], capture_output=True, text=True)
+    assert done.stdout.startswith("PluginError 2 "), done.stderr
+    assert "ranges.yaml" in done.stdout
+    assert "install hil again" in done.stdout

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -16,7 +17,14 @@ import hil
 from hil.cli import bench, data, listening, live, models, recover, running, runs, specs, system
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
-from hil.errors import HilError, RecordingError, RobotConnectionError, Stopped, exit_code_of
+from hil.errors import (
+    HilError,
+    PluginError,
+    RecordingError,
+    RobotConnectionError,
+    Stopped,
+    exit_code_of,
+)
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "
@@ -95,9 +103,21 @@ def _named(error: OSError) -> HilError:
     told = ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
     if isinstance(error, ConnectionError | TimeoutError):
         return RobotConnectionError(told, hint="see whether the robot is on and can be reached")
+    if _is_of_an_installation(error):
+        hint = "the installation lacks a file of its own or cannot read it: install hil again"
+        return PluginError(told, hint=hint)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return RecordingError(told, hint="make room on the disk, or write to another place")
     return RecordingError(told, hint="see whether the path exists and may be written to")
+
+
+def _is_of_an_installation(error: OSError) -> bool:
+    """Whether it is about a file that came with hil, a driver or a mock robot."""
+    if not isinstance(error.filename, str):
+        return False
+    loaded = (sys.modules.get(name) for name in ("hil", "hil_mock_robot", "hil_drivers"))
+    folders = [Path(file).parent for module in loaded if (file := getattr(module, "__file__", ""))]
+    return any(Path(error.filename).is_relative_to(folder) for folder in folders)
 
 
 def _ended(ending: SystemExit, out: Stream | None) -> int:
