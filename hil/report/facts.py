@@ -12,9 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import DataError, HilError
-from hil.plan.plan import Plan
-from hil.plan.plan_file import read_plan
-from hil.record.ending import torn_although_finished
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (
@@ -29,6 +26,7 @@ from hil.report.documents import (
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.interrupted import recorded_by
+from hil.report.soundness import is_known, plan_of, torn
 from hil.spec.load import load_spec
 
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
@@ -191,12 +189,12 @@ def read_facts(path: Path) -> RunFacts:
     problems: list[str] = []
     start = document(path / "start.json", problems)
     run = RunDirectory.open(path) if "hil_run" in start else RunDirectory(path)
-    plan_document, plan = _plan(path / "plan.json", problems)
-    whole = _is_known(path / "start.json", start, problems) and plan is not None
+    plan_document, plan = plan_of(path / "plan.json", problems)
+    whole = is_known(path / "start.json", start, problems) and plan is not None
     stop = document(path / name_of_attempt("stop.json", run.attempts - 1), problems)
     rate_hz = as_float(as_object(start.get("robot")).get("rate_hz") or plan_document.get("rate_hz"))
     status = _status(run, problems)
-    problems += _torn(run)
+    problems += torn(run)
     return RunFacts(
         path=path,
         status=status,
@@ -213,36 +211,6 @@ def read_facts(path: Path) -> RunFacts:
         fits=read_fits(_folders(path / "fit"), problems),
         problems=tuple(problems),
     )
-
-
-def _plan(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
-    """The plan as it stands there, and as what it is; None for one that nobody can execute."""
-    if not path.exists():
-        return {}, None
-    told = document(path, problems)
-    try:
-        return told, read_plan(path)
-    except DataError as error:
-        if error.message not in problems:
-            problems.append(error.message)
-        return told, None
-
-
-def _is_known(path: Path, start: Document, problems: list[str]) -> bool:
-    """Whether the start document is one; a damaged one is a problem already."""
-    if "hil_run" in start:
-        return True
-    if path.exists() and not any(str(path) in problem for problem in problems):
-        problems.append(f"{path} does not say which format it has (hil_run)")
-    return False
-
-
-def _torn(run: RunDirectory) -> list[str]:
-    return [
-        f"{path.name} is torn although it was finished: hil recover {run.path} makes a whole file "
-        "of what is left"
-        for path in torn_although_finished(run.recordings)
-    ]
 
 
 def _folders(path: Path) -> list[Path]:
