@@ -53,12 +53,18 @@ def write_beginning(
                 for load in plan.loads
             ],
             "seed": experiment.spec.excitation.seed,
+            **_commissioning(experiment),
             "waivers": [
                 {"check": check, "reason": reason, "who": provenance["operator"]}
                 for check, reason in waivers.items()
             ],
         }
     )
+
+
+def _commissioning(experiment: Experiment) -> dict[str, Any]:
+    given = experiment.commissioning
+    return {} if given is None else {"commissioning": given.to_dict()}
 
 
 def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hil import arms
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, load_station, resolve_robot
 from hil.spec.station import Station, StationRobot
+
+if TYPE_CHECKING:
+    from hil.plan.commissioning import Commissioning
 
 BUILT_IN = "built-in mock bench"
 
@@ -26,6 +30,7 @@ class Experiment:
         spec_text, station_text: The files as written; copied into the run directory.
         folder: Folder of the spec.
         station_source: Path of the station file, or that it is the built-in mock bench.
+        commissioning: What of the plan is executed, and how fast; None for all of it.
     """
 
     spec: ExperimentSpec
@@ -35,11 +40,13 @@ class Experiment:
     station_text: str
     station_source: str
     folder: Path
+    commissioning: Commissioning | None = None
 
     @property
     def title(self) -> str:
         """One line for people."""
-        return f"{self.spec.name} on {self.spec.robot} ({self.station_source})"
+        told = f", {self.commissioning}" if self.commissioning else ""
+        return f"{self.spec.name} on {self.spec.robot} ({self.station_source}){told}"
 
 
 def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experiment:

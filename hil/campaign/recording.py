@@ -37,6 +37,8 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         require_usable(experiment, robot)
         attendance.stage("planning")
         plan = plan_for(experiment, robot)
+        if experiment.commissioning is not None:
+            plan = experiment.commissioning.of(plan)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
         with attendance.signals.guard():

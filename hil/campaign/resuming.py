@@ -77,6 +77,11 @@ def open_unfinished(path: Path) -> Unfinished:
             f"{path} is a passive recording: there is no plan to go on with",
             hint=f"use what there is (hil fit {path}), or record again",
         )
+    if "commissioning" in start:
+        raise DataError(
+            f"{path} is a commissioning run: its way back would be at full speed",
+            hint="run the experiment again with --speed and --first",
+        )
     for name in ("spec.yaml", "station.yaml", "plan.json"):
         if not (path / name).is_file():
             raise DataError(

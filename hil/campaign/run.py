@@ -199,6 +199,8 @@ def _judge(
     result = recorded.result
     if result.outcome is not Outcome.COMPLETED:
         return result.error
+    if "commissioning" in recorded.directory.start:
+        return None  # a part of the program, or another speed: there is no model to be judged
     if signals.seen:
         return Stopped("stopped after the motion, before the fit", by_signal=True)
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,6 +38,22 @@ WaitOption = Annotated[
         help="How long to wait for a robot that somebody else holds.",
     ),
 ]
+SpeedOption = Annotated[
+    str,
+    typer.Option(
+        "--speed",
+        metavar="SHARE",
+        help="Commissioning: the same plan slower, such as 10%; recorded, and not judged.",
+    ),
+]
+FirstOption = Annotated[
+    str,
+    typer.Option(
+        "--first",
+        metavar="N|SECONDSs",
+        help="Commissioning: only the first poses or trajectories (10), or seconds (30s).",
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -53,6 +70,8 @@ def run(
     answers: AnswersOption = None,
     waive: WaiveOption = None,
     wait: WaitOption = 0.0,
+    speed: SpeedOption = "",
+    first: FirstOption = "",
     live: LiveFlag = False,
     live_port: LivePort = None,
     live_host: LiveHost = None,
@@ -64,8 +83,10 @@ def run(
     from hil.campaign.driver_check import check_driver
     from hil.cli.progress import ProgressLines
     from hil.engine.signals import ignore_from_now_on
+    from hil.plan.commissioning import commissioning_of
 
-    experiment = api.load(spec, station)
+    part = commissioning_of(speed, first)
+    experiment = replace(api.load(spec, station), commissioning=part)
     desk = console_desk(operator, answers=answers, wait_s=wait)
     robot = check_driver(experiment)
     if not json:

@@ -77,6 +77,7 @@ def _run(facts: RunFacts) -> Mapping[str, Any]:
     return {
         **{name: start.get(name) for name in names},
         "stopped": facts.stop.get("stopped"),
+        "commissioning": as_object(start.get("commissioning")).get("text"),
         "waivers": ", ".join(map(_waiver, waivers)) if isinstance(waivers, list) else waivers,
     }
 

@@ -1,0 +1,130 @@
+"""The first runs on a real arm: the same plan slower, and only its beginning."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from hil.errors import PlanError, SpecError
+from hil.excite.motion import FourierSeries, Line, Motion
+from hil.plan.plan import Plan, Step
+
+MEASURED = ("dwell", "trajectory")
+LEAST_SPEED = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioning:
+    """What of a plan is executed, and how fast.
+
+    Attributes:
+        speed: Share of every motion's speed; its path stays the same, and what stands still
+            stands still as long as before.
+        first: So many poses or trajectories are measured; None for all of them.
+        first_s: Measurements that are over within this estimated time; None for all [s].
+    """
+
+    speed: float = 1.0
+    first: int | None = None
+    first_s: float | None = None
+
+    def __str__(self) -> str:
+        said = [f"at {self.speed:.4g} of the speed"] if self.speed < 1.0 else []
+        said += [] if self.first is None else [f"only the first {self.first} measured"]
+        said += [] if self.first_s is None else [f"only the first {self.first_s:g} s"]
+        return ", ".join(said)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the start document; `text` says it to people."""
+        given = {name: value for name, value in asdict(self).items() if value is not None}
+        return given | {"text": str(self)}
+
+    def of(self, plan: Plan) -> Plan:
+        """The plan as it is executed; a motion that is slower and shorter needs no other checks.
+
+        Raises:
+            PlanError: Nothing would be measured.
+        """
+        steps = tuple(_slower(step, self.speed) for step in plan.steps)
+        slower = replace(plan, steps=steps)
+        kept = steps[: self._end(slower)]
+        if not any(step.kind in MEASURED for step in kept):
+            raise PlanError(
+                f"nothing is measured {self}",
+                hint=f"the whole plan takes {slower.duration_s:.0f} s: allow more of it",
+            )
+        condition = plan.condition_number if len(kept) == len(steps) else math.inf
+        return replace(slower, steps=kept, condition_number=condition)
+
+    def _end(self, plan: Plan) -> int:
+        """Number of steps to keep: up to the last measurement that is still wanted."""
+        end, passed_s = 0, 0.0
+        seen: set[tuple[int, int, int]] = set()
+        for step in plan.steps:
+            passed_s += plan.step_duration_s(step)
+            if step.kind in MEASURED:
+                seen.add((step.load, step.pose, step.trajectory))
+            if self.first is not None and len(seen) > self.first:
+                return end
+            if self.first_s is not None and passed_s > self.first_s:
+                return end
+            end = step.index + 1 if step.measures else end
+        return len(plan.steps)
+
+
+def commissioning_of(speed: str = "", first: str = "") -> Commissioning | None:
+    """What `--speed` and `--first` say; None when they say nothing.
+
+    Args:
+        speed: `10%` or `0.1`.
+        first: `10` poses or trajectories, or `30s`.
+
+    Raises:
+        SpecError: One of them cannot be.
+    """
+    if not speed and not first:
+        return None
+    share = _number(speed.removesuffix("%")) / (100.0 if speed.endswith("%") else 1.0)
+    if speed and not LEAST_SPEED <= share <= 1.0:
+        raise SpecError(f"--speed {speed} cannot be", hint="give a share from 1% to 100%")
+    seconds = re.fullmatch(r"(.+?) ?s", first.strip())
+    number = _number(seconds[1] if seconds else first)
+    if first and not (number > 0 and (seconds or number == int(number))):
+        raise SpecError(
+            f"--first {first} cannot be",
+            hint="give a number of poses or trajectories, such as 10, or a time, such as 30s",
+        )
+    return Commissioning(
+        speed=share if speed else 1.0,
+        first=int(number) if first and not seconds else None,
+        first_s=number if seconds else None,
+    )
+
+
+def _number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        return -1.0
+    return number if math.isfinite(number) else -1.0
+
+
+def _slower(step: Step, share: float) -> Step:
+    return step if step.motion is None else replace(step, motion=_motion(step.motion, share))
+
+
+def _motion(motion: Motion, share: float) -> Motion:
+    """The same path, passed `share` times as fast."""
+    if isinstance(motion, Line):
+        return replace(
+            motion,
+            velocity=motion.velocity * share,
+            acceleration=motion.acceleration * share**2,
+            jerk=motion.jerk * share**3,
+        )
+    if isinstance(motion, FourierSeries):
+        a, b = (tuple(tuple(c * share for c in row) for row in m) for m in (motion.a, motion.b))
+        return replace(motion, a=a, b=b, fundamental_hz=motion.fundamental_hz * share)
+    return motion
