@@ -121,7 +121,7 @@ def test_a_default_is_switched_off_by_its_name_only() -> None:
 
 
 def test_stale_data_cannot_be_switched_off_and_its_time_reaches_the_engine() -> None:
-    assert "unknown key" in problem("{kind: stale, enabled: false}")
+    assert "cannot be switched off" in problem("{kind: stale, enabled: false}")
     assert from_spec(with_interlocks("{kind: stale, after_s: 0.2}").interlocks).stale_after_s == 0.2
     assert from_spec(spec_from_text(GOOD).interlocks).stale_after_s == 0.5
     assert from_spec([]).stale_after_s == 0.5

@@ -9,6 +9,7 @@ from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_ru
 
 from hil.campaign.view import list_runs
 from hil.errors import DataError
+from hil.record.lock import hold_run
 from hil.report import summary_lines
 
 
@@ -76,6 +77,16 @@ def test_an_interrupted_run_tells_what_its_data_tells(tmp_path):
     assert "measured 20 of 48 dwells, 5 of 10 references" in text
     (listed,) = list_runs(tmp_path)
     assert listed["duration_s"] == pytest.approx(699 / 125)
+
+
+def test_a_run_that_goes_on_is_called_running_and_tells_the_same(tmp_path):
+    run = cut_off(tmp_path)
+    with hold_run(run.path):
+        lines = summary_lines(run.path)
+    assert lines[0].startswith("RUNNING")
+    text = " ".join(" ".join(lines).split())
+    assert "measured 20 of 48 dwells, 5 of 10 references" in text
+    assert "hil resume" not in text
 
 
 def test_a_resumed_run_that_was_killed_counts_both_attempts(tmp_path):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import DataError, HilError
+from hil.record.lock import is_live
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (
@@ -32,13 +33,18 @@ from hil.spec.load import load_spec
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
 
 
+UNENDED = ("interrupted", "running")
+"""Status of a run whose last attempt has no stop document."""
+
+
 @dataclass(frozen=True, slots=True)
 class RunFacts:
     """The small files of a run.
 
     Attributes:
         path: The run directory.
-        status: `completed`, `stopped`, `tripped`, `failed`, `interrupted` or `damaged`.
+        status: `completed`, `stopped`, `tripped`, `failed`, `interrupted`, `running` or
+            `damaged`.
         start, stop, plan, preflight, verdict: The documents; empty where absent or damaged. A
             resumed run has the stop document of its last attempt.
         recorded: What the stop document counts; where there is none, counted by the data.
@@ -200,7 +206,7 @@ def read_facts(path: Path) -> RunFacts:
         status=status,
         start=start,
         stop=stop,
-        recorded=stop if status != "interrupted" else recorded_by(run, plan, rate_hz),
+        recorded=recorded_by(run, plan, rate_hz) if status in UNENDED else stop,
         whole=whole,
         plan=plan_document,
         preflight=document(path / "preflight.json", problems),
@@ -219,7 +225,8 @@ def _folders(path: Path) -> list[Path]:
 
 def _status(run: RunDirectory, problems: list[str]) -> str:
     try:
-        return run.status
+        status = run.status
+        return "running" if status == "interrupted" and is_live(run.path) else status
     except DataError as error:
         if error.message not in problems:
             problems.append(error.message)

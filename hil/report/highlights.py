@@ -62,7 +62,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
     told = facts.stop.get("problems")
     out = [*facts.problems, *(map(str, told) if isinstance(told, list) else ())]
     if facts.status == "interrupted":
-        out.append("There is no stop.json: the run was interrupted, or is still going on.")
+        out.append("There is no stop.json: the run was interrupted.")
     if recording is None:
         out.append("No sample was recorded, or none can be read.")
     else:

@@ -16,6 +16,7 @@ NO_SIGNAL = 0.9
 
 ENDINGS: dict[str, tuple[str, Mark]] = {
     "interrupted": ("INTERRUPTED", "warn"),
+    "running": ("RUNNING", ""),
     "stopped": ("STOPPED", "warn"),
     "tripped": ("TRIPPED", "fail"),
     "failed": ("FAILED", "fail"),
@@ -184,6 +185,8 @@ def _ending(facts: RunFacts) -> str:
             "The run ended without saying why: its process was killed, or the power failed. "
             "What had reached the disk by then is kept and shown here."
         )
+    if facts.status == "running":
+        return "The run is still going on; what had reached the disk by now is shown here."
     if facts.status == "damaged":
         return "The run directory is damaged; this page shows what can still be read."
     words = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hil.data.stays import FOUND_FILE
 from hil.errors import DataError
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
@@ -13,9 +14,12 @@ from hil.report.documents import Document, document
 
 
 def plan_of(path: Path, problems: list[str]) -> tuple[Document, Plan | None]:
-    """The plan as it stands there, and as what it is; None for one that nobody can execute."""
+    """The plan as it stands there, and as what it is; None for one that nobody can execute.
+
+    What was found in a passive recording is shown like a plan, and is none.
+    """
     if not path.exists():
-        return {}, None
+        return document(path.with_name(FOUND_FILE), problems), None
     told = document(path, problems)
     try:
         return told, read_plan(path)
