@@ -161,6 +161,8 @@ class Reading:
         return block
 
     def _recorded(self) -> StructArray:
+        if self._topics is not None and not self.progress.samples:
+            self._topics.drain()  # belongs to what was read before the run
         block = self._robot.read()
         self._keep(block)
         self.progress.count(block)
