@@ -176,6 +176,7 @@ def test_the_report_can_be_made(use, tmp_path):
     page = render_report(found.run).read_text("utf-8")
     assert "recording" in page
     assert "hil resume" not in page
+    assert "is no plan" not in page
 
 
 def test_without_a_load_declared_it_says_what_is_assumed(use, tmp_path):
@@ -210,7 +211,7 @@ def test_a_recording_that_was_killed_has_its_steps_still(use, tmp_path):
     before = load_source(run)
     killed = tmp_path / "killed"
     shutil.copytree(run, killed)
-    for name in ("plan.json", "stop.json"):
+    for name in ("found.json", "stop.json"):
         (killed / name).unlink()
     after = load_source(killed)
     assert [(c.kind, c.pose) for c in after.conditions] == [

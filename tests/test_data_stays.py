@@ -131,7 +131,7 @@ def test_the_found_plan_says_what_steps_of_a_plan_say():
     robot = {"model": "ur5", "joint_names": ["a"] * 6, "rate_hz": 125.0}
     steps = steps_of(found(motion(), []))
     plan = found_plan(steps, name="p", robot=robot, payload=Payload(1.5, (0.0, 0.0, 0.1)))
-    assert plan["found"] is True
+    assert "hil_plan" not in plan
     assert plan["loads"][0]["mass_kg"] == 1.5
     notes = steps_of_plan(plan, "plan", (), ("dwell", "move"))
     assert len(notes) == len(steps)

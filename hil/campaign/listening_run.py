@@ -10,7 +10,7 @@ from typing import Any
 from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import open_recorder
 from hil.campaign.sink import RunSink, counts_of
-from hil.data.stays import FoundSteps, StayFinder, found_plan
+from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder, found_plan
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError, RobotTimeout, exit_code_of
 from hil.payload import Payload
@@ -120,7 +120,7 @@ class ListeningRun:
             problems = sink.close()
         error = error or (problems[0] if problems else None)
         steps, found = self._found.steps(), self._found.counts()
-        self._write_plan(steps)
+        self._write_found(steps)
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
         notes = _notes(self._wanted, counts)
@@ -136,15 +136,15 @@ class ListeningRun:
         self._directory.write_stop("failed" if error else "completed", reason, document)
         return Listened(self._directory.path, reason, counts, device_s, found, notes, error)
 
-    def _write_plan(self, steps: list[dict[str, Any]]) -> None:
-        plan = found_plan(
+    def _write_found(self, steps: list[dict[str, Any]]) -> None:
+        found = found_plan(
             steps,
             name=self._wanted.name,
             robot=self._directory.start["robot"],
             payload=self._wanted.payload or Payload(),
         )
         with contextlib.suppress(HilError):  # it can be found again from the rows
-            self._directory.write_json("plan.json", plan)
+            self._directory.write_json(FOUND_FILE, found)
 
 
 def _notes(wanted: Wanted, counts: dict[str, int]) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ from hil.data.described import (
 )
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import Series, StepNote, assemble, cut
-from hil.data.stays import FoundSteps, found_plan
+from hil.data.stays import FOUND_FILE, FoundSteps, found_plan
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import DwellRule
@@ -113,7 +113,7 @@ def _robot_of(source: Path) -> Mapping[str, Any]:
 
 def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     run = RunDirectory.open(path)
-    start, plan, where = run.start, _plan_of(run), path / "plan.json"
+    start, (plan, where) = run.start, _plan_of(run)
     steps = steps_of_plan(plan, where, _unsettled(run), kinds)
     origin, rule = origin_of_run(start, str(path)), dwell_rule_of(plan, where)
     if not run.recordings:
@@ -137,12 +137,16 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     return assemble(ordered, origin, rule.samples)
 
 
-def _plan_of(run: RunDirectory) -> dict[str, Any]:
-    """The plan of a run; that of a passive recording which was killed is found in its rows."""
-    file = run.path / "plan.json"
-    start = run.start
+def _plan_of(run: RunDirectory) -> tuple[dict[str, Any], Path]:
+    """The plan of a run, or what was found in a passive recording; and the file it is from.
+
+    What a recording that was killed has not come to write down is found in its rows.
+    """
+    start, file = run.start, run.path / "plan.json"
+    if start.get("passive"):
+        file = run.path / FOUND_FILE
     if file.exists() or not start.get("passive"):
-        return read_json(file)
+        return read_json(file), file
     found = FoundSteps()
     for part in run.recordings:
         if (rows := _part(part)) is not None:
@@ -150,7 +154,7 @@ def _plan_of(run: RunDirectory) -> dict[str, Any]:
     with reading(run.path / "start.json"):
         payload = payload_of(start["loads"][0])
         name, robot = str(start["experiment"]), robot_of_run(start)
-        return found_plan(found.steps(), name=name, robot=robot, payload=payload)
+        return found_plan(found.steps(), name=name, robot=robot, payload=payload), file
 
 
 def _part(path: Path) -> StructArray | None:

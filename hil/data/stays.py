@@ -16,12 +16,14 @@ import numpy as np
 
 from hil.data.dwells import DwellRule
 from hil.payload import Payload
-from hil.plan.plan import PLAN_FORMAT
 from hil.plan.plan import DwellRule as PlanRule
 from hil.typing import BoolArray, FloatArray, StructArray
 
 LEAVES_AT = 2.0
 """A stay ends at this many times the speed at which it begins: noise must not end it."""
+
+FOUND_FILE = "found.json"
+"""What the run directory of a passive recording holds in place of a plan."""
 
 MOST_HELD = 1000
 """Rows; a robot whose clock stands still must not have all of them held back."""
@@ -189,10 +191,13 @@ class FoundSteps:
         return int((way > 0).all()) - int((way < 0).all())
 
 
+FOUND_FORMAT = 1
+
+
 def found_plan(
     steps: list[dict[str, Any]], *, name: str, robot: Mapping[str, Any], payload: Payload
 ) -> dict[str, Any]:
-    """The plan document of a recording whose steps were found; nothing can be executed by it.
+    """What was found, in the form of a plan document, but without motions: it moves nothing.
 
     Args:
         steps: By `FoundSteps.steps`.
@@ -202,8 +207,7 @@ def found_plan(
     """
     rule = PlanRule(settle_rad_s=DwellRule().speed)
     return {
-        "hil_plan": PLAN_FORMAT,
-        "found": True,
+        "hil_found": FOUND_FORMAT,
         "name": name,
         "robot_model": robot["model"],
         "joint_names": list(robot["joint_names"]),
