@@ -177,6 +177,7 @@ def test_the_report_can_be_made(use, tmp_path):
     assert "recording" in page
     assert "hil resume" not in page
     assert "is no plan" not in page
+    assert "Somebody else drove the robot" in page
 
 
 def test_without_a_load_declared_it_says_what_is_assumed(use, tmp_path):

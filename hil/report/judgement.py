@@ -175,6 +175,8 @@ def _without_model(facts: RunFacts) -> str:
             f"{done} The spec asks for {listed(wanted)}, but there is no fitted model in the run: "
             f"{'fitting failed' if failed_fits(facts) else 'fitting has not been done'}."
         )
+    if facts.start.get("passive"):
+        return f"{done} Somebody else drove the robot; nothing was fitted yet."
     said = criteria_sentence(as_objects(facts.verdict.get("rows")))
     return f"{done} The spec asks for no model, so nothing was fitted. {said}".strip()
 
