@@ -21,6 +21,10 @@ KEPT_TEXTS = 200
 PATIENCE_S = 2.0
 """How long a full queue is waited for; what comes meanwhile stays with the kernel [s]."""
 
+HURRY_S = 1e-3
+"""What follows sooner is read together: no robot is so fast, but simulated ones are, and waking up
+for each state would cost them more than making it [s]."""
+
 _CLOSED = ("is not listened to any more: its connection was closed", "connect again")
 
 
@@ -59,7 +63,7 @@ class Stream:
         self._problem: tuple[str, str] | None = None
         self._changed = threading.Condition()
         self._newest: tuple[bytes, float] | None = None
-        self._heard = time.monotonic()
+        self._heard = self._read_at = time.monotonic()
         line.settimeout(min(0.25, silence_s / 4))
         self._thread = threading.Thread(target=self._run, name=f"rtde {peer}", daemon=True)
         self._thread.start()
@@ -133,13 +137,15 @@ class Stream:
             self._line.close()
 
     def _read(self) -> None:
+        if time.monotonic() - self._read_at < HURRY_S:
+            time.sleep(HURRY_S)
         try:
             data = self._line.recv(READ_BYTES)
         except TimeoutError:
             if self.age_s > self._silence_s:
                 self._fail((f"has fallen silent for {self.age_s:.1f} s", _LOST))
             return
-        host_time = time.time()
+        host_time, self._read_at = time.time(), time.monotonic()
         if not data:
             half = f" in the middle of a package ({self._cutter.torn} bytes of it)"
             torn = half if self._cutter.torn else ""
