@@ -6,8 +6,11 @@ import numpy as np
 
 from hil.typing import FloatArray
 
+JUMP_S = 0.04
+"""Lateness that is made up for at once: `servoj` smooths over more than that [s]."""
+
 CATCH_UP = 1.25
-"""Set-points per tick at most: a late one is caught up with gently, not by a jump."""
+"""Set-points per tick at most where we are later than that: gently, not by a jump."""
 
 TINY = 1e-6
 """Of a set-point: what time stamps lose by rounding."""
@@ -16,9 +19,10 @@ TINY = 1e-6
 class Feed:
     """The set-points of one segment, paced by the robot's own time stamps.
 
-    A tick that was missed let the arm stand still on its last set-point; the next one goes on
-    from there at most a quarter faster than planned. A robot that lives ten times as fast, or a
-    host that is late, thus gets the same path.
+    Ticks that were missed let the arm stand still on its last set-point. After a few it is where
+    it ought to be with the next one; after more it goes on from where it stands, at most a quarter
+    faster than planned. A robot that lives ten times as fast, or a host that is late, thus gets
+    the same path.
 
     Args:
         q: (N, n) set-points [rad].
@@ -46,7 +50,8 @@ class Feed:
     def due(self, device_time: float) -> FloatArray:
         """(n,) what to command now that the robot says which time it is [rad]."""
         schedule = min((device_time - self._begun) * self._rate_hz, len(self._q) - 1.0)
-        self.place += min(max(schedule - self.place, 0.0), CATCH_UP)
+        behind = max(schedule - self.place, 0.0)
+        self.place += behind if behind <= JUMP_S * self._rate_hz else CATCH_UP
         self.late_s = (schedule - self.place) / self._rate_hz
         before = min(int(self.place), len(self._q) - 1)
         after = min(before + 1, len(self._q) - 1)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import time
 
-SLIP_S = 0.5
-"""Wall time the schedule may be late before it is given up; what was missed is not caught up."""
+SLIP_S = 0.05
+"""Wall time the schedule may be late before it is given up; what was missed is not caught up.
+
+Catching up lets device time race: half a second late at ten times the speed were five seconds that
+pass at once, in which no client can kick a watchdog or lead an arm.
+"""
 
 
 class RealTime:
