@@ -21,6 +21,7 @@ from hil_mock_robot.ur.stopping import StopJoints
 
 __all__ = ["Leg", "MoveJ", "MoveJPose", "MoveL", "MovePath"]
 
+ROUNDING, BISECTIONS = 1 + 1e-9, 8
 BRAKE_RAD_S2 = 8.0
 """A move begins at rest; an arm that still moves when it is commanded brakes with this first."""
 
@@ -92,18 +93,43 @@ class MovePath:
                 self._follower = ToolFollower(*self._site.known, self._tick_s)
 
     def _slide(self, scale: float) -> tuple[float, float]:
-        """The pace of this tick, and by how much it has changed; no harder than the moves brake."""
-        if self._pace is None:
-            self._pace = scale
-        before = self._pace
+        """The pace of this tick, and by how much it has changed.
+
+        It goes to the slider as fast as the acceleration of the moves permits.
+        """
+        before = self._pace = scale if self._pace is None else self._pace
         if before != scale:
-            piece = self._pieces[0]
-            ahead = min(piece.duration, self._t + self._tick_s * max(before, scale))
-            corners = [(t, pace) for t in (self._t, ahead) for pace in (before, scale)]
-            ranges = [piece.pace_range(t, pace) for t, pace in corners]
-            low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
-            self._pace += min(max(scale - before, low * self._tick_s), high * self._tick_s)
+            self._pace += self._share(before, scale - before) * (scale - before)
         return self._pace, self._pace - before
+
+    def _share(self, before: float, change: float) -> float:
+        """How much of a change of the pace this tick permits, 0 to 1."""
+        if self._permitted(before, change):
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (
+                (middle, high) if self._permitted(before, middle * change) else (low, middle)
+            )
+        return low
+
+    def _permitted(self, before: float, change: float) -> bool:
+        """Whether the pace may change by so much in this tick."""
+        rate, t = change / self._tick_s, self._t
+        paces = (before, before + change)  # the profile may bend within the tick
+
+        def fits(piece: Piece, at: float) -> bool:
+            return max(piece.effort(at, pace, rate) for pace in paces) <= ROUNDING
+
+        if not fits(self._pieces[0], t):
+            return False
+        t += (before + 0.5 * change) * self._tick_s
+        for piece in self._pieces:
+            if t < piece.duration or piece is self._pieces[-1]:
+                return fits(piece, t)
+            t -= piece.duration
+        return True
 
     def _moving(self, piece: Piece, pace: float, change: float, now: Setpoint) -> Setpoint:
         moment = piece.at(self._t)

@@ -31,12 +31,13 @@ class Piece(Protocol):
     def at(self, t: float) -> Moment:
         """Where it is at a time."""
 
-    def pace_range(self, t: float, pace: float) -> tuple[float, float]:
-        """How fast the pace of time may change there without exceeding the acceleration [1/s].
+    def effort(self, t: float, pace: float, change: float) -> float:
+        """Acceleration there as a share of what is allowed; 1 at most as long as the pace is 1.
 
         Args:
             t: Motion time [s].
             pace: Motion time per time, 0 to 1.
+            change: Of the pace [1/s].
         """
 
 
@@ -68,13 +69,10 @@ class Line:
         d = self._direction
         return self._start + way * d, speed * d, acceleration * d
 
-    def pace_range(self, t: float, pace: float) -> tuple[float, float]:
-        """See `Piece`: |ÿ| = |a·pace² + v·d(pace)/dt| stays within the profile's own."""
+    def effort(self, t: float, pace: float, change: float) -> float:
+        """See `Piece`."""
         _, speed, acceleration = self._profile.at(t)
-        limit, now = self._profile.acceleration, acceleration * pace * pace
-        if speed <= 0.0:
-            return -1e9, 1e9
-        return (-limit - now) / speed, (limit - now) / speed
+        return abs(acceleration * pace * pace + speed * change) / self._profile.acceleration
 
 
 class Parabola:
@@ -113,7 +111,6 @@ class Parabola:
         v = self._entry + t * self._acceleration
         return self._start + 0.5 * t * (self._entry + v), v, self._acceleration
 
-    def pace_range(self, t: float, pace: float) -> tuple[float, float]:
-        """See `Piece`: what the curve itself leaves of the acceleration."""
-        spare = max(0.0, self._limit - self._size * pace * pace) / self._speed
-        return -spare, spare
+    def effort(self, t: float, pace: float, change: float) -> float:
+        """See `Piece`; as if both parts pointed in one direction."""
+        return (self._size * pace * pace + self._speed * abs(change)) / self._limit
