@@ -20,8 +20,9 @@ from hil.typing import StructArray
 from hil_drivers.ur.control import LIBRARY, Control
 from hil_drivers.ur.direct_stop import stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of
-from hil_drivers.ur.mover import Mover, Phase
+from hil_drivers.ur.mover import Mover
 from hil_drivers.ur.options import options_of
+from hil_drivers.ur.phases import Phase
 
 RECEIVER = "hil_drivers.ur.receiver:Receiver"
 REST_S = 3.0

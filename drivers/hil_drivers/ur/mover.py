@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from enum import Enum, auto
 from typing import Protocol
 
 import numpy as np
@@ -26,12 +25,18 @@ from hil.typing import FloatArray, StructArray
 from hil_drivers.ur.checks import MOST_ACCELERATION, MOST_SPEED
 from hil_drivers.ur.control import Control
 from hil_drivers.ur.direct_stop import stop_directly
-from hil_drivers.ur.feed import Feed
-from hil_drivers.ur.lag import LagWatch
+from hil_drivers.ur.leading import Leading
 from hil_drivers.ur.options import Options
-
-PLAYING = 2
-"""RTDE `runtime_state` of a program that runs."""
+from hil_drivers.ur.phases import (
+    AT_GOAL_RAD,
+    LED_TO_RAD,
+    PLAYING,
+    UNDER_WAY,
+    Phase,
+    elsewhere,
+    off,
+    still,
+)
 
 LOOK_S = 0.02
 FRESH_S = 0.1
@@ -44,9 +49,13 @@ SILENT_S = 1.5
 """Without a word for so long the session is over. After 2.5 s `ur-rtde` would connect again by
 itself, and upload its program, whatever the arm was doing [s]."""
 
-STILL_RAD_S, AT_GOAL_RAD, LED_TO_RAD = 1e-3, 5e-4, 0.01
 SETTLE_S, ENDING_S, RAMP_GRACE_S = 2.0, 0.2, 0.3
+"""Device time to get to the last set-point, to be seen where a move ends, to be seen standing
+after the time of a ramp [s]."""
+
 KICKS_PER_PERIOD = 4.0
+LOST_EXIT = 3
+"""Exit code of a process that has lost its controller."""
 
 
 class Ticks(Protocol):
@@ -58,20 +67,6 @@ class Ticks(Protocol):
 
     def take(self, timeout_s: float) -> StructArray:
         """All rows since the last call, at least one; raises `RobotTimeout`."""
-
-
-class Phase(Enum):
-    """What the arm is doing for us."""
-
-    IDLE = auto()
-    STARTING = auto()
-    MOVE = auto()
-    """The controller executes a move of its own."""
-    LED = auto()
-    """It is given a set-point per tick."""
-    SETTLING = auto()
-    """The last set-point was given; it is still on its way there."""
-    BRAKING = auto()
 
 
 class Mover(threading.Thread):
@@ -111,8 +106,7 @@ class Mover(threading.Thread):
         self._until = np.inf
         self._goal: FloatArray = np.zeros(6)
         self._before = 0
-        self._feed: Feed | None = None
-        self._lag = LagWatch(options.lag_s, options.lag_rad)
+        self._leading: Leading | None = None
         self.newest: np.void = ticks.take(1.0)[-1]
         self._heard = time.monotonic()
         self.phase = Phase.IDLE
@@ -153,16 +147,14 @@ class Mover(threading.Thread):
             self._goal = segment.q[-1]
             self._before, _ = self._control.operation
             self.begun = float(self.newest["timestamp"])
-            if self._off(self.newest) > AT_GOAL_RAD:
-                self._control.move_j(
-                    segment.q[-1].tolist(),
-                    min(segment.speed, MOST_SPEED),
-                    min(segment.acceleration, MOST_ACCELERATION),
-                )
-                self._until = np.inf
-                self.phase = Phase.MOVE
-            else:
-                self.phase = Phase.IDLE
+            if off(self.newest, self._goal) < AT_GOAL_RAD:
+                self._rest()
+                return
+            speed = min(segment.speed, MOST_SPEED)
+            acceleration = min(segment.acceleration, MOST_ACCELERATION)
+            self._control.move_j(self._goal.tolist(), speed, acceleration)
+            self._until = np.inf
+            self.phase = Phase.MOVE
 
     def start_led(self, segment: Segment) -> None:
         """Lead the arm along a segment's set-points, beginning with the next tick.
@@ -171,16 +163,14 @@ class Mover(threading.Thread):
             CommandRefused: The arm is not where the segment begins.
         """
         with self._starting():
-            off = float(np.abs(segment.q[0] - self.newest["target_q"]).max())
-            if off > LED_TO_RAD:
+            if (far := off(self.newest, segment.q[0])) > LED_TO_RAD:
                 raise CommandRefused(
-                    f"segment {segment.index} begins {off:.4f} rad from where the arm stands",
+                    f"segment {segment.index} begins {far:.4f} rad from where the arm stands",
                     hint="the arm was moved since the plan was made: plan again from here",
                 )
             self._goal = segment.q[-1]
             self.begun = float(self.newest["timestamp"])
-            self._feed = Feed(segment.q, self._rate_hz, self.begun)
-            self._lag = LagWatch(self._options.lag_s, self._options.lag_rad)
+            self._leading = Leading(segment, self._rate_hz, self.begun, self._options)
             self.phase = Phase.LED
 
     def use(self, what: Callable[[Control], object]) -> None:
@@ -227,8 +217,13 @@ class Mover(threading.Thread):
                 self._ready()
                 yield
         except BaseException:
-            self.phase = Phase.IDLE
+            self._rest()
             raise
+
+    def _rest(self) -> None:
+        """The arm stands; whoever waits for a stop to be obeyed need not wait any more."""
+        self.phase = Phase.IDLE
+        self._obeyed.set()
 
     def _ready(self) -> None:
         """Upload the program again if it was us who ended it; nobody else's stop is undone."""
@@ -249,7 +244,7 @@ class Mover(threading.Thread):
     def _act(self, row: np.void) -> None:
         if int(row["runtime_state"]) != PLAYING:
             self._not_playing(row)
-        elif self._halted.is_set() and self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING):
+        elif self._halted.is_set() and self.phase in UNDER_WAY:
             self._brake(row)
         elif self.phase is Phase.LED:
             self._lead(row)
@@ -266,8 +261,7 @@ class Mover(threading.Thread):
         if self.phase is Phase.BRAKING:
             self._watch_ramp(row)
         elif self.phase not in (Phase.IDLE, Phase.STARTING):
-            self._obeyed.set()
-            self.phase = Phase.IDLE
+            self._rest()
             raise RobotFault(
                 f"the robot program ended at device time {float(row['timestamp']):.3f} s while the "
                 "arm was moving",
@@ -284,50 +278,35 @@ class Mover(threading.Thread):
             self._control.kick()
 
     def _lead(self, row: np.void) -> None:
-        feed, now = self._feed, float(row["timestamp"])
-        if feed is None:
+        if self._leading is None:
             return
-        q = feed.due(now)
-        if feed.late_s > self._options.late_s:
-            raise RobotFault(
-                f"set-points were {feed.late_s:.3f} s late at device time {now:.3f} s, "
-                f"{self._options.late_s:g} s are allowed",
-                hint="give the computer less to do, or the arm's station a larger late_s",
-            )
-        self._lag.tell(now, q)
-        if self._lag.lost(row["target_q"]):
-            off = self._lag.off(row["target_q"])
-            raise RobotFault(
-                f"joint {int(off.argmax())} is led {off.max():.4f} rad beside the path at device "
-                f"time {now:.3f} s, {self._options.lag_rad:g} rad are allowed",
-                hint="is the speed slider at 100 %? else raise gain, or lag_s and lag_rad",
-            )
+        q = self._leading.due(row)
         self._control.servo_j(q.tolist(), self._options.lookahead_s, self._options.gain)
-        if feed.over:
-            self.phase, self._until = Phase.SETTLING, now + SETTLE_S
+        if self._leading.over:
+            self.phase, self._until = Phase.SETTLING, float(row["timestamp"]) + SETTLE_S
 
     def _settle(self, row: np.void) -> None:
-        off = self._off(row)
-        if (off < AT_GOAL_RAD and _still(row)) or float(row["timestamp"]) > self._until:
+        far = off(row, self._goal)
+        if (far < AT_GOAL_RAD and still(row)) or float(row["timestamp"]) > self._until:
             self._control.servo_stop(self._options.stop_m_s2)
-            self.phase = Phase.IDLE
-            if off > LED_TO_RAD:
-                raise self._elsewhere(off)
+            self._rest()
+            if far > LED_TO_RAD:
+                raise elsewhere(far)
 
     def _watch_move(self, row: np.void) -> None:
         number, running = self._control.operation
-        if running or number == self._before or not _still(row):
+        if running or number == self._before or not still(row):
             self._until = np.inf
             return
-        off, now = self._off(row), float(row["timestamp"])
-        if off < AT_GOAL_RAD:
-            self.phase = Phase.IDLE
+        far, now = off(row, self._goal), float(row["timestamp"])
+        if far < AT_GOAL_RAD:
+            self._rest()
             return
         # Operation and row come by two connections: the row may be from before the move.
         self._until = min(self._until, now + ENDING_S)
         if now > self._until:
-            self.phase = Phase.IDLE
-            raise self._elsewhere(off)
+            self._rest()
+            raise elsewhere(far)
 
     def _brake(self, row: np.void) -> None:
         phase, self.phase = self.phase, Phase.BRAKING
@@ -341,8 +320,8 @@ class Mover(threading.Thread):
             self._control.servo_stop(self._options.stop_m_s2)
 
     def _watch_ramp(self, row: np.void) -> None:
-        if _still(row):
-            self.phase = Phase.IDLE
+        if still(row):
+            self._rest()
         elif float(row["timestamp"]) > self._until:
             self._until = np.inf
             self._stop_directly()
@@ -355,7 +334,7 @@ class Mover(threading.Thread):
     def _fail(self, error: HilError) -> None:
         """Note why a motion ended, and end it."""
         self.failure = self.failure or error
-        if self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING):
+        if self.phase in UNDER_WAY:
             try:
                 self._brake(self.newest)
             except HilError:
@@ -365,7 +344,7 @@ class Mover(threading.Thread):
 
     def _silent(self, for_s: float) -> None:
         """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
-        moves = self.phase in (Phase.MOVE, Phase.LED, Phase.SETTLING)
+        moves = self.phase in UNDER_WAY
         if moves and for_s > self._options.late_s:
             self.failure = self.failure or StaleState(
                 f"the controller has not said anything for {for_s:.2f} s while the arm was moving",
@@ -393,20 +372,3 @@ class Mover(threading.Thread):
         print(f"connection lost: {why}", file=sys.stderr, flush=True)  # noqa: T201
         self._ending.set()
         self._leave(LOST_EXIT)
-
-    def _off(self, row: np.void) -> float:
-        return float(np.abs(row["target_q"] - self._goal).max())
-
-    def _elsewhere(self, off: float) -> RobotFault:
-        return RobotFault(
-            f"the motion ended {off:.4f} rad from its goal",
-            hint="was it stopped at the teach pendant? connect again, and resume",
-        )
-
-
-LOST_EXIT = 3
-"""Exit code of a process that has lost its controller."""
-
-
-def _still(row: np.void) -> bool:
-    return bool(np.abs(row["target_qd"]).max() < STILL_RAD_S)

@@ -18,12 +18,11 @@ from hil.errors import (
 )
 from hil.payload import Payload
 from hil.record.topic import Topic
-from hil.robot import Capabilities, Identity, Limits, Segment, Status
+from hil.robot import Capabilities, Identity, Limits, Segment
 from hil.typing import StructArray
 from hil_drivers.ur.checks import require_executable, require_liftable
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.facts import capabilities_of, limits_of
-from hil_drivers.ur.faults import fault_of
 from hil_drivers.ur.motion import MotionProcess
 from hil_drivers.ur.options import options_of
 from hil_drivers.ur.receiver import Receiver
@@ -36,17 +35,12 @@ from hil_drivers.ur.rows import (
     state_rows,
 )
 from hil_drivers.ur.session import Told, require_arm, require_ready, told_by_dashboard
-from hil_drivers.ur.standing import Standing
+from hil_drivers.ur.watch import Watch
 
 READ_BACK_S = 2.0
 KEPT_S = 5.0
 """How much waits to be read while the arm stands, by its clock: nobody wants what it did while a
 plan was made, for minutes. Of a motion everything is kept [s]."""
-
-RAMP_GRACE_S = 0.5
-"""How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
-
-STILL_RAD_S = 1e-3
 
 
 class UrRobot:
@@ -68,15 +62,11 @@ class UrRobot:
         self._motion = MotionProcess(name, model, options)
         self._topic = further_topic(self.capabilities.rate_hz)
         self._further: list[StructArray] = []
-        self._standing = Standing()
+        self._watch = Watch(self._options)
         self._told = Told()
         self._connected = self._listening = False
         self._prepared: Segment | None = None
         self._newest: StructArray | None = None
-        self._problem: HilError | None = None
-        self._faulty = self._halted = False
-        self._stopped_by: float | None = None
-        self._replaced = False
 
     @property
     def resource(self) -> str:
@@ -126,7 +116,8 @@ class UrRobot:
             RobotConnectionError: Nobody is there, it is another arm, or somebody else moves it.
             RobotFault: The arm is not in a state in which it may move.
         """
-        if self._connected and not self._faulty and self._receiver.alive and self._motion.alive:
+        alive = self._receiver.alive and self._motion.alive
+        if self._connected and alive and not self._watch.faulty:
             return
         self._let_go()
         try:
@@ -143,9 +134,7 @@ class UrRobot:
         except BaseException:
             self._let_go()
             raise
-        self._standing, self._further = Standing(), []
-        self._problem, self._stopped_by = None, None
-        self._faulty = self._replaced = self._halted = False
+        self._watch, self._further = Watch(self._options), []
         self._connected = True
 
     def listen(self) -> None:
@@ -212,17 +201,14 @@ class UrRobot:
         self._require_health()
         if segment is None:
             raise CommandRefused("no segment is prepared", hint="call prepare() first")
-        if self._standing.moving:
+        if self._watch.moving:
             raise CommandRefused("a segment is still running", hint="read until it is over")
         if segment.kind == "hold":
             newest = -np.inf if self._newest is None else float(self._newest["timestamp"][-1])
-            self._standing.begin(segment.index, newest, moves=False)
+            self._watch.begun(segment.index, newest, moves=False)
             return
-        self._stopped_by, self._halted = None, False
         self._receiver.keep(None)
-        begun = self._motion.start()
-        self._replaced = False
-        self._standing.begin(segment.index, begun, moves=True)
+        self._watch.begun(segment.index, self._motion.start(), moves=True)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All samples since the last call.
@@ -236,8 +222,8 @@ class UrRobot:
             RobotConnectionError: The controller or the process that moves it is gone.
         """
         self._require_connection()
-        if self._problem is not None:
-            problem, self._problem = self._problem, None
+        problem, self._watch.problem = self._watch.problem, None
+        if problem is not None:
             raise problem
         raw = self._receiver.take(timeout_s)
         self._newest = raw
@@ -245,10 +231,8 @@ class UrRobot:
         self._further.append(further_rows(raw, self._topic))
         if self._listening:
             return rows
-        self._look(raw)
-        self._standing.stamp(rows)
-        if self._faulty:
-            rows["status"][-1] |= Status.FAULT
+        self._look(raw[-1])
+        self._watch.stamp(rows)
         return rows
 
     def stop(self) -> None:
@@ -259,18 +243,15 @@ class UrRobot:
         """
         if not self._connected:
             return
-        self._prepared, self._halted = None, True
+        self._prepared = None
         newest = self._receiver.newest
-        if newest is not None:
-            speed = float(np.abs(newest["target_qd"]).max())
-            ramp_s = speed / self._options.stop_rad_s2 + RAMP_GRACE_S
-            self._stopped_by = float(newest["timestamp"][0]) + ramp_s
+        self._watch.stopping(None if newest is None else newest[0])
         try:
             self._motion.stop()
         except HilError:
             self._stop_directly()
         else:
-            if self._faulty:
+            if self._watch.faulty:
                 # A program that a protective stop has paused must not go on once it is unlocked.
                 stop_program(self._options.address)
 
@@ -290,35 +271,21 @@ class UrRobot:
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to this arm."""
 
-    def _look(self, raw: StructArray) -> None:
+    def _look(self, row: Any) -> None:
         """Find out how the motion stands; what is wrong is told by the next read."""
-        row = raw[-1]
-        fault: HilError | None = fault_of(row, program=not self._replaced)
+        told, error = None, None
         try:
             told = self._motion.look()[0]
-            if self._standing.moving and not int(told["status"]) & Status.MOVING:
-                self._standing.end(float(told["device_time"]))
-                self._receiver.keep(KEPT_S)
-        except HilError as error:
-            fault = fault or error
-        if self._standing.moving and self._halted and _still(row):
-            # Who moved it may not be there any more to say that the motion is over.
-            self._standing.end(float(row["timestamp"]))
-        if fault is not None and not self._faulty:
-            self._problem, self._faulty, self._halted = fault, True, True
-        self._watch_stop(row)
-
-    def _watch_stop(self, row: np.void) -> None:
-        """A stop that has not worked is made again, in another way."""
-        if self._stopped_by is None or float(row["timestamp"]) < self._stopped_by:
-            return
-        self._stopped_by = None
-        if not _still(row):
+        except HilError as caught:
+            error = caught
+        if self._watch.look(row, told, error):
+            self._receiver.keep(KEPT_S)
+        if self._watch.stop_has_failed(row):
             self._stop_directly()
             stop_program(self._options.address)
 
     def _stop_directly(self) -> None:
-        self._replaced = True
+        self._watch.replaced = True
         if not stop_directly(self._options.address, self._options.stop_rad_s2):
             raise RobotConnectionError(
                 f"{self._options.address}: the controller could not be told to stop; its watchdog "
@@ -350,7 +317,7 @@ class UrRobot:
         self._require_connection()
         if self._listening:
             raise CommandRefused(f"{self._name} is only listened to", hint="call connect() first")
-        if self._faulty:
+        if self._watch.faulty:
             raise RobotFault(
                 f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
             )
@@ -359,7 +326,3 @@ class UrRobot:
         self._connected = self._listening = False
         self._motion.close()
         self._receiver.close()
-
-
-def _still(row: Any) -> bool:
-    return bool(np.abs(row["target_qd"]).max() < STILL_RAD_S)
