@@ -139,7 +139,7 @@ def test_of_all_postures_the_nearest_within_the_limits_is_returned(q, near):
         assert tool_frame(arm, each, NO_TCP) == pytest.approx(flange, abs=1e-9)
     best = solve(arm, pose_from(flange), near, NO_TCP)
     turned = np.array(every)[:, None] + 2 * np.pi * np.arange(-2, 3)[:, None]
-    squares = np.where(np.abs(turned) <= 2 * np.pi, (turned - near) ** 2, np.inf)
+    squares = np.where(np.abs(turned) <= 2 * np.pi + 1e-9, (turned - near) ** 2, np.inf)
     least = squares.min(axis=1).sum(axis=1).min()
     assert np.sum((best - near) ** 2) == pytest.approx(least, rel=1e-9)
 
