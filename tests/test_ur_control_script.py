@@ -248,6 +248,14 @@ def test_the_watchdog_stops_the_program_when_its_register_is_not_written():
     assert not client.qd.any()
 
 
+@pytest.mark.parametrize("least_hz", [5e-324, 1e-320, 1e-300, 1e-12])
+def test_a_watchdog_slower_than_any_life_is_set_and_stops_nothing(least_hz):
+    client = Client()
+    assert client.call(WATCHDOG, [least_hz]) == 1
+    client.pass_ticks(100)
+    assert client.playing
+
+
 def test_a_paused_move_is_gone_on_with():
     client = Client()
     client.go()

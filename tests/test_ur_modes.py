@@ -214,3 +214,27 @@ def test_a_safety_fault_ends_the_program_and_the_power():
     assert machine.program is None
     assert machine.body.braked
     assert machine.outputs["safety_mode"] == SafetyMode.FAULT
+
+
+@pytest.mark.parametrize("powered", [True, False])
+def test_an_idle_controller_that_was_booted_tells_what_a_fresh_one_tells(powered):
+    machine, fresh = machine_of(powered=powered), machine_of(powered=powered)
+    machine.cut_power()
+    machine.boot(powered=powered)
+    told = {
+        name: machine.outputs[name]
+        for name in machine.outputs.variables
+        if name.endswith(("mode", "bits", "state", "voltage", "time", "window", "scaling"))
+        or name.startswith(("safety", "payload", "tcp_offset"))
+    }
+    assert told == {name: fresh.outputs[name] for name in told}
+    assert told["safety_mode"] == SafetyMode.NORMAL
+
+
+def test_the_accelerometer_of_a_booted_controller_feels_no_step_of_the_speed_before():
+    machine = machine_of()
+    machine.move(Turning())
+    pass_time(machine, 0.1)
+    machine.cut_power()
+    machine.boot(powered=True)
+    assert np.linalg.norm(machine.outputs["actual_tool_accelerometer"]) == pytest.approx(9.81, 0.01)

@@ -246,7 +246,7 @@ def test_nothing_starts_without_outputs(client):
     assert client.answers() == []
 
 
-@pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize("frequency", [0.0, -1.0, 5e-324, 1e-4, math.nan, math.inf])
 def test_a_frequency_that_cannot_be_is_refused(client, frequency):
     assert client.outputs("timestamp", frequency) == b"\x00DOUBLE"
 

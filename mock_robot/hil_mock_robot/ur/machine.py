@@ -94,12 +94,11 @@ class Machine:
         self.listeners: list[Callable[[Event], None]] = []
         self.watches: dict[str, Callable[[Any], None]] = {}
         self.line = Line(self.tick_s)
-        self._heat = HeatGuard()
         self.publishers: list[Callable[[Machine], None]] = [Cartesian(self).publish]
         if powered:
             body.release()
         self.setpoint: Setpoint = body.setpoint
-        self._publishing = Publishing()
+        self._heat, self._publishing = HeatGuard(), Publishing()
         self.reading: Reading = body.step(self.setpoint)
         self._publishing.publish(self)
 
@@ -219,6 +218,9 @@ class Machine:
         self.speed_fraction = 1.0
         self.body.forget()
         self.setpoint = self.body.setpoint
+        # What these remember having told or seen was told and seen before.
+        self._heat, self._publishing = HeatGuard(), Publishing()
+        self.publishers[0] = Cartesian(self).publish
         self._publishing.publish(self)
         self.tell("booted")
 

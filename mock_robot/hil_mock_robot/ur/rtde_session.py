@@ -34,6 +34,9 @@ PROTOCOLS = (1, 2)
 PROTOCOL_1_HZ = 125.0
 """The only rate of protocol version 1."""
 
+LEAST_HZ = 1e-3
+"""Nobody waits longer than that for a package; what is asked for below is a mistake."""
+
 MOST_RECIPES = 255
 OUTPUT_RECIPE = 1
 REFUSED = 0
@@ -148,7 +151,7 @@ class RtdeSession:
         variables = self._machine.outputs.variables
         names = names_in(payload) if len(payload) <= LONGEST_NAMES else []
         types = [variables[name].type if name in variables else NOT_FOUND for name in names]
-        if not names or NOT_FOUND in types or not 0 < frequency < math.inf:
+        if not names or NOT_FOUND in types or not LEAST_HZ <= frequency < math.inf:
             return self._recipe(REFUSED, types)
         number = OUTPUT_RECIPE if self.protocol > 1 else None
         self._output = OutputRecipe([variables[name] for name in names], number)

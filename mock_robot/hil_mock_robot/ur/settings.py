@@ -18,6 +18,8 @@ LEAST_KG = 1e-6
 LEAST_INERTIA, LARGEST_INERTIA = 1e-9, 133.0
 """[kg·m²]; the largest is the URScript manual's."""
 ACTIONS = ("ignore", "pause", "stop")
+LEAST_PER_TICK = 1e-9
+"""Of a watchdog, which does not bite in anybody's lifetime then."""
 
 
 def set_payload(
@@ -61,15 +63,24 @@ def set_tcp(machine: Machine, pose: Sequence[float]) -> None:
 def set_watchdog(machine: Machine, variable: str, least_hz: float, action: str) -> None:
     """URScript `rtde_set_watchdog`; a frequency of zero ends it.
 
+    Args:
+        machine: Whose program is watched.
+        variable: The input that has to be written.
+        least_hz: How often at least [Hz].
+        action: One of `ACTIONS`, in small or capital letters: UR's own example writes capitals.
+
     Raises:
-        CommandRefused: There is no such input, or no such action.
+        CommandRefused: There is no such input, no such action, or that is no frequency.
     """
+    action = action.lower()
     if variable not in machine.inputs or action not in ACTIONS:
         raise CommandRefused(f"rtde_set_watchdog: no input {variable!r}, or no action {action!r}")
+    if not math.isfinite(least_hz):
+        raise CommandRefused(f"rtde_set_watchdog: {least_hz} is no frequency")
     if least_hz <= 0 or action == "ignore":
         machine.watchdog = None
         return
-    ticks = math.ceil(1.0 / (least_hz * machine.tick_s) - 1e-9)
+    ticks = math.ceil(1.0 / max(least_hz * machine.tick_s, LEAST_PER_TICK) - 1e-9)
     machine.written.setdefault(variable, machine.ticks)
     machine.watchdog = Watchdog(variable, max(1, ticks), action)
 
