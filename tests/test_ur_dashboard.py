@@ -1,5 +1,6 @@
 """The dashboard of the mock UR controller, line by line."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -84,6 +85,16 @@ def test_a_client_is_greeted(cb3):
         ("ur5", "setUserRole king", "Failed setting user role: king"),
         ("ur5e", "get operational mode", "NONE"),
         ("ur5e", "set operational mode manual", "Operational mode MANUAL is set"),
+        ("ur5", "saveLog", "Log saved to disk"),
+        ("ur5e", "saveLog", "Log saved to disk"),
+        ("ur5", "generate flight report controller", "Flight Report generated with id: 1"),
+        ("ur5e", "generate flight report System", "Flight Report generated with id: 1"),
+        ("ur5", "generate flight report", "Failed to execute: generate flight report"),
+        (
+            "ur5e",
+            "generate support file /programs/",
+            f"Completed successfully: /programs/ur_{SERIAL}_2022-12-02_00-00-00.zip",
+        ),
         ("ur5", "ROBOTMODE", "Robotmode: RUNNING"),
         ("ur5", "  robotmode \r", "Robotmode: RUNNING"),
     ],
@@ -313,7 +324,9 @@ def test_local_control_refuses_what_moves_or_powers(e_series, line):
     assert e_series.ask("get loaded program") == "No program loaded"
 
 
-@pytest.mark.parametrize("line", ["robotmode", "running", "is in remote control", "popup hello"])
+@pytest.mark.parametrize(
+    "line", ["robotmode", "running", "is in remote control", "popup hello", "saveLog"]
+)
 def test_local_control_answers_questions(e_series, line):
     e_series.machine.modes.remote = False
     assert e_series.ask(line) != REFUSAL
@@ -335,6 +348,53 @@ def test_popups_and_log_lines_are_told(cb3):
     ]
     cb3.ask("close popup")
     assert cb3.service.pendant.popup == ""
+
+
+@pytest.mark.parametrize("mode", ["MANUAL", "AUTOMATIC"])
+def test_giving_back_the_operational_mode_satisfies_what_clients_match(e_series, mode):
+    e_series.ask(f"set operational mode {mode.lower()}")
+    reply = e_series.ask("clear operational mode")
+    # UR's client library, older and newer, and the ROS driver; each matches the whole reply.
+    for pattern in (
+        r"(?:No longer controlling the operational mode. ).*",
+        r"(?:No longer controlling the operational mode.).*",
+        r"No longer controlling the operational mode\. Current operational mode: "
+        r"'(MANUAL|AUTOMATIC)'\.",
+    ):
+        assert re.fullmatch(pattern, reply)
+    assert e_series.ask("get operational mode") == mode
+
+
+def test_the_dashboard_example_of_urs_client_library(e_series):
+    """What it says and what it waits for, in its order; read in its source, not run."""
+    dialogue = [
+        ("PolyscopeVersion", "URSoftware .*"),
+        ("power off", "Powering off"),
+        ("robotmode", "Robotmode: POWER_OFF"),
+        ("close safety popup", "closing safety popup"),
+        ("power on", "Powering on"),
+        ("robotmode", "Robotmode: (IDLE|RUNNING)"),
+        ("brake release", "Brake releasing"),
+        ("robotmode", "Robotmode: RUNNING"),
+        ("load wait_program.urp", "(?:Loading program: ).*(?:wait_program.urp).*"),
+        ("programState", "STOPPED wait_program.urp"),
+        ("play", "Starting program"),
+        ("programState", "(?:PLAYING ).*"),
+        ("pause", "Pausing program"),
+        ("programState", "(?:PAUSED ).*"),
+        ("play", "Starting program"),
+        ("programState", "(?:PLAYING ).*"),
+        ("stop", "Stopped"),
+        ("programState", "(?:STOPPED ).*"),
+        ("power off", "Powering off"),
+        ("robotmode", "Robotmode: POWER_OFF"),
+        ("saveLog", "Log saved to disk"),
+        ("programState", "STOPPED wait_program.urp"),
+        ("power off", "Powering off"),
+    ]
+    for line, expected in dialogue:
+        assert re.fullmatch(expected, e_series.ask(line)), line
+        pass_time(e_series.machine, 2.0)
 
 
 def test_a_role_is_kept(cb3):

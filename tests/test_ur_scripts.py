@@ -10,15 +10,15 @@ from ur_machine import machine_of
 
 from hil_mock_robot.ur.control_script import ControlScript
 from hil_mock_robot.ur.inbox import LARGEST_TEXT, ScriptInbox
-from hil_mock_robot.ur.modes import RuntimeState
+from hil_mock_robot.ur.modes import RobotMode, RuntimeState
 from hil_mock_robot.ur.scripts import program_of
 
 
 class Station:
     """A controller, one connection to it, and what it told."""
 
-    def __init__(self, arm="ur5"):
-        self.machine = machine_of(arm)
+    def __init__(self, arm="ur5", powered=True):
+        self.machine = machine_of(arm, powered)
         self.inbox = ScriptInbox(self.machine)
         self.events = []
         self.machine.listeners.append(self.events.append)
@@ -307,6 +307,90 @@ def test_a_controller_that_does_not_run_refuses_programs(station):
     station.machine.emergency_stop()
     station.send(program("sleep(1)"))
     assert station.machine.runtime is RuntimeState.STOPPED
+
+
+def passed(station, seconds=3.0):
+    """The robot mode after so much device time."""
+    for _ in range(round(seconds / station.machine.tick_s)):
+        station.machine.tick()
+    return station.machine.modes.robot
+
+
+@pytest.mark.parametrize("arm", ["ur5", "ur5e"])
+@pytest.mark.parametrize("powered", [True, False])
+def test_power_lines_are_obeyed_and_are_no_programs(arm, powered):
+    """The dialogue of UR's client library in its test of power cycles."""
+    station = Station(arm, powered)
+    for line, mode in (
+        ("set robotmode run", RobotMode.RUNNING),
+        ("set robotmode run", RobotMode.RUNNING),
+        ("power off", RobotMode.POWER_OFF),
+        ("power on", RobotMode.IDLE),
+        ("set robotmode run", RobotMode.RUNNING),
+        ("power off", RobotMode.POWER_OFF),
+        ("set robotmode run", RobotMode.RUNNING),
+    ):
+        station.send(line + "\n")
+        assert passed(station) is mode
+    assert station.events == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["set robotmode run", "set robotmode freedrive", "set sim", "set real", "power on",
+     "set unlock protective stop", "  set   sim  # urx"],
+)  # fmt: skip
+def test_lines_that_are_no_program_leave_the_one_that_plays_alone(station, line):
+    station.send(program("sleep(100)", name="first"))
+    station.events.clear()
+    station.send(line + "\n")
+    station.machine.tick()
+    assert station.machine.program.name == "first"
+    assert station.events == []
+
+
+def test_stop_pause_and_resume_program(station):
+    station.send(program("sleep(100)", name="first"))
+    for line, state in (
+        ("pause program", RuntimeState.PAUSED),
+        ("resume program", RuntimeState.PLAYING),
+        ("stop program", RuntimeState.STOPPED),
+        ("stop program", RuntimeState.STOPPED),
+    ):
+        station.send(line + "\n")
+        assert station.machine.runtime is state
+    assert [event.kind for event in station.events] == ["program_started", "program_stopped"]
+
+
+def test_a_protective_stop_is_unlocked_by_a_line_after_five_seconds(station):
+    station.send("protective_stop()\n")
+    station.machine.tick()
+    station.send("set unlock protective stop\n")
+    assert not station.machine.modes.running
+    passed(station, 5.1)
+    station.send("set unlock protective stop\n")
+    assert station.machine.modes.running
+
+
+def test_the_speed_slider_has_a_line_of_its_own(station):
+    station.send("set speed 0.80\n")
+    assert station.machine.speed_fraction == 0.8
+    station.send("set speed 7\nset speed nan\n")
+    assert station.machine.speed_fraction == 1.0
+    assert station.events == []
+
+
+def test_local_control_ignores_these_lines_too():
+    station = Station("ur5e")
+    station.machine.modes.remote = False
+    station.send("power off\n")
+    assert passed(station) is RobotMode.RUNNING
+
+
+def test_such_a_line_inside_a_program_is_a_statement_of_it(station):
+    station.run(program("power off"))
+    assert passed(station) is RobotMode.RUNNING
+    assert len(station.told("error")) == 1
 
 
 CONTROL = """def rtde_control():

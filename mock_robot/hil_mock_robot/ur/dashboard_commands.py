@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hil_mock_robot.ur.dashboard_reports import flight_report, save_log, support_file
 from hil_mock_robot.ur.mode_codes import SafetyMode
 from hil_mock_robot.ur.pendant import UNNAMED, Pendant
 from hil_mock_robot.ur.series import Series
@@ -159,8 +160,8 @@ def _set_operational(pendant: Pendant, mode: str) -> str:
 
 
 def _clear_operational(pendant: Pendant, _: str) -> str:
-    pendant.operational = "NONE"
-    return "No longer controlling the operational mode."
+    now = pendant.operational
+    return f"No longer controlling the operational mode. Current operational mode: '{now}'."
 
 
 def _lower(flag: bool) -> str:
@@ -183,6 +184,9 @@ COMMANDS = (
     Command("close popup", _close_popup),
     Command("popup", _popup),
     Command("addToLog", _add_to_log),
+    Command("saveLog", save_log),
+    Command("generate flight report", flight_report, (3, 13), (5, 8)),
+    Command("generate support file", support_file, (3, 13), (5, 8)),
     Command("running", lambda p, _: f"Program running: {_lower(p.running)}"),
     Command("robotmode", lambda p, _: f"Robotmode: {p.machine.modes.robot.name}"),
     Command("safetymode", lambda p, _: f"Safetymode: {p.machine.modes.safety.name}"),

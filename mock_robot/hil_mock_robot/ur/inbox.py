@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from hil_mock_robot.ur.interface_lines import obey
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.script_parsing import opens_block, stripped
 from hil_mock_robot.ur.scripts import program_of, run_beside
@@ -19,8 +20,9 @@ class ScriptInbox:
 
     A program is over with the `end` of its `def`, or with an `end` at the very left where what is
     inside is indented. A statement outside any `def` is a program of its own. Whatever arrives
-    stops the program that plays, except secondary programs (`sec`), which run beside it. In local
-    control nothing arrives, as on e-Series.
+    stops the program that plays, except secondary programs (`sec`), which run beside it, and the
+    lines of `interface_lines`, which are no program. In local control nothing arrives, as on
+    e-Series.
 
     Args:
         machine: Which plays the programs.
@@ -75,6 +77,8 @@ class ScriptInbox:
         self._forget()
         machine = self._machine
         if machine.series.is_e and not machine.modes.remote:
+            return
+        if obey(stripped(text) if text.count("\n") == 1 else "", machine):
             return
         if _SECONDARY.match(text):
             run_beside(text, machine)

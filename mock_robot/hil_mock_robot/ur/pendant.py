@@ -55,7 +55,8 @@ class Pendant:
         loaded: File of the loaded program, `""` for none.
         popup: What is shown, `""` for nothing.
         role: Of the user (CB3).
-        operational: Mode that the dashboard has set, `NONE` without.
+        operational: Mode that the dashboard has set last, `NONE` before.
+        reports: Number of the last report.
         log: The last lines added to it.
     """
 
@@ -65,6 +66,7 @@ class Pendant:
     popup: str = ""
     role: str = "PROGRAMMER"
     operational: str = "NONE"
+    reports: int = 0
     log: deque[str] = field(default_factory=lambda: deque(maxlen=LOG_LINES))
 
     @property
