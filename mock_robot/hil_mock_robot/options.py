@@ -201,7 +201,10 @@ def numbers_of(value: Any, n: int) -> tuple[float, ...] | None:
         return None
     if any(isinstance(v, bool) or not isinstance(v, int | float | np.number) for v in value):
         return None
-    numbers = tuple(float(v) for v in value)
+    try:
+        numbers = tuple(float(v) for v in value)
+    except OverflowError:  # a whole number beyond what a float holds
+        return None
     return numbers if len(numbers) == n and np.isfinite(numbers).all() else None
 
 

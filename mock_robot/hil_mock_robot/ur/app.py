@@ -42,6 +42,7 @@ def _run(given: argparse.Namespace) -> int:
     series = series_of(given.model)
     pacer = pacer_of(given.speed, series)
     machine = machine_of(given, series)
+    machine.mishaps.contained = True
     loop = loop_of(given, machine, pacer, address)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: loop.end())

@@ -41,11 +41,13 @@ OWN_DURATION = {"cut": 0.0, "reboot": 3.0}
 """How long these last when nothing is said; the others last until they are cleared."""
 
 ROUNDING = 1e-6
+LONGEST_S = 1e9
+"""Three decades: what is later never happens, and ticks until then can still be counted."""
 
 _NUMBERS: dict[str, tuple[float, float, bool, str]] = {
-    "at_s": (0, math.inf, False, "a number of seconds ≥ 0"),
-    "after_s": (0, math.inf, False, "a number of seconds ≥ 0"),
-    "for_s": (0, math.inf, False, "a number of seconds ≥ 0"),
+    "at_s": (0, LONGEST_S, False, "a number of seconds from 0 to 1e9"),
+    "after_s": (0, LONGEST_S, False, "a number of seconds from 0 to 1e9"),
+    "for_s": (0, LONGEST_S, False, "a number of seconds from 0 to 1e9; nothing for ever"),
     "by_s": (0, 60, False, "a number of seconds from 0 to 60"),
     "motion": (1, math.inf, True, "a whole number from 1 up"),
     "program": (1, math.inf, True, "a whole number from 1 up"),
@@ -164,9 +166,9 @@ def _value_of(where: str, key: str, value: Any) -> Any:
         return value
     least, most, whole, words = _NUMBERS[key]
     kinds = int if whole else (int, float)
+    if key == "for_s" and value == math.inf:
+        return math.inf
     if not isinstance(value, kinds) or isinstance(value, bool) or not least <= value <= most:
-        raise _wrong(where, value, f"use {words}")
-    if value == math.inf and key != "for_s":
         raise _wrong(where, value, f"use {words}")
     return value if whole else float(value)
 

@@ -8,15 +8,14 @@ import socket
 from collections.abc import Iterable
 from typing import Protocol
 
-from hil_mock_robot.ur.contracts import Service, Session
+from hil_mock_robot.ur.contracts import Service
+from hil_mock_robot.ur.conversations import Conversations
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.side import SideService
-from hil_mock_robot.ur.sockets import TcpLink, listen
+from hil_mock_robot.ur.sockets import listen
 from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import Witness
 
-READ_BYTES = 65_536
-MOST_SESSIONS = 200
 DEAF_S = 10.0
 """Wall time a client that is sent everything may leave it unread; it is hung up on then."""
 
@@ -68,7 +67,8 @@ class Loop:
         self._services, self._side = list(services), side
         self._troubles, self._witness = troubles or Troubles(machine), witness
         self._listening: dict[socket.socket, Service] = {}
-        self.sessions: dict[socket.socket, tuple[TcpLink, Session]] = {}
+        self._talks = Conversations(machine.mishaps, witness)
+        self.sessions = self._talks.sessions
         self._ending = self._dark = False
         self._suffered: tuple[bool, frozenset[int], bool] = (False, frozenset(), False)
         self._woken, self._waker = socket.socketpair()
@@ -111,8 +111,7 @@ class Loop:
         if not self._dark:
             self._machine.tick()
         self._pacer.ticked()
-        for _, session in list(self.sessions.values()):
-            session.ticked()
+        self._talks.ticked()
         if self._witness is not None:
             self._witness.ticked()
         if self._side is not None:
@@ -150,7 +149,7 @@ class Loop:
         for link, _ in self.sessions.values():
             if self._side is None or link.port != self._side.port:
                 link.close()
-        self._forget_closed()
+        self._talks.forget_closed()
 
     def _held(self) -> bool:
         """Whether time waits for a client; one that does not read at all is hung up on."""
@@ -164,7 +163,7 @@ class Loop:
         return held and self._pacer.patient
 
     def _serve(self, wait_s: float) -> None:
-        self._forget_closed()
+        self._talks.forget_closed()
         heard = [s for s, (link, _) in self.sessions.items() if not link.blocked]
         ports = [s for s, service in self._listening.items() if not self._unheard(service.port)]
         waiting = [s for s in heard if self.sessions[s][0].pending]
@@ -174,41 +173,7 @@ class Loop:
             self.sessions[each][0].flush()
         for each in readable:
             if each in self._listening:
-                self._accept(each)
+                self._talks.accept(each, self._listening[each])
             elif each in self.sessions:
-                self._receive(each)
-        self._forget_closed()
-
-    def _accept(self, listening: socket.socket) -> None:
-        with contextlib.suppress(OSError):
-            connection, (peer, *_) = listening.accept()
-            if len(self.sessions) >= MOST_SESSIONS:
-                connection.close()
-                return
-            service = self._listening[listening]
-            link = TcpLink(connection, peer, service.port)
-            if self._witness is not None:
-                self._witness.connected(link)
-            self.sessions[connection] = (link, service.accept(link))
-
-    def _receive(self, connection: socket.socket) -> None:
-        link, session = self.sessions[connection]
-        try:
-            data = connection.recv(READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if data:
-            if self._witness is not None:
-                self._witness.received(link, data)
-            session.received(data)
-        else:
-            link.close()
-
-    def _forget_closed(self) -> None:
-        for connection in [s for s, (link, _) in self.sessions.items() if link.closed]:
-            link, session = self.sessions.pop(connection)
-            session.hung_up()
-            if self._witness is not None:
-                self._witness.disconnected(link)
+                self._talks.receive(each)
+        self._talks.forget_closed()

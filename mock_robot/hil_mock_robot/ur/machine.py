@@ -15,6 +15,7 @@ from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
 from hil_mock_robot.ur.heat import HeatGuard
 from hil_mock_robot.ur.limits import MotionImpossible, leaving, out_of
 from hil_mock_robot.ur.line import Line
+from hil_mock_robot.ur.mishaps import Mishaps
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.publishing import Publishing
 from hil_mock_robot.ur.series import Series
@@ -75,6 +76,7 @@ class Machine:
         speed_fraction: The speed slider, 0 to 1.
         listeners: Told every `Event`.
         publishers: Called after every tick to fill outputs that need more than the joints.
+        mishaps: Who hears of mistakes in programs and motions.
     """
 
     def __init__(self, series: Series, body: Body, *, serial: str, powered: bool = True) -> None:
@@ -93,7 +95,7 @@ class Machine:
         self.speed_fraction = 1.0
         self.listeners: list[Callable[[Event], None]] = []
         self.watches: dict[str, Callable[[Any], None]] = {}
-        self.line = Line(self.tick_s)
+        self.line, self.mishaps = Line(self.tick_s), Mishaps()
         self.publishers: list[Callable[[Machine], None]] = [Cartesian(self).publish]
         if powered:
             body.release()
@@ -113,9 +115,8 @@ class Machine:
         self.modes.tick()
         self._power()
         self._guard()
-        playing = self.runtime is RuntimeState.PLAYING
-        if self.program is not None and playing and not self.program.tick(self):
-            self.halt()
+        if self.program is not None and self.runtime is RuntimeState.PLAYING:
+            self._play_on(self.program)
         self._advance()
         self.reading = self.body.step(self.setpoint)
         if self.reading.fault:
@@ -235,6 +236,16 @@ class Machine:
         for listener in self.listeners:
             listener(event)
 
+    def _play_on(self, program: Program) -> None:
+        """A tick of the program; a mistake of ours in it ends it, and nothing else."""
+        try:
+            plays = program.tick(self)
+        except Exception as error:
+            self.fail(f"the program cannot go on: {self.mishaps.met(error, 'a program')}")
+            return
+        if not plays:
+            self.halt()
+
     def _power(self) -> None:
         """The brakes follow the robot mode."""
         on = self.modes.robot is RobotMode.RUNNING
@@ -266,6 +277,9 @@ class Machine:
             after = self.motion.advance(self.setpoint, self.speed_fraction)
         except MotionImpossible as error:
             after = self._break_off(error).advance(self.setpoint, self.speed_fraction)
+        except Exception as error:
+            why = f"the motion cannot go on: {self.mishaps.met(error, 'a motion')}"
+            after = self._break_off(MotionImpossible(why)).advance(self.setpoint, 1.0)
         if after is None:
             self.motion = None
             self.setpoint = np.stack((self.setpoint[0], np.zeros(6), np.zeros(6)))

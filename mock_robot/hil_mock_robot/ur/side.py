@@ -18,6 +18,9 @@ from hil_mock_robot.ur.side_requests import factor_in, payload_in, ticks_in, tor
 from hil_mock_robot.ur.troubles import Troubles
 
 LONGEST_LINE = 100_000
+MOST_WAITING = 1_000_000
+"""Bytes of requests that wait for the end of a step; the client is hung up on beyond that."""
+LINE_BYTES = 100
 
 Request = Mapping[str, Any]
 Answer = dict[str, Any]
@@ -54,7 +57,11 @@ class SideService:
         """A tick is over, and everybody was sent what was due."""
         for session in self._sessions:
             if session.left:
-                session.stepped()
+                try:
+                    session.stepped()
+                except Exception as error:
+                    self.machine.mishaps.met(error, "the side channel")
+                    session.close()
                 return
 
 
@@ -75,6 +82,7 @@ class SideSession:
         self._service, self._link = service, link
         self._rest = b""
         self._waiting: deque[bytes] = deque()
+        self._waits = 0
         self.left = 0
         self._answers: dict[str, Callable[[Request], Answer | None]] = {
             "fault": self._fault,
@@ -89,10 +97,19 @@ class SideSession:
     def received(self, data: bytes) -> None:
         """See `Session`."""
         *lines, self._rest = (self._rest + data).split(b"\n")
-        self._waiting.extend(line for line in lines if line.strip())
+        asked = [line for line in lines if line.strip()]
+        self._waiting.extend(asked)
+        self._waits += sum(map(_size, asked))
         if len(self._rest) > LONGEST_LINE:
-            self._link.close()
+            self.close()
         self._go_on()
+        if self._waits > MOST_WAITING and not self._link.closed:
+            self._answer({"error": "too many requests wait", "hint": "read the answers first"})
+            self.close()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._link.close()
 
     def ticked(self) -> None:
         """See `Session`; what is due after a tick is done when all other clients had theirs."""
@@ -110,22 +127,25 @@ class SideSession:
 
     def _go_on(self) -> None:
         while self._waiting and not self.left and not self._link.closed:
-            answer = self._done(self._waiting.popleft())
+            line = self._waiting.popleft()
+            self._waits -= _size(line)
+            answer = self._done(line)
             if answer is not None:
                 self._answer(answer)
 
     def _done(self, line: bytes) -> Answer | None:
         try:
             request = json.loads(line)
-            if not isinstance(request, dict) or request.get("do") not in self._answers:
+            do = request.get("do") if isinstance(request, dict) else None
+            if not isinstance(do, str) or do not in self._answers:
                 raise SpecError(
                     f"the side channel does not know {line.decode('utf-8', 'replace')}",
                     hint=f'send {{"do": …}} with one of {", ".join(self._answers)}',
                 )
-            return self._answers[request["do"]](request)
+            return self._answers[do](request)
         except HilError as error:
             return {"error": error.message, "hint": error.hint}
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return {"error": f"no JSON: {error}", "hint": "send one JSON object a line"}
 
     def _answer(self, answer: Answer) -> None:
@@ -167,3 +187,8 @@ class SideSession:
     def _mount(self, request: Request) -> Answer:
         self._service.machine.body.mount(payload_in(request))
         return {}
+
+
+def _size(line: bytes) -> int:
+    """What a request that waits takes [bytes]."""
+    return len(line) + LINE_BYTES

@@ -57,6 +57,7 @@ class Witness:
         self._scripts: dict[TcpLink, bytes] = {}
         self.sent = 0
         machine.listeners.append(self.happened)
+        machine.mishaps.listeners.append(self.stumbled)
         for name in COMMAND_INPUTS:
             machine.watches[name] = self.commanded
 
@@ -113,6 +114,10 @@ class Witness:
     def struck(self, fault: Fault, begins: bool) -> None:
         """A fault on request begins or is over."""
         self._note("fault" if begins else "fault_over", kind=fault.kind)
+
+    def stumbled(self, where: str, what: str) -> None:
+        """The mock itself has made a mistake, and goes on."""
+        self._note("mishap", where=where, what=what)
 
     def ticked(self) -> None:
         """A tick is over: is the arm at rest?"""
