@@ -27,6 +27,7 @@ from hil_mock_robot.ur.control_script import HANDLERS
 from hil_mock_robot.ur.kinematics import jacobian, pose_of, pose_trans
 from hil_mock_robot.ur.modes import RuntimeState
 from hil_mock_robot.ur.motions import Leg
+from hil_mock_robot.ur.settings import set_watchdog
 from hil_mock_robot.ur.threaded import ANOTHER_THREAD
 
 
@@ -246,6 +247,17 @@ def test_the_watchdog_stops_the_program_when_its_register_is_not_written():
     assert client.machine.runtime is RuntimeState.STOPPED
     client.settle()
     assert not client.qd.any()
+
+
+def test_a_watchdog_counts_from_when_it_is_set():
+    client = Client()
+    client.machine.write("input_int_register_5", 1)
+    client.pass_ticks(300)
+    set_watchdog(client.machine, "input_int_register_5", 1.0, "STOP")
+    client.pass_ticks(124)
+    assert client.playing
+    client.pass_ticks(3)
+    assert not client.playing
 
 
 @pytest.mark.parametrize("least_hz", [5e-324, 1e-320, 1e-300, 1e-12])

@@ -3,15 +3,18 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fuzzing import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from ur_control_parts import HOME
 from ur_machine import SERIAL, Wire, machine_of, pass_time
 
 from hil_mock_robot.ur.dashboard import LONGEST_LINE, DashboardService
 from hil_mock_robot.ur.dashboard_commands import COMMANDS
 from hil_mock_robot.ur.mode_codes import RobotMode, RuntimeState
+from hil_mock_robot.ur.motions import MoveJ
 
 REFUSAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
@@ -290,6 +293,36 @@ def test_programs_may_be_given_for_files():
     assert begun == ["given"]
     pass_time(machine, 0.1)
     assert service.pendant.state == "STOPPED"
+
+
+def test_the_program_of_urs_control_loop_example_moves_to_what_it_is_sent(cb3):
+    """The client's side is that of `example_control_loop.py` of UR's own RTDE client."""
+    machine = cb3.machine
+    machine.move(MoveJ(HOME, 2.0, 10.0, machine.tick_s))
+    pass_time(machine, 3.0)
+
+    def kick(word, until, seconds=20.0):
+        for _ in range(round(seconds / machine.tick_s)):
+            machine.write("input_int_register_0", word)
+            machine.tick()
+            if machine.outputs["output_int_register_0"] == until:
+                return True
+        return False
+
+    cb3.ask("load rtde_control_loop.urp")
+    assert cb3.ask("play") == "Starting program"
+    assert kick(0, 1)
+    below = np.array([0, 0, -0.05, 0, 0, 0])
+    target = machine.outputs["target_TCP_pose"] + below
+    for number, value in enumerate(target):
+        machine.write(f"input_double_register_{number}", value)
+    assert kick(1, 0)
+    assert machine.outputs["target_TCP_pose"] == pytest.approx(target.tolist(), abs=1e-6)
+    assert kick(0, 1)
+    pass_time(machine, 0.9)
+    assert cb3.ask("running") == "Program running: true"
+    pass_time(machine, 0.2)
+    assert cb3.ask("programState") == "PAUSED rtde_control_loop.urp", "its watchdog bites after 1 s"
 
 
 def test_what_one_client_loads_the_other_plays(cb3):

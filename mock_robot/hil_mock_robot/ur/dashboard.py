@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 from hil_mock_robot.ur.contracts import Link, Program
 from hil_mock_robot.ur.dashboard_commands import command_of
+from hil_mock_robot.ur.disk import disk_of
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.pendant import Pendant
 
@@ -26,7 +27,8 @@ class DashboardService:
 
     Args:
         machine: The controller.
-        programs: File name → what makes that program, for files that do more than idle.
+        programs: File name → what makes that program, for files that do more than idle; those of
+            `disk.py` when None.
 
     Attributes:
         port: TCP port.
@@ -38,7 +40,7 @@ class DashboardService:
     def __init__(
         self, machine: Machine, programs: Mapping[str, Callable[[], Program]] | None = None
     ) -> None:
-        self.pendant = Pendant(machine, programs or {})
+        self.pendant = Pendant(machine, disk_of(machine) if programs is None else programs)
         machine.listeners.append(self._heard)
 
     def accept(self, link: Link) -> DashboardSession:

@@ -61,7 +61,7 @@ def set_tcp(machine: Machine, pose: Sequence[float]) -> None:
 
 
 def set_watchdog(machine: Machine, variable: str, least_hz: float, action: str) -> None:
-    """URScript `rtde_set_watchdog`; a frequency of zero ends it.
+    """URScript `rtde_set_watchdog`, which counts from now on; a frequency of zero ends it.
 
     Args:
         machine: Whose program is watched.
@@ -81,7 +81,7 @@ def set_watchdog(machine: Machine, variable: str, least_hz: float, action: str) 
         machine.watchdog = None
         return
     ticks = math.ceil(1.0 / max(least_hz * machine.tick_s, LEAST_PER_TICK) - 1e-9)
-    machine.written.setdefault(variable, machine.ticks)
+    machine.written[variable] = machine.ticks
     machine.watchdog = Watchdog(variable, max(1, ticks), action)
 
 
