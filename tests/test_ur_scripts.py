@@ -9,8 +9,9 @@ from ur_control_parts import HOME, beside
 from ur_machine import machine_of
 
 from hil_mock_robot.ur.control_script import ControlScript
-from hil_mock_robot.ur.inbox import LARGEST_TEXT, ScriptInbox
+from hil_mock_robot.ur.inbox import LARGEST_TEXT, MOST_LINES, ScriptInbox
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState
+from hil_mock_robot.ur.script_values import LONGEST_SHOWN, MOST_ELEMENTS
 from hil_mock_robot.ur.scripts import program_of
 
 
@@ -292,6 +293,72 @@ def test_a_program_without_end_is_not_kept_for_ever(station):
     station.send("end\nset_digital_out(1, True)\n")
     station.machine.tick()
     assert station.machine.outputs["actual_digital_output_bits"] == 0
+
+
+def test_a_program_of_too_many_lines_is_not_read(station):
+    station.send(program(*["x = 1"] * (MOST_LINES + 1)))
+    assert station.told("error") == [
+        f"a program is longer than {LARGEST_TEXT} bytes or {MOST_LINES} lines"
+    ]
+    assert station.machine.runtime is RuntimeState.STOPPED
+
+
+def test_lists_in_lists_in_lists_are_refused_before_they_fill_the_memory(station):
+    """Seven such lines would be two million elements."""
+    lines = ["a = [1, 2, 3, 4, 5, 6, 7, 8]", *["a = [a, a, a, a, a, a, a, a]"] * 7, "textmsg(a)"]
+    station.run(program(*lines))
+    assert station.told("error") == ["line 4: lists are nested too deeply"]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["v = [0]", "m = [v]", "v[0] = m"],
+        ["v = [0]", "v[0] = [1]", "v[0] = [v]"],
+        ["def f(x):", " x[0] = [x]", "end", "f([[1]])"],
+    ],
+)
+def test_no_assignment_makes_lists_deeper(station, lines):
+    station.run(program(*lines))
+    assert "lists are nested too deeply" in station.told("error")[0]
+
+
+def test_lists_are_passed_on_by_value(station):
+    station.run(
+        program(
+            "def f(x):",
+            "  x[0] = 9",
+            "  return x",
+            "end",
+            "v = [1]",
+            "m = [v, v]",
+            "w = f(v)",
+            "v[0] = 7",
+            "textmsg(to_str(m), to_str(v), to_str(w))",
+        )
+    )
+    assert station.told("text") == ["[[1], [1]][7][9]"]
+
+
+def test_a_list_of_too_many_elements_is_refused(station):
+    lines = ["a = [" + "1," * 1500 + "1]", "b = [a, a]"]
+    station.run(program(*lines))
+    assert f"more than {MOST_ELEMENTS} elements" in station.told("error")[0]
+
+
+def test_what_is_shown_of_a_list_has_an_end(station):
+    text = '"' + "x" * 190 + '"'
+    station.run(program(f"a = [{', '.join([text] * 12)}]", "b = [a, a, a]", "textmsg(b)"))
+    assert len(station.told("text")[0]) <= LONGEST_SHOWN + 2
+
+
+def test_long_lists_take_time_of_the_program_not_of_the_controller(station):
+    """Steps without waiting cost a tick; going through a list counts as many."""
+    add = "+".join(["a"] * 20)
+    station.run(program("a = [" + "1," * 1900 + "1]", "i = 0", "while i < 50:",
+                        f" b = {add}", " i = i + 1", "end"))  # fmt: skip
+    # 50 × 20 additions of 1901 elements, ten of which are a step, 2000 steps to a tick
+    assert station.machine.ticks >= 50 * 19 * 190 // 2000
 
 
 @pytest.mark.parametrize(("arm", "plays"), [("ur5", True), ("ur5e", False)])

@@ -11,6 +11,8 @@ from hil_mock_robot.ur.scripts import program_of, run_beside
 
 LARGEST_TEXT = 1_000_000
 """Bytes of one program; nobody uploads more."""
+MOST_LINES = 20_000
+"""Of one program: they are all read between two ticks."""
 _BEGINS = re.compile(r"(def|sec)\b")
 _SECONDARY = re.compile(r"\s*sec\b")
 
@@ -44,7 +46,9 @@ class ScriptInbox:
         self._rest = bytearray(rest)
         if len(rest) > LARGEST_TEXT:
             self._drop()
-        for line in lines[: None if not self._deaf else 0]:
+        for line in lines:
+            if self._deaf:
+                return
             self._take(line.decode("utf-8", "replace").rstrip("\r").replace("\0", ""))
 
     def _take(self, line: str) -> None:
@@ -53,7 +57,7 @@ class ScriptInbox:
             return
         self._lines.append(line)
         self._size += len(line) + 1
-        if self._size > LARGEST_TEXT:
+        if self._size > LARGEST_TEXT or len(self._lines) > MOST_LINES:
             self._drop()
         elif len(self._lines) == 1:
             self._open = int(_BEGINS.match(bare) is not None)
@@ -89,7 +93,8 @@ class ScriptInbox:
         self._deaf = True
         self._rest.clear()
         self._forget()
-        self._machine.tell("error", text=f"a program is longer than {LARGEST_TEXT} bytes")
+        most = f"{LARGEST_TEXT} bytes or {MOST_LINES} lines"
+        self._machine.tell("error", text=f"a program is longer than {most}")
 
     def _forget(self) -> None:
         self._lines, self._size, self._open = [], 0, 0

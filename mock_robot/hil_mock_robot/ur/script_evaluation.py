@@ -16,7 +16,9 @@ from hil_mock_robot.ur.script_values import (
     combined,
     compared,
     constant,
+    effort,
     element,
+    listed,
     truth,
 )
 from hil_mock_robot.ur.servoing import ServoJ
@@ -90,12 +92,13 @@ class Evaluator(Threaded):
             case ast.Name():
                 return self._variable(node.id)
             case ast.List() | ast.Tuple():
-                return (yield from self._values(node.elts))
+                return (yield from self._list(node.elts))
             case ast.Subscript():
                 return (yield from self._subscript(node))
             case ast.BinOp():
                 left = yield from self._value(node.left)
                 right = yield from self._value(node.right)
+                yield from self._count(effort(left))
                 return combined(type(node.op), left, right)
             case ast.UnaryOp() | ast.BoolOp() | ast.Compare():
                 return (yield from self._logic(node))
@@ -109,10 +112,16 @@ class Evaluator(Threaded):
             values.append((yield from self._value(node)))
         return values
 
+    def _list(self, nodes: Sequence[ast.expr]) -> Generator[None, None, list[Any]]:
+        values = yield from self._values(nodes)
+        listed(values)
+        yield from self._count(effort(values))
+        return values
+
     def _subscript(self, node: ast.Subscript) -> Evaluation:
         if isinstance(node.value, ast.Name) and node.value.id == "p":
             inside = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-            return Pose((yield from self._values(inside)))
+            return Pose((yield from self._list(inside)))
         values = yield from self._value(node.value)
         return element(values, (yield from self._value(node.slice)))
 
@@ -161,9 +170,9 @@ class Evaluator(Threaded):
         """A function of the program itself."""
         raise NotImplementedError
 
-    def _count(self) -> Steps:
+    def _count(self, steps: int = 1) -> Steps:
         """A program that never waits must not hold up the controller."""
-        self._steps += 1
+        self._steps += steps
         if self._steps > STEPS_PER_TICK:
             yield from self.wait()
 

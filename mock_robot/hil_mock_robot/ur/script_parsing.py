@@ -5,7 +5,8 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from keyword import iskeyword
 
 from hil.errors import CommandRefused
 
@@ -41,13 +42,19 @@ class Statement:
 class _Lines:
     """Lines with something on them, one after the other."""
 
-    left: list[tuple[int, str]] = field(default_factory=list)
+    numbered: list[tuple[int, str]]
+    at: int = 0
+
+    @property
+    def left(self) -> bool:
+        return self.at < len(self.numbered)
 
     def peek(self) -> str:
-        return self.left[0][1] if self.left else ""
+        return self.numbered[self.at][1] if self.left else ""
 
     def take(self) -> tuple[int, str]:
-        return self.left.pop(0)
+        self.at += 1
+        return self.numbered[self.at - 1]
 
 
 def opens_block(line: str) -> bool:
@@ -144,13 +151,17 @@ def expression(number: int, text: str) -> ast.expr:
     """
     if len(text) > LONGEST_LINE:
         raise refused(number, "the line is too long")
+    text = text.strip()
+    if text.isidentifier() and not iskeyword(text):
+        return ast.Name(text, ast.Load())
     try:
-        parsed = ast.parse(text.strip(), mode="eval").body
-        if _depth(parsed) > DEEPEST_EXPRESSION:
+        parsed = ast.parse(text, mode="eval").body
+        # Nothing that is shorter than that can be deeper, and most lines are.
+        if len(text) > DEEPEST_EXPRESSION // 2 and _depth(parsed) > DEEPEST_EXPRESSION:
             raise refused(number, "the expression is nested too deeply")
         return parsed
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise refused(number, f"syntax error at {text.strip()[:40]!r}") from error
+        raise refused(number, f"syntax error at {text[:40]!r}") from error
 
 
 def _depth(root: ast.expr) -> int:

@@ -18,7 +18,10 @@ from hil_mock_robot.ur.script_motions import MOVES, leg_of
 from hil_mock_robot.ur.script_parsing import Statement
 from hil_mock_robot.ur.script_values import (
     Value,
+    copied,
+    effort,
     element,
+    listed,
     integer,
     truth,
 )
@@ -59,7 +62,7 @@ class ScriptProgram(Evaluator):
         at = 0
         while at < len(statements):
             try:
-                legs = yield from self._blended(statements[at:])
+                legs = yield from self._blended(statements, at)
                 if not legs:
                     yield from self._statement(statements[at])
                     at += 1
@@ -69,10 +72,12 @@ class ScriptProgram(Evaluator):
             except CommandRefused as error:
                 raise _placed(error, statements[at].line) from error
 
-    def _blended(self, statements: Sequence[Statement]) -> Generator[None, None, list[Leg]]:
-        """Moves that follow each other without a stop."""
+    def _blended(
+        self, statements: Sequence[Statement], at: int
+    ) -> Generator[None, None, list[Leg]]:
+        """Moves from statement `at` on that follow each other without a stop."""
         legs: list[Leg] = []
-        for statement in statements:
+        for statement in (statements[i] for i in range(at, len(statements))):
             call = statement.value
             if statement.kind != "call" or not isinstance(call, ast.Call):
                 break
@@ -124,13 +129,15 @@ class ScriptProgram(Evaluator):
             values = self._variable(target.value.id)
             element(values, index)
             assert isinstance(values, list)
-            values[integer(index, 0, len(values) - 1)] = value
+            values[integer(index, 0, len(values) - 1)] = copied(value)
+            yield from self._count(effort(values))
+            listed(values)
             return
         if not isinstance(target, ast.Name):
             raise CommandRefused("this cannot be assigned to")
-        copied = type(value)(value) if isinstance(value, list) else value
+        yield from self._count(effort(value))
         scope = self._scopes[0] if target.id in self._scopes[0] else self._scopes[-1]
-        scope[target.id] = copied
+        scope[target.id] = copied(value)
 
     def _own(self, function: Statement, given: list[Value], named: dict[str, Value]) -> Evaluation:
         names = function.parameters
@@ -139,7 +146,9 @@ class ScriptProgram(Evaluator):
         bound = {**dict(zip(names, given, strict=False)), **named}
         if len(given) > len(names) or set(bound) != set(names):
             raise CommandRefused(f"{function.target} takes {len(names)} arguments")
-        self._scopes.append(bound)
+        for value in bound.values():
+            yield from self._count(effort(value))
+        self._scopes.append({name: copied(value) for name, value in bound.items()})
         try:
             yield from self._block(function.body)
         except Left as left:

@@ -13,7 +13,11 @@ from hil.errors import CommandRefused
 Value = bool | int | float | str | list[Any] | None
 
 LONGEST = 10_000
-"""Elements of a list, letters of a text."""
+"""Letters of a text."""
+MOST_ELEMENTS = 2000
+"""Of a list, with those of the lists in it; matrices are as deep as lists may be."""
+LONGEST_SHOWN = 1000
+"""Letters of a list in a message."""
 LARGEST_INT = 2**53
 LARGEST = 1e9
 """What no coordinate and no speed is beyond: larger numbers only overflow."""
@@ -87,9 +91,43 @@ def truth(value: Any) -> bool:
 def shown(value: Any) -> str:
     """For messages, as `textmsg` shows it."""
     if isinstance(value, list):
-        inner = ", ".join(shown(each) for each in value[:12])
+        inner = ", ".join(shown(each) for each in value[:12])[:LONGEST_SHOWN]
         return ("p[" if isinstance(value, Pose) else "[") + inner + "]"
     return f"{value:g}" if isinstance(value, float) else str(value)[:200]
+
+
+def listed(values: list[Any]) -> int:
+    """How many elements a list has, with those of the lists in it.
+
+    Raises:
+        CommandRefused: They are too many, or lists are too deep in each other.
+    """
+    count = 0
+    for each in values:
+        if isinstance(each, list) and any(isinstance(inner, list) for inner in each):
+            raise CommandRefused("lists are nested too deeply")
+        count += len(each) if isinstance(each, list) else 1
+        if count > MOST_ELEMENTS:
+            raise CommandRefused(f"a list has more than {MOST_ELEMENTS} elements")
+    return count
+
+
+def copied(value: Any) -> Any:
+    """A value for somebody else to keep: lists are passed on by value.
+
+    Raises:
+        CommandRefused: It is a list that cannot be.
+    """
+    if not isinstance(value, list):
+        return value
+    listed(value)
+    return type(value)(type(each)(each) if isinstance(each, list) else each for each in value)
+
+
+def effort(value: Any) -> int:
+    """Steps that it takes to go through a value."""
+    return 1 + (sum(len(each) if isinstance(each, list) else 1 for each in value) // 10
+                if isinstance(value, list) else 0)  # fmt: skip
 
 
 def constant(value: Any) -> Value:
