@@ -30,11 +30,11 @@ class Message:
     def __init__(self, topic: str, log_time_ns: int, raw: bytes, decode: Any) -> None:
         self.topic = topic
         self.log_time_ns = log_time_ns
-        self._raw, self._decode = raw, decode
+        self.raw, self._decode = raw, decode
 
     @cached_property
     def data(self) -> Any:
-        return self._decode(self._raw)
+        return self._decode(self.raw)
 
 
 class Viewer:
