@@ -14,14 +14,12 @@ from scipy.linalg.lapack import dposv
 from hil.typing import FloatArray
 from hil_mock_robot.ur.chain import Posture, lengths_of, twist_of
 from hil_mock_robot.ur.contracts import Setpoint
+from hil_mock_robot.ur.force_sensor import DAMPING, raw_wrench
 from hil_mock_robot.ur.poses import Frame, Triple, compose, frame_of, inverted, pose_from, turned
 
 if TYPE_CHECKING:
     from hil_mock_robot.ur.machine import Machine
     from hil_mock_robot.ur.variables import Values
-
-DAMPING = 0.05
-"""Keeps the wrench finite in a singularity, where the joints do not feel some of it."""
 
 
 class Cartesian:
@@ -57,7 +55,9 @@ class Cartesian:
         wrench = self._wrench(machine, J)
         out["actual_TCP_force"] = wrench
         out["tcp_force_scalar"] = sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2)
-        out["actual_tool_accelerometer"] = self._felt(posture, out["target_TCP_speed"])
+        out["actual_tool_accelerometer"] = felt = self._felt(posture, out["target_TCP_speed"])
+        if "ft_raw_wrench" in out:
+            out["ft_raw_wrench"] = raw_wrench(machine, posture, felt)
 
     def _publish_target(self, out: Values, tool: Frame) -> None:
         """What follows from the set-point, which mostly stands still in a dwell program."""
