@@ -62,18 +62,23 @@ def _require_within(where: str, segment: Segment, limits: Limits) -> None:
     q = segment.q
     if (q < limits.q_min - SLACK_RAD).any() or (q > limits.q_max + SLACK_RAD).any():
         raise _refused(f"{where} leaves the arm's joint range")
-    fastest = np.abs(segment.qd).max(axis=0)
-    if (fastest > limits.qd_max * SPEED_SLACK).any():
-        joint = int((fastest - limits.qd_max).argmax())
-        raise _refused(
-            f"{where} moves joint {joint} at {fastest[joint]:.3f} rad/s, "
-            f"{limits.qd_max[joint]:.3f} are allowed"
-        )
+    _require_joints_within(where, "rad/s", segment.qd, limits.qd_max)
+    _require_joints_within(where, "rad/s²", segment.qdd, limits.qdd_max)
     if not 0 <= segment.speed <= MOST_SPEED * SPEED_SLACK:
         raise _refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
     if not 0 <= segment.acceleration <= MOST_ACCELERATION:
         raise _refused(
             f"{where} asks for {segment.acceleration:.1f} rad/s², at most {MOST_ACCELERATION} go"
+        )
+
+
+def _require_joints_within(where: str, unit: str, asked: FloatArray, most: FloatArray) -> None:
+    highest = np.abs(asked).max(axis=0)
+    if (highest > most * SPEED_SLACK).any():
+        joint = int((highest - most).argmax())
+        raise _refused(
+            f"{where} moves joint {joint} at {highest[joint]:.3f} {unit}, {most[joint]:.3f} are "
+            "allowed"
         )
 
 
