@@ -14,6 +14,7 @@ from hil_mock_robot.ur.line import Line
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState, SafetyMode
 from hil_mock_robot.ur.motions import MoveJ
 from hil_mock_robot.ur.ownership import Ownership
+from hil_mock_robot.ur.pendant import IdleProgram
 from hil_mock_robot.ur.schedule import Schedule
 from hil_mock_robot.ur.stopping import StopJoints
 from hil_mock_robot.ur.troubles import Troubles
@@ -255,6 +256,8 @@ def aside(machine):
     [
         ("protective_stop", SafetyMode.PROTECTIVE_STOP, 158),
         ("emergency_stop", SafetyMode.ROBOT_EMERGENCY_STOP, 0),
+        ("safeguard_stop", SafetyMode.SAFEGUARD_STOP, 0),
+        ("safety_fault", SafetyMode.FAULT, 0),
         ("overheat", SafetyMode.PROTECTIVE_STOP, CODE),
     ],
 )
@@ -270,6 +273,30 @@ def test_a_stop_strikes_in_the_motion_it_was_meant_for_and_the_arm_rests(kind, s
     turn(machine, troubles, 0.3)
     assert (machine.modes.safety, machine.modes.stop_code) == (safety, code)
     assert np.abs(machine.reading.true_qd).max() < 0.01
+
+
+def test_a_safeguard_that_closes_again_lets_a_paused_program_go_on_when_told_to():
+    machine = machine_of()
+    troubles = troubled(machine, Fault("safeguard_stop", at_s=0.1, for_s=0.2))
+    machine.play(IdleProgram("work"))
+    turn(machine, troubles, 0.2)
+    assert machine.runtime is RuntimeState.PAUSED
+    machine.resume()
+    assert machine.runtime is RuntimeState.PAUSED
+    turn(machine, troubles, 0.3)
+    assert (machine.modes.safety, machine.runtime) == (SafetyMode.NORMAL, RuntimeState.PAUSED)
+    machine.resume()
+    assert machine.runtime is RuntimeState.PLAYING
+    assert machine.modes.running
+
+
+def test_a_safeguard_does_not_end_a_protective_stop():
+    machine = machine_of()
+    troubles = troubled(machine, Fault("safeguard_stop", at_s=0.1, for_s=0.2))
+    turn(machine, troubles, 0.2)
+    machine.protective_stop(158)
+    turn(machine, troubles, 0.3)
+    assert machine.modes.safety is SafetyMode.PROTECTIVE_STOP
 
 
 def test_stopping_motions_are_not_counted():

@@ -12,7 +12,7 @@ PATIENT: Mapping[str, Any] = {"late_s": 0.5, "lag_s": 1.0, "watchdog_hz": 1.0}
 """Options of the driver where no time-out is at stake: a busy computer shall not end a run."""
 
 PROMPT: Mapping[str, Any] = {**PATIENT, "late_s": 0.1}
-VITAL: Mapping[str, Any] = {**PATIENT, "watchdog_hz": 4.0}
+VITAL: Mapping[str, Any] = {**PATIENT, "watchdog_hz": 2.0}
 
 DWELLS = """
 hil: 1
@@ -113,6 +113,8 @@ FAULTS: Mapping[str, WireEnding] = {
     "wrong length": _fails("wrong_length"),
     "protective stop": _fails("protective_stop"),
     "emergency stop": _fails("emergency_stop"),
+    "safeguard stop": _fails("safeguard_stop"),
+    "safety fault": _fails("safety_fault"),
     "joint too hot": _fails("overheat", why="the controller stops at 85 °C"),
     "controller reboots": _fails("reboot", by="controller", why="its brakes stop the arm"),
     "jitter": _goes_on("jitter by_s=0.04"),

@@ -25,6 +25,8 @@ KINDS: dict[str, tuple[str, ...]] = {
     "garbage": ("packages",),
     "protective_stop": ("code",),
     "emergency_stop": (),
+    "safeguard_stop": ("for_s",),
+    "safety_fault": (),
     "overheat": ("joint", "celsius"),
     "reboot": ("for_s", "powered"),
     "inputs_owned": ("for_s",),

@@ -11,7 +11,7 @@ import numpy as np
 from hil.typing import FloatArray
 from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.cartesian import Cartesian
-from hil_mock_robot.ur.contracts import Motion, Program, Setpoint
+from hil_mock_robot.ur.contracts import NOWHERE, Motion, Place, Program, Setpoint
 from hil_mock_robot.ur.heat import HeatGuard
 from hil_mock_robot.ur.limits import MotionImpossible, leaving, out_of
 from hil_mock_robot.ur.line import Line
@@ -37,12 +37,14 @@ class Event:
         name: Of the program, or what else it is about.
         text: In words.
         code: UR's error code C…, 0 for none.
+        place: Where in the text of a program it happened.
     """
 
     kind: str
     name: str = ""
     text: str = ""
     code: int = 0
+    place: Place = NOWHERE
 
 
 @dataclass(slots=True)
@@ -191,9 +193,11 @@ class Machine:
 
     def safeguard_stop(self) -> None:
         """A light curtain is broken: everything pauses, and the servo holds the arm."""
-        self.modes.cause("safeguard stop")
+        if not self.modes.cause("safeguard stop"):
+            return
         self.pause()
         self._come_to_rest(PROTECTIVE_STOP_RAD_S2, held=True)
+        self.tell("safeguard_stop")
 
     def fault(self, code: int = 0) -> None:
         """The safety system fails: the arm stops, then its power is cut."""
@@ -225,14 +229,16 @@ class Machine:
         self._publishing.publish(self)
         self.tell("booted")
 
-    def fail(self, text: str, code: int = 0) -> None:
+    def fail(self, text: str, code: int = 0, place: Place = NOWHERE) -> None:
         """A runtime error of the program: it ends, and says why."""
-        self.tell("error", self.program.name if self.program else "", text, code)
+        self.tell("error", self.program.name if self.program else "", text, code, place)
         self.halt()
 
-    def tell(self, kind: str, name: str = "", text: str = "", code: int = 0) -> None:
+    def tell(
+        self, kind: str, name: str = "", text: str = "", code: int = 0, place: Place = NOWHERE
+    ) -> None:
         """Let everybody who listens know."""
-        event = Event(kind, name, text, code)
+        event = Event(kind, name, text, code, place)
         for listener in self.listeners:
             listener(event)
 

@@ -46,6 +46,8 @@ class Troubles:
             "reboot": self._reboot,
             "protective_stop": self._protective_stop,
             "emergency_stop": self._emergency_stop,
+            "safeguard_stop": self._safeguard_stop,
+            "safety_fault": self._safety_fault,
             "overheat": self._overheat,
             "inputs_owned": self._own_inputs,
             "remote_off": self._leave_remote,
@@ -124,6 +126,17 @@ class Troubles:
     def _emergency_stop(self, fault: Fault, begins: bool) -> None:
         if begins:
             self._machine.emergency_stop()
+
+    def _safeguard_stop(self, fault: Fault, begins: bool) -> None:
+        """When it is over the program stays paused until somebody lets it go on."""
+        if begins:
+            self._machine.safeguard_stop()
+        else:
+            self._machine.modes.cause("end safeguard stop")
+
+    def _safety_fault(self, fault: Fault, begins: bool) -> None:
+        if begins:
+            self._machine.fault()
 
     def _overheat(self, fault: Fault, begins: bool) -> None:
         if begins:

@@ -37,9 +37,13 @@ STOPPING = re.compile(rb"\bstop[jl]\s*\(")
 NAMED = re.compile(rb"^\s*(?:def|sec)\s+(\w+)", re.MULTILINE)
 CONTROL = b"rtde_control"
 LONGEST_SCRIPT = 1_000_000
+SAFETY_FAULT = {"fault": "safety_fault"}
+"""The safety system's own failure: `fault` is in the journal what was asked to go wrong."""
+
 TOLD = ("program_started", "program_stopped", "protective_stop", "emergency_stop", "watchdog",
-        "error", "refused", "fault", "power_cut", "booted")  # fmt: skip
-STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watchdog", "fault")
+        "safeguard_stop", "error", "refused", "fault", "power_cut", "booted")  # fmt: skip
+STOPPING_EVENTS = ("program_stopped", "protective_stop", "emergency_stop", "watchdog", "fault",
+                   "safeguard_stop")  # fmt: skip
 
 
 class Witness:
@@ -104,12 +108,13 @@ class Witness:
         if event.kind not in TOLD:
             return
         details = {"name": event.name, "text": event.text, "code": event.code}
-        self._note(event.kind, **{key: value for key, value in details.items() if value})
+        kind = SAFETY_FAULT.get(event.kind, event.kind)
+        self._note(kind, **{key: value for key, value in details.items() if value})
         if event.kind == "power_cut":
             self._rest.locked(event.kind, self._moment())
         elif event.kind in STOPPING_EVENTS:
             self._command = 0
-            self._rest.stopped(event.kind, self._moment())
+            self._rest.stopped(kind, self._moment())
 
     def struck(self, fault: Fault, begins: bool) -> None:
         """A fault on request begins or is over."""
