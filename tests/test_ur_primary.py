@@ -248,6 +248,54 @@ def test_a_runtime_error_says_what_and_ends_the_program():
     assert stopped.kind == 7
 
 
+BAD_CODE = """def bad_code():
+  current_pose = get_target_tcp_pose()
+  movel(current_pos) # note pose vs pos
+end
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "told"),
+    [
+        # What UR's client library expects in its own test of exceptions, and in `send_script`.
+        ("def f():\n  nowhere()\nend\n", 2, 3, "compile_error_name_not_found:nowhere:"),
+        (BAD_CODE, 3, 9, "compile_error_name_not_found:current_pos:"),
+        ("def f():\n  if True:\n   x = [\n  end\nend\n", 3, 4, "syntax_error_on_line:3:   x = [:"),
+        ("sec f():\n  nowhere()\nend\n", 2, 3, "compile_error_name_not_found:nowhere:"),
+    ],
+)  # fmt: skip
+def test_what_does_not_compile_is_told_with_its_place_and_never_starts(text, line, column, told):
+    client = Client()
+    client.wire.take()
+    client.session.received(text.encode())
+    exception, explanation = messages_of(client.wire.take() + client.after(0.5))
+    assert exception.kind == 10
+    assert struct.unpack_from(">II", exception.body) == (line, column)
+    assert exception.body[8:].decode() == told
+    assert explanation.kind == 0
+
+
+def test_what_does_not_compile_ends_what_plays():
+    client = Client()
+    client.machine.play(IdleProgram("before"))
+    client.wire.take()
+    client.session.received(BAD_CODE.encode())
+    stopped, exception, _ = messages_of(client.wire.take())
+    assert (stopped.kind, stopped.body[-6:]) == (7, b"before")
+    assert exception.kind == 10
+
+
+def test_a_runtime_exception_has_the_line_of_its_statement():
+    client = Client()
+    client.wire.take()
+    client.session.received(b"def f():\n  sync()\n  x = 1 / 0\nend\n")
+    told = messages_of(client.wire.take() + client.after(0.5))
+    started, exception, stopped = told
+    assert (started.kind, exception.kind, stopped.kind) == (7, 10, 7)
+    assert struct.unpack_from(">II", exception.body) == (3, 3)
+
+
 def test_popups_and_texts():
     client = Client()
     client.wire.take()

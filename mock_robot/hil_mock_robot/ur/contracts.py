@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from hil.typing import FloatArray
@@ -11,6 +12,23 @@ if TYPE_CHECKING:
 
 Setpoint = FloatArray
 """(3, 6): position [rad], velocity [rad/s] and acceleration [rad/s²] that the servo follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where in the text of a program something is.
+
+    Attributes:
+        line, column: From 1; column 1 where it is not known.
+        token: What a controller calls it, `""` for prose.
+    """
+
+    line: int = 1
+    column: int = 1
+    token: str = ""
+
+
+NOWHERE = Place()
 
 
 class Motion(Protocol):

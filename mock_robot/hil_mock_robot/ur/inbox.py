@@ -7,7 +7,7 @@ import re
 from hil_mock_robot.ur.interface_lines import obey
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.script_parsing import opens_block, stripped
-from hil_mock_robot.ur.scripts import program_of, run_beside
+from hil_mock_robot.ur.scripts import play, run_beside
 
 LARGEST_TEXT = 1_000_000
 """Bytes of one program; nobody uploads more."""
@@ -87,7 +87,7 @@ class ScriptInbox:
         if _SECONDARY.match(text):
             run_beside(text, machine)
         else:
-            machine.play(program_of(text, machine))
+            play(text, machine)
 
     def _drop(self) -> None:
         self._deaf = True

@@ -128,8 +128,7 @@ def messages_of(event: Event, now_s: float) -> list[bytes]:
     if kind == "popup":
         return [popup_message(name, text, now_s)]
     if kind == "error":
-        told = [exception_message(text, now_s)]
-        return [*told, error_message(event.code, Level.FAULT, text, now_s)] if event.code else told
+        return _error_messages(event, now_s)
     if kind in ("protective_stop", "fault"):
         code = event.code if event.code >= OWN_CODES else ERROR_CODES.get(event.code, 0)
         level = Level.FAULT if kind == "fault" else Level.VIOLATION
@@ -137,3 +136,14 @@ def messages_of(event: Event, now_s: float) -> list[bytes]:
     if kind in ("text", "watchdog", "refused"):
         return [text_message(text or kind, now_s)]
     return []
+
+
+def _error_messages(event: Event, now_s: float) -> list[bytes]:
+    """A runtime exception; where the controller has a word for it, a line for the log explains."""
+    place = event.place
+    told = [exception_message(place.token or event.text, now_s, place.line, place.column)]
+    if place.token:
+        told.append(text_message(event.text, now_s))
+    if event.code:
+        told.append(error_message(event.code, Level.FAULT, event.text, now_s))
+    return told

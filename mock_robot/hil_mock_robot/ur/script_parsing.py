@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from keyword import iskeyword
 
-from hil.errors import CommandRefused
+from hil_mock_robot.ur.script_errors import ScriptError
 
 LONGEST_LINE, DEEPEST, DEEPEST_EXPRESSION = 4000, 30, 60
 _OPENING = re.compile(r"(def|sec|thread|if|while)\b.*:$")
@@ -79,20 +79,20 @@ def parse(text: str) -> tuple[Statement, ...]:
     """All statements of a text.
 
     Raises:
-        CommandRefused: It is no URScript that the mock knows; the message names the line.
+        ScriptError: It is no URScript that the mock knows; the message names the line.
     """
     numbered = ((i, stripped(line)) for i, line in enumerate(text.splitlines(), 1))
     lines = _Lines([(i, line) for i, line in numbered if line])
     block = tuple(_block(lines, 0))
     if lines.left:
         number, line = lines.take()
-        raise refused(number, f"syntax error at {line[:40]!r}")
+        raise ScriptError(number, f"syntax error at {line[:40]!r}", syntax=True)
     return block
 
 
 def _block(lines: _Lines, depth: int) -> Iterator[Statement]:
     if depth > DEEPEST:
-        raise refused(lines.take()[0] if lines.left else 0, "blocks are nested too deeply")
+        raise ScriptError(lines.take()[0] if lines.left else 0, "blocks are nested too deeply")
     while lines.left and not re.match(r"(end|else\s*:|elif\b.*:)$", lines.peek()):
         yield _statement(*lines.take(), lines, depth)
 
@@ -139,7 +139,7 @@ def _closed(lines: _Lines, depth: int, number: int) -> tuple[Statement, ...]:
 
 def _require_end(lines: _Lines, number: int) -> None:
     if lines.peek() != "end":
-        raise refused(number, "the block has no end")
+        raise ScriptError(number, "the block has no end")
     lines.take()
 
 
@@ -147,10 +147,10 @@ def expression(number: int, text: str) -> ast.expr:
     """An expression of line `number`.
 
     Raises:
-        CommandRefused: It is none.
+        ScriptError: It is none.
     """
     if len(text) > LONGEST_LINE:
-        raise refused(number, "the line is too long")
+        raise ScriptError(number, "the line is too long")
     text = text.strip()
     if text.isidentifier() and not iskeyword(text):
         return ast.Name(text, ast.Load())
@@ -158,10 +158,10 @@ def expression(number: int, text: str) -> ast.expr:
         parsed = ast.parse(text, mode="eval").body
         # Nothing that is shorter than that can be deeper, and most lines are.
         if len(text) > DEEPEST_EXPRESSION // 2 and _depth(parsed) > DEEPEST_EXPRESSION:
-            raise refused(number, "the expression is nested too deeply")
+            raise ScriptError(number, "the expression is nested too deeply")
         return parsed
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise refused(number, f"syntax error at {text[:40]!r}") from error
+        raise ScriptError(number, f"syntax error at {text[:40]!r}", syntax=True) from error
 
 
 def _depth(root: ast.expr) -> int:
@@ -171,8 +171,3 @@ def _depth(root: ast.expr) -> int:
         level = [child for node in level for child in ast.iter_child_nodes(node)]
         depth += 1
     return depth
-
-
-def refused(number: int, what: str) -> CommandRefused:
-    """The error that says where."""
-    return CommandRefused(f"line {number}: {what}")

@@ -12,6 +12,7 @@ from collections.abc import Generator, Sequence
 from hil.errors import CommandRefused
 from hil_mock_robot.ur.motions import Leg
 from hil_mock_robot.ur.path import follow
+from hil_mock_robot.ur.script_errors import ScriptError
 from hil_mock_robot.ur.script_evaluation import Evaluation, Evaluator, name_of
 from hil_mock_robot.ur.script_functions import ACTIONS
 from hil_mock_robot.ur.script_motions import MOVES, leg_of
@@ -21,8 +22,8 @@ from hil_mock_robot.ur.script_values import (
     copied,
     effort,
     element,
-    listed,
     integer,
+    listed,
     truth,
 )
 from hil_mock_robot.ur.threaded import Steps
@@ -44,12 +45,15 @@ class ScriptProgram(Evaluator):
     Args:
         name: What its `def` calls it.
         statements: Its body.
+        lines: The text it is in, from its line 1 on.
         patient: Whether it may wait for ticks; a secondary program may not.
     """
 
-    def __init__(self, name: str, statements: Sequence[Statement], *, patient: bool = True) -> None:
+    def __init__(
+        self, name: str, statements: Sequence[Statement], lines: list[str], *, patient: bool = True
+    ) -> None:
         super().__init__(name, patient=patient)
-        self._statements = statements
+        self._statements, self._lines = statements, lines
 
     def main(self) -> Steps:
         """All statements, one after the other."""
@@ -70,7 +74,7 @@ class ScriptProgram(Evaluator):
                 yield from follow(self, legs)
                 at += len(legs)
             except CommandRefused as error:
-                raise _placed(error, statements[at].line) from error
+                raise self._placed(error, statements[at].line) from error
 
     def _blended(
         self, statements: Sequence[Statement], at: int
@@ -159,9 +163,8 @@ class ScriptProgram(Evaluator):
             self._scopes.pop()
         return None
 
-
-def _placed(error: CommandRefused, line: int) -> CommandRefused:
-    """The same error with its line, unless it says it already."""
-    if error.message.startswith("line "):
-        return error
-    return CommandRefused(f"line {line}: {error.message}")
+    def _placed(self, error: CommandRefused, line: int) -> ScriptError:
+        """The same error with its line, unless it says it already."""
+        if isinstance(error, ScriptError):
+            return error
+        return ScriptError(line, error.message).located(self._lines)

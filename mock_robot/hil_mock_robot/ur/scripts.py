@@ -11,12 +11,13 @@ from hil_mock_robot.ur.contracts import Program
 from hil_mock_robot.ur.control_script import ControlScript
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.motions import Leg
+from hil_mock_robot.ur.script_errors import ScriptError, place_of
 from hil_mock_robot.ur.script_evaluation import TOO_DEEP
 from hil_mock_robot.ur.script_motions import MOVES, leg_of
-from hil_mock_robot.ur.script_parsing import Statement, expression, parse, refused, stripped
+from hil_mock_robot.ur.script_names import check_names
+from hil_mock_robot.ur.script_parsing import Statement, expression, parse, stripped
 from hil_mock_robot.ur.script_program import ScriptProgram
 from hil_mock_robot.ur.script_values import Pose, integer
-from hil_mock_robot.ur.threaded import Steps, Threaded
 
 CONTROL = re.compile(r"\s*def\s+rtde_control\s*\(\s*\)\s*:")
 OFFSET = re.compile(r"# int register offset\n\s*(\d{1,2})")
@@ -25,49 +26,53 @@ UNNAMED = "unnamed"
 MOST_LEGS = 100_000
 
 
-class Refused(Threaded):
-    """A program that cannot be run: it says so in its first tick.
-
-    Args:
-        name: What its `def` calls it.
-        error: Why.
-    """
-
-    def __init__(self, name: str, error: CommandRefused) -> None:
-        super().__init__(name)
-        self._error = error
-
-    def main(self) -> Steps:
-        """See `Threaded`."""
-        raise self._error
-        yield
-
-
-def program_of(text: str, machine: Machine) -> Program:
-    """The program that a text is.
+def play(text: str, machine: Machine) -> None:
+    """Play what a client sent; what does not compile ends what plays, and never begins.
 
     Args:
         text: A `def`, or a single statement, of URScript.
         machine: Which is to run it.
     """
-    name = _name(text)
+    try:
+        program = program_of(text, machine)
+    except CommandRefused as error:
+        machine.halt()
+        machine.tell("error", _name(text), error.message, place=place_of(error))
+    else:
+        machine.play(program)
+
+
+def program_of(text: str, machine: Machine) -> Program:
+    """The program that a text is.
+
+    Raises:
+        CommandRefused: It does not compile.
+    """
     try:
         if CONTROL.match(text) and (offset := OFFSET.search(text)):
             return ControlScript(int(offset[1]), _injected(text))
-        return ScriptProgram(name, _body(parse(text)))
-    except CommandRefused as error:
-        return Refused(name, error)
+        return _compiled(text, machine)
+    except ScriptError as error:
+        raise error.located(text.splitlines()) from error.__cause__
 
 
 def run_beside(text: str, machine: Machine) -> None:
     """A secondary program: it runs at once, beside what plays, and may not wait or move."""
     name = _name(text)
     try:
-        ScriptProgram(name, _body(parse(text)), patient=False).run_at_once(machine)
+        _compiled(text, machine, patient=False).run_at_once(machine)
     except CommandRefused as error:
-        machine.tell("error", name, error.message)
+        if isinstance(error, ScriptError):
+            error.located(text.splitlines())
+        machine.tell("error", name, error.message, place=place_of(error))
     except RecursionError:
         machine.tell("error", name, TOO_DEEP)
+
+
+def _compiled(text: str, machine: Machine, *, patient: bool = True) -> ScriptProgram:
+    statements = parse(text)
+    check_names(statements, machine.series)
+    return ScriptProgram(_name(text), _body(statements), text.splitlines(), patient=patient)
 
 
 def _name(text: str) -> str:
@@ -95,7 +100,7 @@ def _injected(text: str) -> tuple[tuple[tuple[int, ...], Leg], ...]:
             path.append((tuple(marks), leg_of(name, values, named)))
             marks = []
         else:
-            raise refused(number, f"no move of a path: {name!r}")
+            raise ScriptError(number, f"no move of a path: {name!r}")
     return tuple(path)
 
 
@@ -114,12 +119,12 @@ def _calls(lines: list[str], start: int) -> Iterable[tuple[int, Call]]:
 def _call(number: int, text: str) -> Call:
     call = expression(number, text)
     if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name):
-        raise refused(number, f"no move of a path: {text[:40]!r}")
+        raise ScriptError(number, f"no move of a path: {text[:40]!r}")
     try:
         named = {each.arg or "": _literal(each.value) for each in call.keywords}
         return call.func.id, [_literal(each) for each in call.args], named
     except (ValueError, TypeError) as error:
-        raise refused(number, f"only numbers are understood here: {text[:40]!r}") from error
+        raise ScriptError(number, f"only numbers are understood here: {text[:40]!r}") from error
 
 
 def _literal(node: ast.expr) -> object:

@@ -9,6 +9,7 @@ from typing import TypeVar
 from hil.errors import CommandRefused
 from hil_mock_robot.ur.contracts import Motion
 from hil_mock_robot.ur.machine import PROGRAM_STOP_RAD_S2, Machine
+from hil_mock_robot.ur.script_errors import place_of
 from hil_mock_robot.ur.stopping import StopJoints
 
 Steps = Generator[None, None, None]
@@ -62,7 +63,7 @@ class Threaded:
                 served.add(waiting[0])
                 self._step(waiting[0])
         except CommandRefused as error:
-            machine.fail(error.message)
+            machine.fail(error.message, place=place_of(error))
         return MAIN in self._threads
 
     def end(self, machine: Machine) -> None:
