@@ -18,6 +18,7 @@ from ur_driver_parts import own_address
 
 from hil.errors import (
     CommandRefused,
+    HilError,
     RobotConnectionError,
     RobotFault,
     RobotTimeout,
@@ -119,7 +120,7 @@ def begin(process, segment):
 def test_it_uploads_the_program_with_the_watchdog_armed(fake):
     process = fake("")
     process.connect()
-    assert fake.commands()[:2] == [f"connect {fake.address} 125 65", "watchdog 4"]
+    assert fake.commands()[:2] == [f"connect {fake.address} 125 65", "watchdog 2"]
 
 
 def test_a_move_is_an_asynchronous_move_of_the_controller_with_the_watchdog_kicked(fake):
@@ -221,7 +222,7 @@ def test_an_arm_that_does_not_follow_is_stopped(fake):
 def test_a_program_that_ends_during_a_move_is_a_fault(fake):
     process = fake("program_ends")
     process.connect()
-    with pytest.raises(RobotFault, match="robot program ended"):
+    with pytest.raises(HilError, match="robot program ended"):
         move_to_the_end(process, move())
 
 
@@ -296,7 +297,7 @@ def test_a_stop_that_does_not_work_is_made_again_directly(fake):
     begin(process, move(2.0))
     time.sleep(0.1)
     process.stop()
-    assert fake.desk.wait(30003, b"stopj(6.000)")
+    assert fake.desk.wait(30003, b"stopj(8.000)")
 
 
 def test_silence_during_a_move_stops_it_directly_and_then_ends_the_process(fake):

@@ -61,55 +61,51 @@ class Control:
     @property
     def playing(self) -> bool:
         """Whether the robot program runs, as this connection knows it."""
-        return bool(self._rtde.isProgramRunning())
+        return bool(self._ask("isProgramRunning"))
 
     @property
     def operation(self) -> tuple[int, bool]:
         """Number of the newest asynchronous operation, and whether it is running."""
-        status = self._rtde.getAsyncOperationProgressEx()
+        status = self._ask("getAsyncOperationProgressEx")
         return int(status.operationId()), bool(status.isAsyncOperationRunning())
 
     def arm_watchdog(self, least_hz: float) -> None:
         """From now on the program stops when it is commanded less often than this."""
-        self._require(self._rtde.setWatchdog(least_hz), "setWatchdog")
+        self._command("setWatchdog", least_hz)
 
     def kick(self) -> None:
         """Tell the watchdog that we are here; clears the command register."""
-        self._require(self._rtde.kickWatchdog(), "kickWatchdog")
+        self._command("kickWatchdog")
 
     def move_j(self, q: Sequence[float], speed: float, acceleration: float) -> None:
         """Begin a move of the controller's own; comes back at once (a few ticks)."""
-        goal = _six(q)
-        self._require(self._rtde.moveJ(goal, speed, acceleration, True), "moveJ")
+        self._command("moveJ", _six(q), speed, acceleration, True)
 
     def servo_j(self, q: Sequence[float], lookahead_s: float, gain: float) -> None:
         """Lead the arm to the next set-point."""
-        told = self._rtde.servoJ(_six(q), 0.0, 0.0, self._period_s, lookahead_s, gain)
-        self._require(told, "servoJ")
+        self._command("servoJ", _six(q), 0.0, 0.0, self._period_s, lookahead_s, gain)
 
     def servo_stop(self, deceleration: float) -> None:
         """End leading; comes back when the arm has come to rest [m/s²]."""
-        self._require(self._rtde.servoStop(deceleration), "servoStop")
+        self._command("servoStop", deceleration)
 
     def stop_j(self, deceleration: float) -> None:
         """End a move; comes back when the arm has come to rest [rad/s²].
 
         It says nothing about how that went: whoever calls it has to look at the arm.
         """
-        self._rtde.stopJ(deceleration)
+        self._ask("stopJ", deceleration)
 
     def set_payload(self, payload: Payload) -> None:
         """Declare a load; where the controller knows of inertias, with its inertia."""
         com = list(payload.com)
         if self._series >= (5, 10):
             inertia = list(payload.inertia)
-            self._require(
-                self._rtde.setTargetPayload(payload.mass, com, inertia), "setTargetPayload"
-            )
+            self._command("setTargetPayload", payload.mass, com, inertia)
             return
         if self._series[0] >= 5 and not any(com):
             com[2] = NO_COM_M
-        self._require(self._rtde.setPayload(payload.mass, com), "setPayload")
+        self._command("setPayload", payload.mass, com)
 
     def begin_again(self, watchdog_hz: float, within_s: float = 5.0) -> None:
         """Upload the program once more after we have stopped it ourselves.
@@ -117,25 +113,43 @@ class Control:
         Raises:
             CommandRefused: It does not run.
         """
-        self._require(self._rtde.reuploadScript(), "reuploadScript")
+        self._command("reuploadScript")
         until = time.monotonic() + within_s
         while not self.playing:
             if time.monotonic() > until:
-                self._require(False, "reuploadScript")
+                raise self._refused("reuploadScript")
             time.sleep(0.002)
         self.arm_watchdog(watchdog_hz)
 
     def end(self) -> None:
         """End the program and let go of the inputs; takes half a second."""
-        if self.playing:
-            self._rtde.stopScript()
-        self._rtde.disconnect()
+        try:
+            if self.playing:
+                self._ask("stopScript")
+        finally:
+            self._ask("disconnect")
 
-    def _require(self, told: object, what: str) -> None:
-        if told is True:
-            return
+    def _command(self, what: str, *details: object) -> None:
+        if self._ask(what, *details) is not True:
+            raise self._refused(what)
+
+    def _ask(self, what: str, *details: object) -> Any:
+        """Whatever its C++ throws is an error of ours."""
+        try:
+            return getattr(self._rtde, what)(*details)
+        except ValueError as error:
+            raise CommandRefused(
+                f"ur-rtde does not send {what}: {error}", hint="plan within what it takes"
+            ) from error
+        except Exception as error:
+            raise RobotConnectionError(
+                f"ur-rtde has failed in {what}: {error}",
+                hint="check the network, then connect again",
+            ) from error
+
+    def _refused(self, what: str) -> CommandRefused:
         runs = "its program runs" if self.playing else "its program does not run"
-        raise CommandRefused(
+        return CommandRefused(
             f"the controller has not accepted {what}: {runs}",
             hint="look for a stop or a message at the teach pendant; connect again once it is gone",
         )

@@ -6,9 +6,15 @@ import contextlib
 import socket
 import time
 
+from hil.errors import RobotFault
+from hil_drivers.ur.dashboard import Dashboard
+
 SCRIPT_PORT, DASHBOARD_PORT = 30003, 29999
 WITHIN_S = 0.05
 """For both ports together; a host that does not answer is not waited for any longer [s]."""
+
+ANSWER_S = 1.0
+"""How long the dashboard may take for an answer, where one is waited for [s]."""
 
 READ_S = 0.01
 """How long the controller is given to take a program before the line is closed [s]."""
@@ -28,8 +34,9 @@ def stop_directly(address: str, deceleration: float, within_s: float = WITHIN_S)
     until = time.monotonic() + within_s
     program = f"def hil_stop():\n  stopj({deceleration:.3f})\nend\n".encode()
     told = _tell(address, SCRIPT_PORT, program, until)
-    # A program that comes by the script port is ignored in local control; this is not. It would
-    # also cut the ramp short that was just asked for: only where that could not be asked for.
+    # What the dashboard does would cut the ramp short that was just asked for: only where it could
+    # not be asked for. In local control both take connections and ignore what they are told; an
+    # arm that does not come to rest tells, and whoever watches it then calls `stop_program`.
     return told or stop_program(address, until)
 
 
@@ -37,6 +44,25 @@ def stop_program(address: str, until: float | None = None) -> bool:
     """Tell the dashboard to stop whatever program there is; the controller brakes the arm."""
     until = time.monotonic() + WITHIN_S if until is None else until
     return _tell(address, DASHBOARD_PORT, b"stop\n", until)
+
+
+def end_program(address: str) -> None:
+    """End whatever program there is, also a paused one, and hear that it has ended.
+
+    Raises:
+        RobotFault: The controller does not do that.
+        RobotConnectionError: It does not answer.
+    """
+    with Dashboard(address, ANSWER_S) as dashboard:
+        answer = dashboard.ask("stop")
+        if answer.lower().startswith("stopped"):
+            return
+        state = dashboard.ask("programState")
+    if not state.upper().startswith("STOPPED"):
+        raise RobotFault(
+            f"{address}: the robot program cannot be ended, it is {state}: {answer}",
+            hint="stop it at the teach pendant before a stop is unlocked: it would go on",
+        )
 
 
 def _tell(address: str, port: int, text: bytes, until: float) -> bool:

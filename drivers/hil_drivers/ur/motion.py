@@ -20,7 +20,7 @@ OPEN_S, CONNECT_S, COMMAND_S, LOOK_S, CLOSE_S = 30.0, 20.0, 8.0, 2.0, 6.0
 """How long the process may take to come up, to upload the program, to take over a motion or a
 load, to say how it stands, to let the arm go [s]."""
 
-STOP_S = 0.04
+STOP_S = 0.06
 """How long it may take to say that the stop is on its way; there is another way after that [s]."""
 
 

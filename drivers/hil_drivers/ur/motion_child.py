@@ -7,30 +7,39 @@ at rest, and closed.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, HilError, RobotConnectionError
+from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status
 from hil.typing import StructArray
 from hil_drivers.ur.control import LIBRARY, Control
-from hil_drivers.ur.direct_stop import stop_directly
+from hil_drivers.ur.direct_stop import end_program, stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of
 from hil_drivers.ur.mover import Mover
 from hil_drivers.ur.options import options_of
-from hil_drivers.ur.phases import Phase
+from hil_drivers.ur.phases import PLAYING, STOPPED, Phase
 
 RECEIVER = "hil_drivers.ur.receiver:Receiver"
 REST_S = 3.0
+LAST_ROW_S = 0.2
 
 PROGRESS = np.dtype(
-    [("device_time", "<f8"), ("begun", "<f8"), ("qd", "<f8", (6,)), ("status", "<i4")]
+    [
+        ("device_time", "<f8"),
+        ("begun", "<f8"),
+        ("qd", "<f8", (6,)),
+        ("status", "<i4"),
+        ("replaced", "<i4"),
+    ]
 )
-"""One row per `read`: the controller's time now, when the newest motion began, how it stands."""
+"""One row per `read`: the controller's time now, when the newest motion began, how it stands, and
+whether our program was ended by ourselves and is not to be missed."""
 
 
 class UrMotion:
@@ -93,10 +102,14 @@ class UrMotion:
         try:
             series = tuple(receiver.version[:2])
             control = Control(self._options.address, rate, series, library=self._library)
-            control.arm_watchdog(self._options.watchdog_hz)
-            # What came while the program was uploaded is old news.
-            receiver.take(1.0)
-            mover = Mover(control, receiver, self._options, rate)
+            try:
+                control.arm_watchdog(self._options.watchdog_hz)
+                # What came while the program was uploaded is old news.
+                receiver.take(1.0)
+                mover = Mover(control, receiver, self._options, rate)
+            except BaseException:
+                self._end_program(control, receiver)
+                raise
         except BaseException:
             receiver.close()
             raise
@@ -111,7 +124,7 @@ class UrMotion:
 
     def prepare(self, segment: Segment) -> None:
         """Keep the next segment, and be done with stops that came before."""
-        self._moving().clear()
+        self._moving().course.clear()
         self._prepared = segment
 
     def start(self) -> None:
@@ -131,14 +144,16 @@ class UrMotion:
         Raises:
             HilError: Why the newest motion was ended; told once.
         """
-        mover = self._moving()
-        phase, row = mover.phase, mover.newest
-        failure, mover.failure = mover.failure, None
+        course = self._moving().course
+        phase, row = course.phase, course.newest
+        failure, course.failure = course.failure, None
         if failure is not None:
             raise failure
         status = Status.HOLDING if phase is Phase.IDLE else Status.MOVING
         told = np.zeros(1, PROGRESS)
-        told[0] = (row["timestamp"], mover.begun, row["target_qd"], int(status))
+        told[0] = (
+            row["timestamp"], course.begun, row["target_qd"], int(status), course.replaced
+        )  # fmt: skip
         return told
 
     def stop(self) -> None:
@@ -161,9 +176,19 @@ class UrMotion:
             self._come_to_rest(mover)
         finally:
             mover.end()
-            if self._control is not None:
-                self._control.end()
-            self._receiver.close()
+            try:
+                if self._control is not None:
+                    self._end_program(self._control, self._receiver)
+            finally:
+                self._receiver.close()
+
+    def _end_program(self, control: Control, receiver: Any) -> None:
+        """Also one that a protective stop has paused: it would go on once that is unlocked."""
+        try:
+            control.end()
+        finally:
+            if _state(receiver) != STOPPED:
+                end_program(self._options.address)
 
     def _come_to_rest(self, mover: Mover) -> None:
         try:
@@ -171,7 +196,7 @@ class UrMotion:
         except HilError:
             stop_directly(self._options.address, self._options.stop_rad_s2)
         until = time.monotonic() + REST_S
-        while mover.phase is not Phase.IDLE and time.monotonic() < until:
+        while mover.course.phase is not Phase.IDLE and time.monotonic() < until:
             time.sleep(0.005)
 
     def _moving(self) -> Mover:
@@ -180,3 +205,12 @@ class UrMotion:
                 f"{self._name} is not connected", hint="call connect() first"
             )
         return self._mover
+
+
+def _state(receiver: Any) -> int:
+    """RTDE `runtime_state` by now; of a program that plays when nobody can tell."""
+    with contextlib.suppress(HilError):
+        with contextlib.suppress(RobotTimeout):
+            receiver.take(0.0)
+        return int(receiver.take(LAST_ROW_S)[-1]["runtime_state"])
+    return PLAYING

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
+from hil.arms import load_arm
 from hil.errors import SpecError
 
 SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur10e": 500}
@@ -27,10 +28,16 @@ RANGES = {
 }
 """Least and most of the options that are numbers; UR's own where the controller has them."""
 
+RAMP_SLACK_S = 0.1
+"""Device time that commanding a stop and hearing of its end takes beside the ramp, at most [s]."""
+
 CHOICES = {
     "moves": ("movej", "servoj"),
     "torque_source": ("current", "current-as-torque", "target-moment"),
 }
+
+MOST_SPEED, MOST_ACCELERATION = 3.14, 40.0
+"""What `ur-rtde` lets through to the controller [rad/s, rad/s²]."""
 
 _HOST = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
 
@@ -45,7 +52,9 @@ class Options:
         moves: `movej`: the controller plans moves from rest to rest; `servoj`: it is led along.
         lookahead_s, gain: Of `servoj`: how it smooths [s], and how hard it follows.
         watchdog_hz: The controller stops its program when it is commanded less often than this.
-        stop_rad_s2, stop_m_s2: Deceleration of `stop` out of a move, and while it is led along.
+        stop_rad_s2: Deceleration of `stop` out of a move, by the fastest joint.
+        stop_m_s2: Deceleration of `stop` while the arm is led along, by the tool; harder where
+            the watchdog's period would not do.
         lag_s, lag_rad: How late, and how far beside the commanded path, the arm may follow.
         late_s: Silence of the controller, or lateness of our set-points, that ends a motion.
         torque_source: What `effort` is: motor current [A], the current as torque [N·m], or the
@@ -58,8 +67,8 @@ class Options:
     moves: Literal["movej", "servoj"] = "movej"
     lookahead_s: float = 0.1
     gain: float = 300.0
-    watchdog_hz: float = 4.0
-    stop_rad_s2: float = 6.0
+    watchdog_hz: float = 2.0
+    stop_rad_s2: float = 8.0
     stop_m_s2: float = 10.0
     lag_s: float = 0.4
     lag_rad: float = 0.05
@@ -97,7 +106,9 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
     if given.get("torque_source") == "current-as-torque" and SERIES_HZ[model] == 125:
         raise wrong_option("torque_source", "current-as-torque", "a CB3 controller tells `current`")
     _require_frequency(given.get("frequency_hz"), model)
-    return Options(**{**given, "address": address})
+    options = Options(**{**given, "address": address})
+    _require_ramp(options, model)
+    return options
 
 
 def wrong_option(name: str, value: object, hint: str) -> SpecError:
@@ -124,6 +135,21 @@ def _require_frequency(value: Any, model: str) -> None:
     if value is not None and not fits:
         rates = ", ".join(f"{base / k:g}" for k in (1, 2, 4, 5) if base % k == 0)
         raise wrong_option("frequency_hz", value, f"use a whole part of {base} Hz: {rates}")
+
+
+def _require_ramp(options: Options, model: str) -> None:
+    """A stop at full speed has to be over before the watchdog takes it for our end."""
+    fastest = min(max(load_arm(model).qd_max) * options.speed_share, MOST_SPEED)
+    left_s = 1.0 / options.watchdog_hz - RAMP_SLACK_S
+    if left_s <= 0.0 or fastest / options.stop_rad_s2 > left_s:
+        ramp_s = fastest / options.stop_rad_s2 + RAMP_SLACK_S
+        raise wrong_option(
+            "watchdog_hz",
+            options.watchdog_hz,
+            f"a stop out of {fastest:.2f} rad/s with {options.stop_rad_s2:g} rad/s² takes "
+            f"{ramp_s:.2f} s, in which nobody can feed the watchdog: at most {1 / ramp_s:.2f} Hz, "
+            "or a larger stop_rad_s2, or a smaller speed_share",
+        )
 
 
 def _within(value: Any, least: float, most: float) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 from hil.errors import RobotFault
 from hil.typing import FloatArray
 
-PLAYING = 2
-"""RTDE `runtime_state` of a program that runs."""
+STOPPED, PLAYING = 1, 2
+"""RTDE `runtime_state` where no program is left, and of one that runs."""
 
 STILL_RAD_S = 1e-3
 AT_GOAL_RAD, LED_TO_RAD = 5e-4, 0.01

@@ -1,0 +1,152 @@
+"""The thread that sees every row of the controller, whatever `ur-rtde` is waiting for."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from hil.errors import HilError, RobotConnectionError, RobotFault, RobotTimeout, StaleState
+from hil.typing import StructArray
+from hil_drivers.ur.course import Course
+from hil_drivers.ur.direct_stop import stop_program
+from hil_drivers.ur.options import Options
+from hil_drivers.ur.phases import PLAYING, STOPPED, UNDER_WAY, Phase
+
+LOOK_S = 0.02
+SILENT_S = 1.5
+"""Without a word for so long the session is over. After 2.5 s `ur-rtde` would connect again by
+itself, and upload its program, whatever the arm was doing [s]."""
+
+FRESH_S = 0.1
+"""A state younger than this is taken for the present one where the arm is to be stopped [s]."""
+
+LOST_EXIT = 3
+"""Exit code of a process that has lost its controller, or its program there."""
+
+
+class Ticks(Protocol):
+    """Where the controller's samples come from: RTDE rows with the names of RTDE's variables."""
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the newest one came [s]."""
+
+    def take(self, timeout_s: float) -> StructArray:
+        """All rows since the last call, at least one; raises `RobotTimeout`."""
+
+
+class Lookout(threading.Thread):
+    """Judges silence, the end of the program, and whether a stop is obeyed.
+
+    `ur-rtde` connects again by itself as soon as its own connection ends: it stops the program,
+    uploads it once more without a watchdog, and repeats the command it was about to give. From
+    here that looks like a program that ends. Whatever ends it, this process goes before anything
+    can be commanded; whoever wants to go on connects again.
+
+    Args:
+        ticks: Rows of the controller's state, none left out.
+        course: What the arm is doing.
+        options: Of the arm.
+        leave: Ends this process.
+    """
+
+    def __init__(
+        self, ticks: Ticks, course: Course, options: Options, leave: Callable[[int], object]
+    ) -> None:
+        super().__init__(name="hil-ur-lookout", daemon=True)
+        self._ticks, self._course, self._options = ticks, course, options
+        self._leave = leave
+        self.ending = threading.Event()
+
+    def run(self) -> None:
+        """Look at every row until the end."""
+        while not self.ending.is_set():
+            try:
+                rows = self._ticks.take(LOOK_S)
+            except RobotTimeout:
+                self._silent()
+            except HilError as error:
+                self._lost(error.message)
+            except Exception as error:
+                self._lost(f"{type(error).__name__}: {error}")
+            else:
+                self._see(rows)
+
+    def _see(self, rows: StructArray) -> None:
+        course = self._course
+        course.newest, course.heard = rows[-1], time.monotonic()
+        ended = rows["runtime_state"] != PLAYING
+        if course.old_blocks:
+            course.old_blocks -= 1
+        elif ended.any() and not course.replaced:
+            return self._program_ended(rows[ended][0])
+        if course.phase is Phase.BRAKING:
+            self._watch_ramp(rows)
+        course.news.set()
+
+    def _watch_ramp(self, rows: StructArray) -> None:
+        ramp, newest = self._course.ramp, rows[-1]
+        if ramp is None:
+            return
+        if any(ramp.falls(row) for row in rows):
+            self._course.obeyed.set()
+        if ramp.stands(newest):
+            self._course.rest()
+        elif ramp.overdue(newest):
+            self._course.stop_directly()
+
+    def _silent(self) -> None:
+        """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
+        course = self._course
+        for_s = time.monotonic() - course.heard
+        if self._ticks.age_s > SILENT_S:
+            return self._lost(f"the controller has not said anything for {for_s:.1f} s")
+        if course.under_way and for_s > self._options.late_s:
+            course.fail(
+                StaleState(
+                    f"the controller has not said anything for {for_s:.2f} s while the arm was "
+                    "moving",
+                    hint="check the network between this computer and the controller",
+                )
+            )
+        stopped = course.failure is not None or (course.asked.is_set() and for_s > FRESH_S)
+        if stopped and course.turn(Phase.BRAKING, out_of=UNDER_WAY):
+            course.stop_directly()
+
+    def _program_ended(self, row: np.void) -> None:
+        """A program that is only paused would go on with its old move once it is let."""
+        state = int(row["runtime_state"])
+        at = f"at device time {float(row['timestamp']):.3f} s"
+        self._go(
+            RobotFault(
+                f"the robot program ended {at}",
+                hint="look for a stop or a message at the teach pendant, connect again; `hil "
+                "resume` goes on at the last checkpoint",
+            ),
+            paused=state != STOPPED,
+        )
+
+    def _lost(self, why: str) -> None:
+        self._go(
+            RobotConnectionError(
+                f"connection lost: {why}", hint="check the network, then connect again"
+            )
+        )
+
+    def _go(self, error: HilError, *, paused: bool = False) -> None:
+        """Stop the arm, and leave before `ur-rtde` goes on by itself."""
+        if self.ending.is_set():
+            return
+        self.ending.set()
+        if self._course.phase is not Phase.IDLE:
+            self._course.stop_directly()
+        if paused:
+            stop_program(self._options.address)
+        self._course.fail(error)
+        print(error.message, file=sys.stderr, flush=True)  # noqa: T201
+        self._leave(LOST_EXIT)
