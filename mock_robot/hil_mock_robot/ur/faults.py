@@ -13,7 +13,7 @@ import yaml
 from hil.errors import SpecError
 
 KINDS: dict[str, tuple[str, ...]] = {
-    "cut": ("for_s",),
+    "cut": ("for_s", "only"),
     "unplugged": ("for_s",),
     "silence": ("for_s",),
     "jitter": ("by_s", "for_s"),
@@ -41,6 +41,9 @@ WHEN = ("at_s", *COUNTED, "after_s")
 REQUIRED = {"jitter": "by_s", "late": "by_s"}
 OWN_DURATION = {"cut": 0.0, "reboot": 3.0}
 """How long these last when nothing is said; the others last until they are cleared."""
+
+OWNERS = "inputs"
+"""Of the connections, those whose client has inputs of RTDE."""
 
 ROUNDING = 1e-6
 LONGEST_S = 1e9
@@ -78,6 +81,7 @@ class Fault:
         code: UR's number C… of the protective stop.
         joint: From 1, the base, to 6.
         celsius: How hot it is at once.
+        only: `inputs`: of the connections, only those that own inputs are cut, and once.
         powered: Whether the arm is switched on after the reboot.
     """
 
@@ -94,6 +98,7 @@ class Fault:
     joint: int = 2
     celsius: float = 90.0
     powered: bool = False
+    only: str = ""
 
 
 def read_faults(path: Path) -> tuple[Fault, ...]:
@@ -165,6 +170,10 @@ def _value_of(where: str, key: str, value: Any) -> Any:
     if key == "powered":
         if not isinstance(value, bool):
             raise _wrong(where, value, "use true or false")
+        return value
+    if key == "only":
+        if value != OWNERS:
+            raise _wrong(where, value, f"use {OWNERS}, or leave it away to cut all connections")
         return value
     least, most, whole, words = _NUMBERS[key]
     kinds = int if whole else (int, float)

@@ -3,6 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Client(Protocol):
+    """An owner that is a connection."""
+
+    def hang_up(self) -> None:
+        """End it."""
 
 
 class Ownership:
@@ -10,6 +19,11 @@ class Ownership:
 
     def __init__(self) -> None:
         self._owners: dict[str, object] = {}
+
+    @property
+    def clients(self) -> list[Client]:
+        """Owners that are connections, each once."""
+        return [who for who in dict.fromkeys(self._owners.values()) if isinstance(who, Client)]
 
     def free(self, name: str, owner: object) -> bool:
         """Whether this owner has it or may have it."""

@@ -109,6 +109,10 @@ class RtdeSession:
         if self in self._service.sessions:
             self._service.sessions.remove(self)
 
+    def hang_up(self) -> None:
+        """End the connection from our side."""
+        self._link.close()
+
     def say(self, level: Level, source: str, text: str) -> bool:
         """Tell this client something in words, if it has started.
 

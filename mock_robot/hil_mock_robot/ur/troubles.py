@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hil_mock_robot.ur.contracts import Motion
-from hil_mock_robot.ur.faults import Fault, fault_of
+from hil_mock_robot.ur.faults import OWNERS, Fault, fault_of
 from hil_mock_robot.ur.line import COUNTED, LASTING
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.ownership import Ownership
@@ -100,11 +100,18 @@ class Troubles:
     def _strike(self, fault: Fault, *, begins: bool) -> None:
         for listener in self.listeners:
             listener(fault, begins)
-        if fault.kind in (*LASTING, *COUNTED, "cut"):
+        if fault.only == OWNERS:
+            self._cut_owners(begins)
+        elif fault.kind in (*LASTING, *COUNTED, "cut"):
             line = self._machine.line
             (line.begin if begins else line.end)(fault)
         else:
             self._effects[fault.kind](fault, begins)
+
+    def _cut_owners(self, begins: bool) -> None:
+        if begins:
+            for owner in self._owners.clients:
+                owner.hang_up()
 
     def _unplug(self, fault: Fault, begins: bool) -> None:
         self.unplugged = begins
