@@ -28,7 +28,7 @@ from hil.preflight import (
     require_preflight,
 )
 from hil.preflight.preflight import NEVER_WAIVED
-from hil.robot import Capabilities, Identity, Limits, Status
+from hil.robot import Capabilities, Finding, HasChecks, Identity, Limits, Status
 from hil.typing import FloatArray, StructArray
 
 NAMES = tuple(f"j{i + 1}" for i in range(6))
@@ -303,3 +303,46 @@ def test_it_is_said_before_motion_whether_loads_will_be_weighed(tmp_path: Path) 
 def test_the_weighing_to_come_can_be_waived(tmp_path: Path) -> None:
     results = require_preflight(sweep(), ScriptedRobot(), context(tmp_path, waivers=("weighing",)))
     assert failing(results) == []
+
+
+class Inspected(ScriptedRobot):
+    """Looks at itself, too."""
+
+    def checks(self) -> list[Finding]:
+        if isinstance(self.facts["finds"], Exception):
+            raise self.facts["finds"]
+        return list(self.facts["finds"])
+
+
+def test_what_a_robot_finds_about_itself_is_among_the_results(tmp_path: Path) -> None:
+    fine = Finding("software", True, "software 3.15", "3.15", "3.11")
+    robot = Inspected(finds=[fine])
+    assert isinstance(robot, HasChecks)
+    assert not isinstance(ScriptedRobot(), HasChecks)
+    results = preflight(small_plan(), robot, context(tmp_path))
+    assert [result.name for result in results] == [*BUILT_IN, "robot-software"]
+    assert results[-1] == CheckResult("robot-software", True, "software 3.15", "3.15", "3.11")
+
+
+def test_what_it_finds_wrong_keeps_it_from_moving_and_cannot_be_waived(tmp_path: Path) -> None:
+    robot = Inspected(finds=[Finding("mode", False, "it sleeps", hint="wake it up")])
+    with pytest.raises(PreflightFailed, match="robot-mode: it sleeps") as caught:
+        require_preflight(small_plan(), robot, context(tmp_path))
+    assert "wake it up" in caught.value.hint
+    with pytest.raises(SpecError, match="names no check"):
+        preflight(small_plan(), robot, context(tmp_path, waivers=("robot-mode",)))
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (RobotConnectionError("nobody answers", hint="call"), "nobody answers"),
+        (ZeroDivisionError("a bug"), "ZeroDivisionError: a bug"),
+    ],
+)
+def test_a_robot_that_cannot_look_at_itself_does_not_move(
+    error: Exception, told: str, tmp_path: Path
+) -> None:
+    results = preflight(small_plan(), Inspected(finds=error), context(tmp_path))
+    assert failing(results) == ["robot-checks"]
+    assert told in results[-1].message

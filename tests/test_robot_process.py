@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from process_drivers import WithTopics
+from process_inspected import Inspected
 
 import hil
 from hil.campaign.driver_check import check_driver
@@ -27,7 +28,7 @@ from hil.errors import (
     SpecError,
 )
 from hil.payload import Payload
-from hil.robot import HasResource, HasTopics, Robot
+from hil.robot import HasChecks, HasResource, HasTopics, Robot
 from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
@@ -96,7 +97,7 @@ def test_a_driver_has_no_process_of_its_own_unless_the_station_says_so() -> None
 
 def test_what_a_driver_opts_into_its_process_has_too(make: Make) -> None:
     plain, rich = make(), make("WithTopics")
-    assert not isinstance(plain, HasTopics | HasResource)
+    assert not isinstance(plain, HasTopics | HasResource | HasChecks)
     assert isinstance(rich, HasTopics)
     assert isinstance(rich, HasResource)
     assert list(rich.topics) == list(WithTopics("bench", "ur5").topics)
@@ -107,6 +108,16 @@ def test_what_a_driver_opts_into_its_process_has_too(make: Make) -> None:
     assert {name: rows["ticks"].tolist() for name, rows in drained.items()} == {
         "/raw": [[1, 2], [3, 8]]
     }
+
+
+def test_what_a_robot_finds_about_itself_its_process_tells() -> None:
+    robot = RobotProcess("process_inspected:Inspected", "bench", "ur5")
+    try:
+        robot.connect()
+        assert isinstance(robot, HasChecks)
+        assert list(robot.checks()) == list(Inspected("bench", "ur5").checks())
+    finally:
+        robot.close()
 
 
 def test_errors_arrive_as_what_they_are(make: Make) -> None:

@@ -77,7 +77,7 @@ def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:
             directory.write_stop("failed", str(error) or type(error).__name__, attempt=number)
         raise
     attendance.signals.bind(engine, robot)
-    result = engine.run(_preflight(attempt, robot, tuple(attendance.waivers)))
+    result = engine.run(_preflight(attempt, robot, attendance))
     result = replace(result, notes=(*result.notes, *close_robot(robot)))
     around.close()
     return finish(attempt, result, recorder, sink, attendance.observers)
@@ -143,14 +143,16 @@ def _quietly(close: Callable[[], object]) -> None:
         close()
 
 
-def _preflight(attempt: Attempt, robot: Robot, waivers: tuple[str, ...]) -> Callable[[], None]:
-    directory = attempt.directory
+def _preflight(attempt: Attempt, robot: Robot, attendance: Attendance) -> Callable[[], None]:
+    directory, waivers = attempt.directory, tuple(attendance.waivers)
 
     def keep(name: str, document: Any) -> None:
         directory.write_json(name_of_attempt(name, attempt.number), document)
 
     def check() -> None:
         context = preflight_context(attempt.experiment.robot, directory.path, waivers=waivers)
-        require_preflight(attempt.todo, robot, context, keep=keep)
+        results = require_preflight(attempt.todo, robot, context, keep=keep)
+        checks = [result.to_dict() for result in results]
+        attendance.observers.publish({"kind": "preflight", "checks": checks})
 
     return check

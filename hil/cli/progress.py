@@ -13,6 +13,7 @@ from hil.cli.output import duration, fold, width_of
 from hil.engine.observers import Event
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, state_words, step_words
+from hil.preflight.robot_checks import OWN
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
@@ -38,6 +39,8 @@ class ProgressLines:
             self._line(f"{self._standing.stage} …")
         elif kind == "state":
             self._state()
+        elif kind == "preflight":
+            self._preflight(event)
         elif kind == "prompt":
             self._prompt(event)
         elif kind == "progress" or (kind == "step" and self._tty):
@@ -53,6 +56,15 @@ class ProgressLines:
             self._line(state_words(run))
         elif was_paused:
             self._line(f"running again: {run.reason}" if run.reason else "running again")
+
+    def _preflight(self, event: Event) -> None:
+        """What was waived, and what the robot has found out about itself, each on a line."""
+        checks = event.get("checks", [])
+        self._line(f"preflight: {sum(bool(each['passed']) for each in checks)} checks passed")
+        for each in checks:
+            if each["waived"] or each["name"].startswith(OWN):
+                waived = " (failed, waived)" if each["waived"] else ""
+                self._line(f"  {each['name']}{waived}: {each['message']}")
 
     def _announce(self) -> None:
         """Whoever asks for a pause hears at once that it was heard: a trajectory may take long."""

@@ -61,7 +61,7 @@ def preflight_context(
 
 
 def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
-    """Run every check, built in and plugged in; the robot does not move.
+    """Run every check, built in, plugged in and the robot's own; the robot does not move.
 
     Args:
         plan: What is about to be executed.
@@ -79,10 +79,12 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
     require_waivable(context.waivers)
     situation = Situation(plan, robot, robot.read()[-1], context)
     results = [_run(name, situation) for name in names]
-    return [
+    waivable = [
         replace(result, waived=not result.passed and result.name in context.waivers)
         for result in results
     ]
+    # Last: a load has been declared by then, which the robot may have read back.
+    return [*waivable, *robot_checks.own_checks(robot)]
 
 
 def require_preflight(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import arm_names
+from hil.errors import HilError
 from hil.preflight.check import CheckResult, Situation
-from hil.robot import Status
+from hil.robot import Finding, HasChecks, Robot, Status
 
 POSE_TOLERANCE_RAD = 0.01
 REST_RAD_S = 0.02
 TEMPERATURE_RANGE_C = (-10.0, 80.0)
+OWN = "robot-"
+"""Begins the names of checks that the robot itself has made."""
 
 
 def identity(situation: Situation) -> CheckResult:
@@ -106,3 +109,21 @@ def temperature(situation: Situation) -> CheckResult:
         limit=high if worst > low else low,
         hint="let the arm cool down or warm up, or see whether a sensor is broken",
     )
+
+
+def own_checks(robot: Robot) -> list[CheckResult]:
+    """What a robot that opts into `hil.robot.HasChecks` has found out about itself."""
+    if not isinstance(robot, HasChecks):
+        return []
+    try:
+        findings = list(robot.checks())
+    except HilError as error:
+        findings = [Finding("checks", False, error.message, hint=error.hint)]
+    except Exception as error:  # a driver may raise anything, and none of it means "go"
+        told = f"the robot's own checks broke: {type(error).__name__}: {error}"
+        findings = [Finding("checks", False, told, hint="this is a bug in the driver")]
+    return [
+        CheckResult(f"{OWN}{each.name}", each.passed, each.message, each.measured, each.limit,
+                    each.hint)
+        for each in findings
+    ]  # fmt: skip

@@ -1,6 +1,7 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
 from hil.payload import Payload
+from hil.robot.findings import Finding, HasChecks
 from hil.robot.protocol import (
     Capabilities,
     HasResource,
@@ -16,6 +17,8 @@ from hil.robot.state import STATE_SCHEMA_VERSION, Status, state_dtype
 __all__ = [
     "STATE_SCHEMA_VERSION",
     "Capabilities",
+    "Finding",
+    "HasChecks",
     "HasResource",
     "HasTopics",
     "Identity",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.robot.documents import understood
+from hil.robot.findings import HasChecks
 from hil.robot.frames import dtype_of, dtype_text
 from hil.robot.protocol import Capabilities, HasResource, HasTopics, Identity, Limits, Robot
 
@@ -26,6 +27,7 @@ class Facts:
         capabilities, limits: Known before and after connecting.
         topics, resource: None when the driver does not opt into them.
         identity: None before connecting.
+        checks: Whether it looks at itself before it moves.
     """
 
     capabilities: Capabilities
@@ -33,6 +35,7 @@ class Facts:
     topics: tuple[Topic, ...] | None
     resource: str | None
     identity: Identity | None
+    checks: bool
 
 
 def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
@@ -47,6 +50,7 @@ def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
         else None,
         "resource": robot.resource if isinstance(robot, HasResource) else None,
         "identity": asdict(robot.identity) if connected else None,
+        "checks": isinstance(robot, HasChecks),
     }
 
 
@@ -64,6 +68,7 @@ def facts_from(document: Mapping[str, Any]) -> Facts:
             topics=None if topics is None else _topics_from(topics),
             resource=document["resource"],
             identity=None if identity is None else Identity(**identity),
+            checks=bool(document["checks"]),
         )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from hil.errors import RobotConnectionError, RobotError
 from hil.robot.documents import error_document, payload_from, segment_from
 from hil.robot.facts import facts_document
+from hil.robot.findings import HasChecks
 from hil.robot.frames import Message
 from hil.robot.opening import open_driver
 from hil.robot.protocol import HasTopics, Robot
@@ -54,6 +55,7 @@ class HostedRobot:
             "start": self._start,
             "read": self._read,
             "drain": self._drain,
+            "checks": self._checks,
             "close": self._close,
         }
 
@@ -165,6 +167,11 @@ class HostedRobot:
         robot = self._opened()
         fresh = robot.drain() if isinstance(robot, HasTopics) else {}
         return {"topics": list(fresh)}, list(fresh.values())
+
+    def _checks(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
+        robot = self._opened()
+        findings = robot.checks() if isinstance(robot, HasChecks) else ()
+        return {"findings": [asdict(finding) for finding in findings]}, []
 
     def _close(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
         try:

@@ -18,6 +18,7 @@ from hil.payload import Payload
 from hil.robot.documents import payload_from, plain_options, segment_document, understood
 from hil.robot.driver_process import DriverProcess
 from hil.robot.facts import facts_from
+from hil.robot.findings import Finding
 from hil.robot.frames import Message, garbage
 from hil.robot.protocol import Capabilities, Identity, Limits, Segment
 from hil.typing import StructArray
@@ -40,7 +41,7 @@ class RobotProcess:
 
     `stop` works while another thread waits in any other member, and from a signal handler. A
     closed robot can be connected again, in a new process. What the driver opts into (`topics` and
-    `drain`, `resource`) this robot has too, and else it has not.
+    `drain`, `resource`, `checks`) this robot has too, and else it has not.
 
     Args:
         driver: Name under `hil.drivers`, or `module:Class`.
@@ -58,6 +59,7 @@ class RobotProcess:
     topics: Sequence[Topic]
     drain: Callable[[], Mapping[str, StructArray]]
     resource: str
+    checks: Callable[[], Sequence[Finding]]
 
     def __init__(
         self,
@@ -177,6 +179,8 @@ class RobotProcess:
             self.topics, self.drain = facts.topics, self._drain
         if facts.resource is not None:
             self.resource = facts.resource
+        if facts.checks:
+            self.checks = self._checks
 
     def _ask(self, call: str, timeout_s: float, *what: Any) -> Message:
         process = self._process
@@ -198,6 +202,11 @@ class RobotProcess:
         said, arrays = self._ask("drain", COMMAND_S)
         with understood():
             return dict(zip(said["topics"], arrays, strict=True))
+
+    def _checks(self) -> Sequence[Finding]:
+        said, _ = self._ask("checks", COMMAND_S)
+        with understood():
+            return [Finding(**each) for each in said["findings"]]
 
     def _not_connected(self) -> RobotConnectionError:
         return RobotConnectionError(f"{self._name} is not connected", hint="call connect() first")
