@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import socket
+import struct
+import threading
+import time
+
 import numpy as np
 import pytest
 
@@ -9,14 +14,20 @@ from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecErr
 from hil.payload import Payload
 from hil.robot import Segment, Status, state_dtype
 from hil_drivers.ur.checks import require_executable, require_liftable
+from hil_drivers.ur.configuration import limits_in
+from hil_drivers.ur.controller import KEPT_S
 from hil_drivers.ur.facts import capabilities_of, limits_of
 from hil_drivers.ur.faults import fault_of
 from hil_drivers.ur.feed import CATCH_UP, Feed
+from hil_drivers.ur.host import found
 from hil_drivers.ur.lag import LagWatch
+from hil_drivers.ur.motion_child import PROGRESS
 from hil_drivers.ur.options import options_of
 from hil_drivers.ur.robot import UrRobot
+from hil_drivers.ur.rows import TOPIC
 from hil_drivers.ur.session import Told, require_ready
 from hil_drivers.ur.standing import Standing
+from hil_drivers.ur.watch import Watch
 
 TICK_S = 0.008
 
@@ -191,12 +202,17 @@ RAW = np.dtype(
         ("robot_mode", "<i4"),
         ("runtime_state", "<u4"),
         ("target_speed_fraction", "<f8"),
+        ("target_qd", "<f8", (6,)),
     ]
 )
+RAW_OF_STATE = np.dtype(
+    [*((name, RAW[name]) for name in RAW.names), ("host_time", "<f8"),
+     *((name, "<f8", (6,)) for name in ("target_q", "actual_q", "actual_qd"))]
+)  # fmt: skip
 
 
-def raw(safety=1, mode=7, runtime=2, share=1.0):
-    return np.array([(12.0, safety, mode, runtime, share)], RAW)[0]
+def raw(safety=1, mode=7, runtime=2, share=1.0, speed=0.0):
+    return np.array([(12.0, safety, mode, runtime, share, [speed] * 6)], RAW)[0]
 
 
 def test_an_arm_that_obeys_has_no_fault():
@@ -231,8 +247,14 @@ CB3, E = (3, 15, 8, 0), (5, 12, 2, 0)
         ("ur5", Told(), (3, 9, 0, 0), raw(), RobotConnectionError, "does not tell the payload"),
         ("ur5e", Told(), (10, 1, 0, 0), raw(), RobotConnectionError, "not supported"),
         ("ur5e", Told(remote="false"), E, raw(), RobotFault, "local control"),
-        ("ur5", Told(), CB3, raw(share=0.5), RobotFault, "speed slider is at 50%"),
-        ("ur5", Told(), CB3, raw(safety=3), RobotFault, "protective stop"),
+        ("ur5", Told(), CB3, raw(runtime=1, share=0.5), RobotFault, "speed slider is at 50%"),
+        ("ur5", Told(), CB3, raw(safety=3, runtime=1), RobotFault, "protective stop"),
+        ("ur5", Told(), CB3, raw(runtime=2), RobotFault, "a program is running"),
+        ("ur5", Told(), CB3, raw(runtime=5), RobotFault, "a program is running"),
+        ("ur5", Told(), CB3, raw(runtime=3), RobotFault, "a program is paused"),
+        ("ur5", Told(), CB3, raw(runtime=4), RobotFault, "a program is paused"),
+        ("ur5", Told(), CB3, raw(runtime=0), RobotFault, "about to end"),
+        ("ur5", Told(), CB3, raw(runtime=1, speed=0.1), RobotFault, "moving at 0.100 rad/s"),
     ],
 )
 def test_an_arm_that_may_not_be_moved_is_refused(model, told, version, row, kind, said):
@@ -243,10 +265,224 @@ def test_an_arm_that_may_not_be_moved_is_refused(model, told, version, row, kind
 
 def test_all_reasons_are_told_at_once():
     with pytest.raises(RobotFault) as caught:
-        require_ready("a", "ur5e", Told(remote="false"), E, raw(safety=3, share=0.1))
-    assert all(word in caught.value.message for word in ("protective", "slider", "local"))
+        require_ready("a", "ur5e", Told(remote="false"), E, raw(safety=3, runtime=4, share=0.1))
+    reasons = ("protective", "slider", "local", "paused")
+    assert all(word in caught.value.message for word in reasons)
 
 
 def test_an_arm_that_may_be_moved_is_not_refused():
-    require_ready("a", "ur5e", Told(model="UR5", remote="true"), E, raw())
-    require_ready("a", "ur5", Told(), CB3, raw(safety=2))
+    require_ready("a", "ur5e", Told(model="UR5", remote="true"), E, raw(runtime=1))
+    require_ready("a", "ur5", Told(), CB3, raw(safety=2, runtime=1))
+
+
+def block(*rows):
+    """Raw rows a tick apart, from device time 10 s on."""
+    rows = np.array([row.item() for row in rows], RAW)
+    rows["timestamp"] = 10.0 + TICK_S * np.arange(len(rows))
+    return rows
+
+
+def watch(**options):
+    return Watch(options_of({"address": "192.0.2.7"} | options, "ur5"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (raw(safety=3, runtime=4), "a protective stop at device time 10.008 s"),
+        (raw(runtime=1), "program is stopped at device time 10.008 s"),
+        (raw(mode=5), "brakes are on"),
+    ],
+)
+def test_a_fault_that_is_over_at_the_end_of_a_block_is_a_fault(wrong, said):
+    standing = watch()
+    standing.look(block(raw(), wrong, raw()), None, None)
+    assert standing.faulty
+    assert said in standing.problem.message
+
+
+def test_what_has_stopped_the_program_is_told_before_that_it_has_stopped():
+    standing = watch()
+    standing.look(block(raw(), raw(runtime=1), raw(safety=7, runtime=1)), None, None)
+    assert "an emergency stop" in standing.problem.message
+
+
+def test_a_program_that_we_have_replaced_is_not_missed_until_it_is_there_again():
+    standing = watch()
+    standing.replaced = True
+    standing.look(block(raw(runtime=1), raw(runtime=1)), None, None)
+    standing.begun(3, 10.008, moves=True)
+    standing.look(block(*[raw(runtime=1)] * 4, *[raw()] * 20), None, None)
+    assert not standing.faulty
+    standing.look(block(*[raw()] * 20, raw(runtime=1), raw()), None, None)
+    assert "program is stopped" in standing.problem.message
+
+
+def test_a_stop_has_failed_when_the_arm_moves_as_it_ought_to_stand_and_not_when_it_does_later():
+    stopped = block(*[raw(speed=0.6)] * 10, *[raw()] * 100, *[raw(speed=0.4)] * 20)
+    for deaf in (False, True):
+        standing = watch()
+        standing.stopping(stopped[0])
+        rows = stopped.copy()
+        rows["target_qd"][10:110] = 0.6 * deaf
+        assert standing.stop_has_failed(rows) == deaf
+        assert not standing.stop_has_failed(rows)
+
+
+def test_only_our_own_program_is_kept_from_going_on():
+    held, idle = raw(safety=3, runtime=4), raw(runtime=1)
+    paused = watch()
+    paused.look(block(raw(), held), None, None)
+    assert paused.must_not_go_on(held)
+    ended = watch()
+    ended.look(block(raw(), idle), None, None)
+    ended.look(block(raw(runtime=2), raw(runtime=2)), None, None)
+    assert not ended.must_not_go_on(raw(runtime=4))
+    assert not watch().must_not_go_on(raw(runtime=4)), "there is no fault"
+
+
+class Taken:
+    """In place of a receiver: one block of rows, and what is asked of it."""
+
+    alive = True
+
+    def __init__(self, rows):
+        self.rows, self.newest, self.kept = rows, rows[-1:], []
+
+    def take(self, timeout_s):
+        return self.rows
+
+    def keep(self, seconds, *, forgiving=False):
+        self.kept.append((seconds, forgiving))
+
+
+class Deaf:
+    """In place of the process that moves the arm: it has died."""
+
+    alive = False
+
+    def look(self):
+        raise RobotConnectionError("it has died")
+
+    stop = close = look
+
+
+def connected_to(rows, monkeypatch):
+    robot = UrRobot("arm", "ur5", address="192.0.2.7")
+    robot._controller.receiver, robot._motion, robot._connected = Taken(rows), Deaf(), True
+    monkeypatch.setattr("hil_drivers.ur.robot.stop_directly", lambda *args: False)
+    monkeypatch.setattr("hil_drivers.ur.robot.stop_program", lambda *args: False)
+    return robot
+
+
+def raw_rows(count, speed=0.0):
+    rows = np.zeros(count, RAW_OF_STATE)
+    rows["timestamp"] = 10.0 + TICK_S * np.arange(count)
+    rows["target_qd"], rows["robot_mode"], rows["safety_mode"] = speed, 7, 1
+    rows["runtime_state"] = 2
+    return rows
+
+
+def test_rows_that_were_taken_are_given_whatever_goes_wrong_then(monkeypatch):
+    rows = raw_rows(500, speed=0.5)
+    robot = connected_to(rows, monkeypatch)
+    robot._watch.stopping(rows[0])
+    assert len(robot.read()) == 500
+    assert len(robot.drain()[TOPIC]) == 500
+    with pytest.raises(RobotConnectionError, match="it has died"):
+        robot.read()
+
+
+def test_all_of_a_dwell_is_kept_and_little_of_what_an_arm_does_that_was_stopped(monkeypatch):
+    robot = connected_to(raw_rows(5), monkeypatch)
+    robot._motion.look = lambda: np.zeros(1, PROGRESS)
+    receiver = robot._controller.receiver
+    robot.prepare(segment([[0.0] * 6], kind="hold"))
+    robot.start()
+    robot.read()
+    assert receiver.kept[-1] == (None, False)
+    robot._motion.stop = lambda: None
+    robot.stop()
+    robot.read()
+    assert receiver.kept[-1] == (KEPT_S, False)
+    robot.prepare(segment([[0.0] * 6], kind="hold"))
+    robot.start()
+    robot.read()
+    assert receiver.kept[-1] == (None, False)
+
+
+def test_after_a_motion_nobody_has_to_read_for_ever(monkeypatch):
+    robot = connected_to(raw_rows(5), monkeypatch)
+    robot._motion.look = lambda: np.zeros(1, PROGRESS)
+    robot._watch.begun(1, 9.0, moves=True)
+    robot.read()
+    assert robot._controller.receiver.kept == [(None, True)]
+
+
+def configured(q=(-3.0, 3.0), most=(2.0, 10.0)):
+    numbers = struct.pack(">24d", *(q * 6), *(most * 6)) + bytes(253)
+    return struct.pack(">IB", 5 + len(numbers), 6) + numbers
+
+
+def test_joint_limits_are_read_wherever_they_stand_in_a_robot_state():
+    other = struct.pack(">IB", 9, 3) + bytes(4)
+    told = limits_in(other + configured() + other)
+    assert told.q_min.tolist() == [-3.0] * 6
+    assert told.q_max.tolist() == [3.0] * 6
+    assert told.qd_max.tolist() == [2.0] * 6
+    assert told.qdd_max.tolist() == [10.0] * 6
+    assert limits_in(other) is None
+
+
+def test_of_maker_and_controller_the_stricter_one_counts_joint_by_joint():
+    told = limits_in(configured(q=(-3.0, 9.0), most=(2.0, 1000.0)))
+    used = told.narrow(LIMITS)
+    assert used.q_min.tolist() == [-3.0] * 6
+    assert (used.q_max == LIMITS.q_max).all()
+    assert used.qd_max.tolist() == [2.0] * 6
+    assert (used.qdd_max == LIMITS.qdd_max).all()
+    assert used.payload_max_kg == LIMITS.payload_max_kg
+
+
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (b"\0\0\0", "cut off"),
+        (struct.pack(">IB", 99, 3), "99 bytes"),
+        (struct.pack(">IB", 0, 3) + bytes(20), "0 bytes"),
+        (struct.pack(">IB", 9, 6) + bytes(4), "of 4 bytes"),
+        (configured(q=(3.0, -3.0)), "cannot be"),
+        (configured(most=(float("nan"), 1.0)), "cannot be"),
+        (configured(most=(2.0, 0.0)), "cannot be"),
+    ],
+)
+def test_limits_that_cannot_be_are_none(state, said):
+    with pytest.raises(ValueError, match=said):
+        limits_in(state)
+
+
+def test_a_name_is_looked_up_once_and_not_for_longer_than_it_may_take(monkeypatch):
+    assert found("192.0.2.7") == "192.0.2.7"
+    assert found("localhost") == "127.0.0.1"
+    asked = threading.Event()
+
+    def hangs(*args):
+        asked.wait(10.0)
+        raise socket.gaierror(-3, "Temporary failure in name resolution")
+
+    monkeypatch.setattr("socket.getaddrinfo", hangs)
+    began = time.monotonic()
+    with pytest.raises(RobotConnectionError, match=r"no answer within 0\.1 s"):
+        found("ur5.lab.example", 0.1)
+    assert time.monotonic() - began < 5.0
+    asked.set()
+
+
+def test_a_name_that_nobody_knows_is_told_with_what_to_do(monkeypatch):
+    def unknown(*args):
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr("socket.getaddrinfo", unknown)
+    with pytest.raises(RobotConnectionError, match=r"leads nowhere.*not known") as caught:
+        found("ur5.lab.example")
+    assert "IP address" in caught.value.hint

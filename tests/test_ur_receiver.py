@@ -351,6 +351,47 @@ def test_rows_nobody_takes_wait_in_order_and_too_many_are_an_error_not_a_loss(mo
 
 
 @wire
+def test_a_forgiving_queue_lets_go_of_the_oldest_rows_and_goes_on(monkeypatch):
+    monkeypatch.setattr("hil_drivers.ur.stream.PATIENCE_S", 0.05)
+
+    def script(talk: Conversation) -> None:
+        talk.handshake()
+        for i in range(6000):
+            talk.send(talk.data(i / 125))
+        peer.until_gone(talk)
+
+    with (
+        Peer(script) as robot,
+        Receiver("127.0.0.1", port=robot.port, capacity_s=4.0) as receiver,
+    ):
+        receiver.keep(None, forgiving=True)
+        wait_for(lambda: receiver.newest is not None and receiver.newest["timestamp"] == 5999 / 125)
+        rows = receiver.take(1.0)
+        assert rows["timestamp"][-1] == 5999 / 125
+        assert 250 <= len(rows) < 6000
+        assert np.diff(rows["timestamp"]) == pytest.approx(1 / 125)
+
+
+@wire
+def test_a_state_that_is_repeated_is_no_news_and_in_the_end_a_lost_connection():
+    def script(talk: Conversation) -> None:
+        talk.handshake()
+        talk.send(talk.data(1.0) + talk.data(1.008))
+        while True:
+            talk.send(talk.data(1.008))
+            time.sleep(0.01)
+
+    with Peer(script) as robot, Receiver("127.0.0.1", port=robot.port, silence_s=1.0) as receiver:
+        take(receiver, 2)
+        wait_for(lambda: receiver.age_s > 0.3)
+        assert len(receiver.take(1.0))
+        wait_for(lambda: not receiver.alive)
+        receiver.take(1.0)
+        with pytest.raises(RobotConnectionError, match=r"its clock standing still, for 1\.\d s"):
+            receiver.take(1.0)
+
+
+@wire
 def test_a_full_queue_waits_for_its_reader_and_loses_nothing():
     with (
         Peer(peer.stream(3000)) as robot,

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.errors import RobotFault
-from hil_drivers.ur.rows import HARMLESS, RUNNING
+from hil.typing import BoolArray, StructArray
+from hil_drivers.ur.rows import HARMLESS, RUNNING, STOPPED, STOPPING, integers
 
 SAFETY: dict[int, tuple[str, str]] = {
     3: (
@@ -51,7 +52,10 @@ MODES: dict[int, tuple[str, str]] = {
 }
 """`robot_mode` → what it is, what to do. 7 is running."""
 
-PLAYING = 2
+PLAYING, PAUSING, PAUSED = 2, 3, 4
+MOVES_RAD_S = 1e-3
+"""A commanded speed from which on an arm counts as moving [rad/s]."""
+
 RUNTIME = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
 FULL_SPEED = 0.99
 
@@ -74,6 +78,39 @@ def speed_complaint(row: np.void) -> list[tuple[str, str]]:
     if share >= FULL_SPEED:
         return []
     return [(f"the speed slider is at {share:.0%}", "set it to 100 % at the teach pendant")]
+
+
+def occupied(row: np.void) -> list[tuple[str, str]]:
+    """What somebody else does with an arm that we have not begun to move; each with what to do."""
+    said = []
+    state = _number(row, "runtime_state", STOPPED)
+    if state == STOPPING:
+        said.append(("a program is about to end", "wait until it has"))
+    elif state != STOPPED:
+        what = "a program is paused" if state in (PAUSING, PAUSED) else "a program is running"
+        said.append((what, "stop it at the teach pendant, or whoever else drives the arm"))
+    speed = float(np.abs(row["target_qd"]).max()) if _has(row, "target_qd") else 0.0
+    if speed > MOVES_RAD_S:
+        said.append((f"the arm is moving at {speed:.3f} rad/s", "wait until it stands still"))
+    return said
+
+
+def first_fault(raw: StructArray, program: BoolArray) -> RobotFault | None:
+    """The first fault in a block, were it over at its end or not.
+
+    Args:
+        raw: (N,) raw RTDE rows.
+        program: (N,) whether our robot program ought to play.
+    """
+    safety, mode = integers(raw, "safety_mode", 1), integers(raw, "robot_mode", RUNNING)
+    state = integers(raw, "runtime_state", PLAYING)
+    unsafe = ~np.isin(safety, HARMLESS) | (mode != RUNNING)
+    # What stops the program is a better reason than that it has stopped, if both are seen at once.
+    for wrong in (unsafe, program & (state != PLAYING)):
+        if wrong.any():
+            at = int(wrong.argmax())
+            return fault_of(raw[at], program=bool(program[at]))
+    return None
 
 
 def fault_of(row: np.void, *, program: bool) -> RobotFault | None:

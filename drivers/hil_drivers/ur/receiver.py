@@ -99,7 +99,10 @@ class Receiver:
 
     @property
     def age_s(self) -> float:
-        """How long ago the newest state came [s]; infinite when not connected."""
+        """How long ago the controller's clock was last heard to go on [s].
+
+        A state that is repeated is no news; infinite when not connected.
+        """
         return self._stream.age_s if self._stream and self._stream.alive else math.inf
 
     @property
@@ -143,14 +146,16 @@ class Receiver:
             if self._closed.is_set():
                 self._end_stream()
 
-    def keep(self, seconds: float | None) -> None:
+    def keep(self, seconds: float | None, *, forgiving: bool = False) -> None:
         """From now on let go of rows that wait for longer than that, by the robot's clock.
 
         Args:
             seconds: None to lose nothing, as after `open`.
+            forgiving: When `capacity_s` wait nevertheless, let go of the oldest instead of ending.
         """
         if self._stream is not None:
             rate = self.frequency_hz
+            self._stream.forgiving = forgiving
             self._stream.keep = None if seconds is None else max(1, int(seconds * rate))
 
     def take(self, timeout_s: float = 1.0) -> StructArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,29 +17,18 @@ from hil.errors import (
 )
 from hil.payload import Payload
 from hil.record.topic import Topic
-from hil.robot import Capabilities, Identity, Limits, Segment
+from hil.robot import Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
 from hil_drivers.ur.checks import require_executable, require_liftable
+from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
-from hil_drivers.ur.facts import capabilities_of, limits_of
+from hil_drivers.ur.facts import capabilities_of
+from hil_drivers.ur.findings import Looked, findings_of
 from hil_drivers.ur.motion import MotionProcess
 from hil_drivers.ur.options import options_of
-from hil_drivers.ur.receiver import Receiver
-from hil_drivers.ur.rows import (
-    TOPIC,
-    further_rows,
-    further_topic,
-    program_running,
-    require_source,
-    state_rows,
-)
-from hil_drivers.ur.session import Told, require_arm, require_ready, told_by_dashboard
+from hil_drivers.ur.rows import TOPIC, further_rows, further_topic, program_running, state_rows
+from hil_drivers.ur.session import told_by_dashboard
 from hil_drivers.ur.watch import Watch
-
-READ_BACK_S = 2.0
-KEPT_S = 5.0
-"""How much waits to be read while the arm stands, by its clock: nobody wants what it did while a
-plan was made, for minutes. Of a motion everything is kept [s]."""
 
 
 class UrRobot:
@@ -56,16 +44,17 @@ class UrRobot:
     """
 
     def __init__(self, name: str, model: str, **options: Any) -> None:
-        self._name, self._model = name, model
+        self._name, self._model, self._given = name, model, options
         self._options = options_of(options, model)
-        self._receiver = Receiver(self._options.address, self._options.frequency_hz)
+        self._controller = Controller(model, self._options)
         self._motion = MotionProcess(name, model, options)
         self._topic = further_topic(self.capabilities.rate_hz)
         self._further: list[StructArray] = []
         self._watch = Watch(self._options)
-        self._told = Told()
+        self._declared: Payload | None = None
         self._connected = self._listening = False
         self._prepared: Segment | None = None
+        self._stops = 0
         self._newest: StructArray | None = None
 
     @property
@@ -77,15 +66,7 @@ class UrRobot:
     def identity(self) -> Identity:
         """See `hil.robot.Robot`."""
         self._require_connection()
-        version = ".".join(map(str, self._receiver.version))
-        details = {
-            "address": self._options.address,
-            "torque_source": self._options.torque_source,
-            "moves": self._options.moves,
-            "polyscope": self._told.polyscope,
-            "not_sent": ", ".join(self._receiver.missing),
-        }
-        return Identity(self._model, self._told.serial, version, "ur", details)
+        return self._controller.identity
 
     @property
     def capabilities(self) -> Capabilities:
@@ -94,8 +75,8 @@ class UrRobot:
 
     @property
     def limits(self) -> Limits:
-        """See `hil.robot.Robot`."""
-        return limits_of(self._model, self._options)
+        """See `hil.robot.Robot`; once connected, none is wider than the controller's own."""
+        return self._controller.limits
 
     @property
     def topics(self) -> Sequence[Topic]:
@@ -107,6 +88,19 @@ class UrRobot:
         further, self._further = self._further, []
         return {TOPIC: np.concatenate(further)} if further else {}
 
+    def checks(self) -> Sequence[Finding]:
+        """See `hil.robot.HasChecks`."""
+        self._require_health()
+        looked = Looked(
+            self._model,
+            self._options,
+            self._controller,
+            told_by_dashboard(self._controller.host),
+            self._declared,
+            self._motion.alive,
+        )
+        return list(findings_of(looked))
+
     def connect(self) -> None:
         """Listen, look whether the arm may be moved, upload the program that moves it.
 
@@ -114,27 +108,22 @@ class UrRobot:
 
         Raises:
             RobotConnectionError: Nobody is there, it is another arm, or somebody else moves it.
-            RobotFault: The arm is not in a state in which it may move.
+            RobotFault: The arm is not in a state in which it may move, or a program plays.
         """
-        alive = self._receiver.alive and self._motion.alive
-        if self._connected and alive and not self._watch.faulty:
+        alive = self._controller.receiver.alive and self._motion.alive
+        if self._connected and alive and not (self._watch.faulty or self._watch.severed):
             return
         self._let_go()
         try:
-            self._told = told_by_dashboard(self._options.address)
-            self._receiver.open()
-            require_source(self._options.torque_source, self._receiver.missing)
-            row = self._receiver.take(READ_BACK_S)[-1]
-            require_ready(
-                self._options.address, self._model, self._told, self._receiver.version, row
-            )
+            self._controller.open()
+            given = self._given | {"address": self._controller.host}
+            self._motion = MotionProcess(self._name, self._model, given)
             self._motion.connect()
-            self._receiver.take(READ_BACK_S)  # from before the program was uploaded
-            self._receiver.keep(KEPT_S)
+            self._controller.forget_rows()
         except BaseException:
             self._let_go()
             raise
-        self._watch, self._further = Watch(self._options), []
+        self._watch, self._further, self._declared = Watch(self._options), [], None
         self._connected = True
 
     def listen(self) -> None:
@@ -144,16 +133,11 @@ class UrRobot:
             RobotConnectionError: Nobody is there, or it is another arm.
             SpecError: It does not send what shall be the effort.
         """
-        if self._listening and self._receiver.alive:
+        if self._listening and self._controller.receiver.alive:
             return
         self._let_go()
-        address = self._options.address
-        with contextlib.suppress(RobotConnectionError):  # RTDE alone will do for listening
-            self._told = told_by_dashboard(address)
         try:
-            self._receiver.open()
-            require_source(self._options.torque_source, self._receiver.missing)
-            require_arm(address, self._model, self._told, self._receiver.version)
+            self._controller.listen()
         except BaseException:
             self._let_go()
             raise
@@ -173,10 +157,11 @@ class UrRobot:
         self._require_health()
         require_liftable(payload, self.limits)
         self._motion.set_payload(payload)
+        self._declared = payload
         until = time.monotonic() + READ_BACK_S
-        while not payload.agrees_with(self._believed()) and time.monotonic() < until:
+        while not payload.agrees_with(self._controller.believed) and time.monotonic() < until:
             time.sleep(0.005)
-        return self._believed()
+        return self._controller.believed
 
     def prepare(self, segment: Segment) -> None:
         """Check and keep the next segment.
@@ -186,10 +171,14 @@ class UrRobot:
             RobotFault: The arm does not obey any more.
         """
         self._require_health()
-        require_executable(segment, self.limits, self._row()["target_q"])
+        stops = self._stops
+        require_executable(segment, self.limits, self._controller.row["target_q"])
         if segment.kind != "hold":
             self._motion.prepare(segment)
         self._prepared = segment
+        if self._stops != stops:  # one that has come meanwhile holds
+            self._prepared = None
+            raise CommandRefused("stopped while it was prepared", hint="prepare it again")
 
     def start(self) -> None:
         """Begin the prepared segment.
@@ -203,11 +192,11 @@ class UrRobot:
             raise CommandRefused("no segment is prepared", hint="call prepare() first")
         if self._watch.moving:
             raise CommandRefused("a segment is still running", hint="read until it is over")
+        self._controller.receiver.keep(None)  # a dwell is measured as much as a motion
         if segment.kind == "hold":
             newest = -np.inf if self._newest is None else float(self._newest["timestamp"][-1])
             self._watch.begun(segment.index, newest, moves=False)
             return
-        self._receiver.keep(None)
         self._watch.begun(segment.index, self._motion.start(), moves=True)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
@@ -225,13 +214,14 @@ class UrRobot:
         problem, self._watch.problem = self._watch.problem, None
         if problem is not None:
             raise problem
-        raw = self._receiver.take(timeout_s)
+        raw = self._controller.receiver.take(timeout_s)
+        # From here on nothing is raised: what was taken is in nobody else's hands.
         self._newest = raw
         rows = state_rows(raw, self._options.torque_source)
         self._further.append(further_rows(raw, self._topic))
         if self._listening:
             return rows
-        self._look(raw[-1])
+        self._look(raw)
         self._watch.stamp(rows)
         return rows
 
@@ -243,17 +233,20 @@ class UrRobot:
         """
         if not self._connected:
             return
+        self._stops += 1
         self._prepared = None
-        newest = self._receiver.newest
-        self._watch.stopping(None if newest is None else newest[0])
+        newest = self._controller.receiver.newest
+        row = None if newest is None else newest[0]
+        self._watch.stopping(row)
         try:
             self._motion.stop()
-        except HilError:
+        except HilError as error:
+            self._watch.severed |= isinstance(error, RobotTimeout)
             self._stop_directly()
         else:
-            if self._watch.faulty:
+            if self._watch.must_not_go_on(row):
                 # A program that a protective stop has paused must not go on once it is unlocked.
-                stop_program(self._options.address)
+                stop_program(self._controller.host)
 
     def close(self) -> None:
         """Stop, end the program, let go of the controller."""
@@ -271,41 +264,35 @@ class UrRobot:
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to this arm."""
 
-    def _look(self, row: Any) -> None:
+    def _look(self, raw: StructArray) -> None:
         """Find out how the motion stands; what is wrong is told by the next read."""
         told, error = None, None
         try:
-            told = self._motion.look()[0]
+            told = None if self._watch.severed else self._motion.look()[0]
         except HilError as caught:
-            error = caught
-        if self._watch.look(row, told, error):
-            self._receiver.keep(KEPT_S)
-        if self._watch.stop_has_failed(row):
-            self._stop_directly()
-            stop_program(self._options.address)
+            # It has seen rows that are newer than these, and ends where they show a fault.
+            error = self._watch.seen(self._controller.receiver.newest) or caught
+        ended = self._watch.look(raw, told, error)
+        if self._watch.stop_has_failed(raw):
+            self._watch.severed = True
+            try:
+                self._stop_directly()
+            except RobotConnectionError as caught:
+                self._watch.found(caught)
+            stop_program(self._controller.host)
+        if self._watch.halted and not self._watch.moving:
+            self._controller.receiver.keep(KEPT_S)
+        elif ended:
+            self._controller.receiver.keep(None, forgiving=True)
 
     def _stop_directly(self) -> None:
         self._watch.replaced = True
-        if not stop_directly(self._options.address, self._options.stop_rad_s2):
+        if not stop_directly(self._controller.host, self._options.stop_rad_s2):
             raise RobotConnectionError(
                 f"{self._options.address}: the controller could not be told to stop; its watchdog "
                 f"stops the program within {1 / self._options.watchdog_hz:.2f} s",
                 hint="see to the robot itself, by its emergency stop if need be",
             )
-
-    def _believed(self) -> Payload:
-        row = self._row()
-        x, y, z = (float(value) for value in row["payload_cog"])
-        inertia: Any = (0.0,) * 6
-        if "payload_inertia" in (row.dtype.names or ()):
-            inertia = tuple(float(value) for value in row["payload_inertia"])
-        return Payload(float(row["payload"]), (x, y, z), inertia)
-
-    def _row(self) -> Any:
-        newest = self._receiver.newest
-        if newest is None:
-            raise RobotTimeout("the controller has not said anything yet", hint="connect again")
-        return newest[0]
 
     def _require_connection(self) -> None:
         if not (self._connected or self._listening):
@@ -317,6 +304,11 @@ class UrRobot:
         self._require_connection()
         if self._listening:
             raise CommandRefused(f"{self._name} is only listened to", hint="call connect() first")
+        if self._watch.severed:
+            raise RobotFault(
+                f"{self._name} was stopped by a program that has replaced the one that moves it",
+                hint="connect() again",
+            )
         if self._watch.faulty:
             raise RobotFault(
                 f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
@@ -325,4 +317,4 @@ class UrRobot:
     def _let_go(self) -> None:
         self._connected = self._listening = False
         self._motion.close()
-        self._receiver.close()
+        self._controller.close()

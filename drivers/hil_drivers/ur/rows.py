@@ -112,8 +112,8 @@ def state_rows(raw: StructArray, source: TorqueSource = "current") -> StructArra
     for name, output in (*_RENAMED.items(), ("effort", effort), ("effort_target", effort_target)):
         rows[name] = raw[output] if output in _names(raw) else np.nan
     rows["segment"] = -1
-    safety = _integers(raw, "safety_mode", HARMLESS[0])
-    mode = _integers(raw, "robot_mode", RUNNING)
+    safety = integers(raw, "safety_mode", HARMLESS[0])
+    mode = integers(raw, "robot_mode", RUNNING)
     faulty = ~np.isin(safety, HARMLESS)
     rows["fault_code"] = np.where(faulty, safety, 0)
     rows["mode"] = mode
@@ -140,14 +140,20 @@ def further_rows(raw: StructArray, topic: Topic) -> StructArray:
 
 def program_running(raw: StructArray) -> BoolArray:
     """(N,) whether a program plays or is paused; false where the controller does not say."""
-    return np.asarray(~np.isin(_integers(raw, "runtime_state", STOPPED), (STOPPING, STOPPED)))
+    return np.asarray(~np.isin(program_state(raw), (STOPPING, STOPPED)))
+
+
+def program_state(raw: StructArray) -> IntArray:
+    """(N,) `runtime_state`; stopped where the controller does not say."""
+    return integers(raw, "runtime_state", STOPPED)
 
 
 def _names(raw: StructArray) -> Sequence[str]:
     return raw.dtype.names or ()
 
 
-def _integers(raw: StructArray, name: str, default: int) -> IntArray:
+def integers(raw: StructArray, name: str, default: int) -> IntArray:
+    """(N,) an output that is a whole number, `default` where the controller does not send it."""
     if name not in _names(raw):
         return np.full(len(raw), default, np.int64)
     return np.asarray(raw[name].astype(np.int64))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from hil.errors import RobotConnectionError, RobotFault
 from hil_drivers.ur.dashboard import Dashboard
-from hil_drivers.ur.faults import complaints, speed_complaint
+from hil_drivers.ur.faults import complaints, occupied, speed_complaint
 from hil_drivers.ur.options import SERIES_HZ
 
 LEAST = {3: (3, 11), 5: (5, 6)}
@@ -68,7 +67,8 @@ def require_ready(
     """
     if wrong := [*_wrong_arm(model, told, version), *_too_old(version)]:
         raise _error(RobotConnectionError, address, wrong)
-    not_ready = [*complaints(row), *speed_complaint(row)]
+    # `ur-rtde` would end whatever program there is, or wait for its end for minutes.
+    not_ready = [*complaints(row), *occupied(row), *speed_complaint(row)]
     if "false" in told.remote:
         not_ready.append(
             ("the arm is in local control", "switch it to remote control at the teach pendant")
@@ -123,14 +123,3 @@ def _error(kind: Any, address: str, reasons: list[tuple[str, str]]) -> Any:
 
 
 _STATION = "see address and model in the station file"
-
-
-@contextlib.contextmanager
-def released(*parts: Any) -> Any:
-    """Close every part again if what is inside does not come to its end."""
-    try:
-        yield
-    except BaseException:
-        for part in parts:
-            part.close()
-        raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 import time
@@ -41,6 +42,8 @@ class Stream:
 
     Attributes:
         keep: Rows that wait to be taken at most, older ones being let go; None for all of them.
+        forgiving: Whether the oldest rows are let go when the queue is full and nobody takes any;
+            else that is the end of the stream.
     """
 
     def __init__(
@@ -58,11 +61,13 @@ class Stream:
         self._capacity = max(1, int(capacity_s * agreement.frequency_hz))
         self._texts = texts
         self.keep: int | None = None
+        self.forgiving = False
         self._queue: deque[tuple[bytes, float, int]] = deque()
         self._waiting = 0
         self._problem: tuple[str, str] | None = None
         self._changed = threading.Condition()
         self._newest: tuple[bytes, float] | None = None
+        self._clock = -math.inf
         self._heard = self._read_at = time.monotonic()
         line.settimeout(min(0.25, silence_s / 4))
         self._thread = threading.Thread(target=self._run, name=f"rtde {peer}", daemon=True)
@@ -80,7 +85,10 @@ class Stream:
 
     @property
     def age_s(self) -> float:
-        """Since the newest data package came, or since the start while there is none [s]."""
+        """Since the controller's clock was last heard to go on, or since the start [s].
+
+        Packages that repeat one state are no news of the arm.
+        """
         return time.monotonic() - self._heard
 
     @property
@@ -156,15 +164,19 @@ class Stream:
         self._cutter.texts.clear()
         if packages:
             self._put(packages, host_time)
-        elif self.age_s > self._silence_s:
-            self._fail((f"has sent no state for {self.age_s:.1f} s", _LOST))
+        if self.age_s > self._silence_s:
+            what = "repeated one state, its clock standing still," if packages else "sent no state"
+            self._fail((f"has {what} for {self.age_s:.1f} s", _LOST))
         if self._cutter.problem is not None:
             self._fail(self._cutter.problem)
 
     def _put(self, packages: bytes, host_time: float) -> None:
         size = self._layout.size
         count = len(packages) // size
-        self._newest, self._heard = (packages[-size:], host_time), time.monotonic()
+        self._newest = (packages[-size:], host_time)
+        before, self._clock = self._clock, self._layout.time(packages[-size:])
+        goes_on = self._clock > before
+        self._heard = time.monotonic() if goes_on else self._heard
         with self._changed:
             # Rows that came are kept even so: the queue may be too long by one reading.
             self._queue.append((packages, host_time, count))
@@ -173,16 +185,27 @@ class Stream:
             self.counts.deepest = max(self.counts.deepest, self._waiting)
             self._changed.notify_all()
             if not self._changed.wait_for(self._has_room, PATIENCE_S):
-                self._problem = (
-                    f"was not listened to: {self._waiting} states wait to be taken",
-                    "hil is held up: look for a busy machine or a slow disk",
-                )
-                self._changed.notify_all()
-        self._heard = time.monotonic()
+                self._nobody_takes()
+        self._heard = time.monotonic() if goes_on else self._heard
+
+    def _nobody_takes(self) -> None:
+        """The queue is full, and stays so."""
+        if self.forgiving:
+            self._let_go_beyond(self._capacity // 2)
+            return
+        self._problem = (
+            f"was not listened to: {self._waiting} states wait to be taken",
+            "hil is held up: look for a busy machine or a slow disk",
+        )
+        self._changed.notify_all()
 
     def _forget(self) -> None:
         """Let go of the oldest as far as the rest is as much as is to be kept."""
-        while self.keep is not None and self._waiting - self._queue[0][2] >= self.keep:
+        if self.keep is not None:
+            self._let_go_beyond(self.keep)
+
+    def _let_go_beyond(self, rows: int) -> None:
+        while self._queue and self._waiting - self._queue[0][2] >= rows:
             self._waiting -= self._queue.popleft()[2]
 
     def _has_room(self) -> bool:

@@ -9,13 +9,18 @@ import numpy as np
 from hil.errors import HilError
 from hil.robot import Status
 from hil.typing import StructArray
-from hil_drivers.ur.faults import fault_of
+from hil_drivers.ur.faults import PAUSED, PAUSING, complaints, first_fault
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.phases import still
+from hil_drivers.ur.rows import program_running, program_state
 from hil_drivers.ur.standing import Standing
 
 RAMP_GRACE_S = 0.5
 """How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
+
+UPLOAD_GRACE_S = 0.1
+"""How much later than the beginning of a motion the program that makes it may be seen to play,
+where it had to be uploaded again: two connections tell of it [s]."""
 
 
 class Watch:
@@ -26,8 +31,11 @@ class Watch:
 
     Attributes:
         faulty: Whether it does not obey any more: it has to be connected again.
-        halted: Whether the newest motion was stopped.
+        halted: Whether the arm was stopped since the newest segment began.
         replaced: Whether our program was ended by ourselves, and is not to be missed.
+        severed: Whether the process that moves the arm was passed over when the arm was stopped:
+            its program is gone without its doing, and it ends.
+        ours: Whether what the controller plays, or holds paused, is still our program.
         problem: What was found wrong and is to be told, once.
     """
 
@@ -35,7 +43,9 @@ class Watch:
         self._options = options
         self._standing = Standing()
         self._stopped_by: float | None = None
-        self.faulty = self.halted = self.replaced = False
+        self._plays_from = -np.inf
+        self.faulty = self.halted = self.replaced = self.severed = False
+        self.ours = True
         self.problem: HilError | None = None
 
     @property
@@ -46,8 +56,12 @@ class Watch:
     def begun(self, index: int, at: float, *, moves: bool) -> None:
         """A segment begins after that device time [s]."""
         self._standing.begin(index, at, moves=moves)
-        if moves:
-            self._stopped_by, self.halted, self.replaced = None, False, False
+        self.halted = False
+        if not moves:
+            return
+        if self.replaced:
+            self._plays_from, self.ours = at + UPLOAD_GRACE_S, True
+        self._stopped_by, self.replaced = None, False
 
     def stopping(self, row: Any) -> None:
         """The arm is told to stop, this being its newest raw row; None when there is none."""
@@ -57,11 +71,11 @@ class Watch:
             ramp_s = speed / self._options.stop_rad_s2 + RAMP_GRACE_S
             self._stopped_by = float(row["timestamp"]) + ramp_s
 
-    def look(self, row: np.void, told: np.void | None, error: HilError | None) -> bool:
-        """Judge the newest raw row of a block.
+    def look(self, raw: StructArray, told: np.void | None, error: HilError | None) -> bool:
+        """Judge a block of raw rows, every one of them.
 
         Args:
-            row: It.
+            raw: (N,), N ≥ 1.
             told: How the motion stands, by the process that moves the arm.
             error: What that process said instead.
 
@@ -71,20 +85,49 @@ class Watch:
         moved = self.moving
         if moved and told is not None and not int(told["status"]) & Status.MOVING:
             self._standing.end(float(told["device_time"]))
-        fault = fault_of(row, program=not self.replaced) or error
-        if fault is not None and not self.faulty:
-            self.problem, self.faulty, self.halted = fault, True, True
-        if self.moving and self.halted and still(row):
+        if told is not None and told["replaced"]:
+            self.replaced = True
+        ought = np.asarray(raw["timestamp"] > self._plays_from)
+        if (ought & ~program_running(raw)).any():
+            self.ours = False
+        self.found(first_fault(raw, ought & (not self.replaced)) or error)
+        if self.moving and self.halted and still(raw[-1]):
             # Who moved it may not be there any more to say that the motion is over.
-            self._standing.end(float(row["timestamp"]))
+            self._standing.end(float(raw["timestamp"][-1]))
         return moved and not self.moving
 
-    def stop_has_failed(self, row: np.void) -> bool:
-        """Whether the arm still moves though it was told to stop; said once."""
-        if self._stopped_by is None or float(row["timestamp"]) < self._stopped_by:
+    def seen(self, raw: StructArray | None) -> HilError | None:
+        """What is wrong by the newest raw row (1,), which may not have been taken yet."""
+        if raw is None:
+            return None
+        ought = np.asarray(raw["timestamp"] > self._plays_from) & (not self.replaced)
+        return first_fault(raw, ought)
+
+    def found(self, problem: HilError | None) -> None:
+        """Note what is wrong; the first one explains."""
+        if problem is not None and not self.faulty:
+            self.problem, self.faulty, self.halted = problem, True, True
+
+    def must_not_go_on(self, row: Any) -> bool:
+        """Whether that raw row shows our program held by a stop that somebody may lift."""
+        if row is None or not self.faulty or not self.ours:
+            return False
+        # For some ticks after a protective stop the program may still be said to play.
+        held = int(program_state(row.reshape(1))[0]) in (PAUSING, PAUSED) or complaints(row)
+        return bool(held)
+
+    def stop_has_failed(self, raw: StructArray) -> bool:
+        """Whether the arm still moved when it ought to have come to rest; said once.
+
+        What it does later is another's doing.
+        """
+        if self._stopped_by is None:
+            return False
+        after = raw[raw["timestamp"] >= self._stopped_by]
+        if not len(after):
             return False
         self._stopped_by = None
-        return not still(row)
+        return not still(after[0])
 
     def stamp(self, rows: StructArray) -> None:
         """Fill in segment and status of state rows, in place."""

@@ -16,7 +16,7 @@ from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.faults import read_faults
 from hil_mock_robot.ur.loop import Loop, Pacer
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.options import factor_of, loopback_of, parser_of, pose_of
+from hil_mock_robot.ur.options import factor_of, loopback_of, narrowed, parser_of, pose_of
 from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.series import Series, series_of
@@ -86,6 +86,8 @@ def machine_of(given: argparse.Namespace, series: Series) -> Machine:
         mass, x, y, z = given.mounted_kg
         mounted = Payload(mass, (x, y, z))
     body = Body(truth, series.rate_hz, pose_of(given.start_q_deg), mounted=mounted)
+    if given.joint_range_deg or given.joint_speed_deg_s is not None:
+        body.arm = narrowed(body.arm, given.joint_range_deg, given.joint_speed_deg_s)
     machine = Machine(series, body, serial=given.serial or _serial_of(given), powered=not given.off)
     machine.modes.remote = not given.local
     return machine

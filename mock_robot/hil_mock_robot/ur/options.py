@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import ipaddress
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from hil.arms import ArmDescription
 from hil.errors import SpecError
 from hil.typing import FloatArray
 from hil_mock_robot.ur.series import CB3, E_SERIES
@@ -30,6 +32,10 @@ def parser_of() -> argparse.ArgumentParser:
     add("--profile", default="full", choices=("full", "ideal"), help="of the physics")
     add("--speed", default="1", help="device seconds per second, `free`, or `lock-step`")
     add("--start-q-deg", type=float, nargs=6, default=UPRIGHT_DEG, metavar="Q")
+    ranges = "joint range of the safety settings, for all joints; the arm's own without"
+    add("--joint-range-deg", type=float, nargs=2, metavar=("LEAST", "MOST"), help=ranges)
+    speed = "joint speed of the safety settings, for all joints; the arm's own without"
+    add("--joint-speed-deg-s", type=float, metavar="SPEED", help=speed)
     hangs = "what really hangs at the flange, whatever is declared: mass and centre [m]"
     add("--mounted-kg", type=float, nargs=4, metavar=("KG", "X", "Y", "Z"), help=hangs)
     add("--serial", default="", help="digits; by default made of model and seed")
@@ -78,6 +84,25 @@ def loopback_of(address: str) -> str:
             hint="use 127.0.0.1, or 127.0.0.2 and so on for several controllers at once",
         )
     return address
+
+
+def narrowed(
+    arm: ArmDescription, range_deg: Sequence[float] | None, speed_deg_s: float | None
+) -> ArmDescription:
+    """The arm with the joint limits of its safety settings, which are never wider than its own.
+
+    Raises:
+        SpecError: No joint could move within them.
+    """
+    least, most = np.radians(range_deg or (-np.inf, np.inf))
+    fastest = np.inf if speed_deg_s is None else np.radians(speed_deg_s)
+    q_min, q_max = np.maximum(arm.q_min, least), np.minimum(arm.q_max, most)
+    if not ((q_min < q_max).all() and fastest > 0):
+        raise SpecError(
+            f"--joint-range-deg {range_deg}, --joint-speed-deg-s {speed_deg_s}: nothing could move",
+            hint="give the smaller number first, and a speed above 0",
+        )
+    return replace(arm, q_min=q_min, q_max=q_max, qd_max=np.minimum(arm.qd_max, fastest))
 
 
 def pose_of(degrees: Sequence[float]) -> FloatArray:

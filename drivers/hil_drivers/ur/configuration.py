@@ -1,0 +1,154 @@
+"""The joint limits a controller is configured with, as its primary interface tells them.
+
+Source: Universal Robots, "Primary and Secondary Interfaces": robot state (16), configuration data.
+Everything is big-endian. It was not compared with a physical arm whether a joint range narrowed in
+the safety settings is told here too.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.errors import RobotConnectionError
+from hil.robot import Limits
+from hil.typing import FloatArray
+
+PRIMARY_PORT = 30001
+WITHIN_S = 2.0
+"""How long connecting and the first robot state may take together; ten come a second [s]."""
+
+MOST_BYTES = 1 << 18
+"""Of everything that is read before the configuration must have come."""
+
+LARGEST_PACKET = 1 << 16
+ROBOT_STATE, CONFIGURATION = 16, 6
+_PACKET, _PART = struct.Struct(">iB"), struct.Struct(">IB")
+_LIMITS = struct.Struct(">24d")
+N = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointLimits:
+    """What a controller allows its joints; arrays are (6,).
+
+    Attributes:
+        q_min, q_max: Position [rad].
+        qd_max: Speed [rad/s].
+        qdd_max: Acceleration [rad/s²].
+    """
+
+    q_min: FloatArray
+    q_max: FloatArray
+    qd_max: FloatArray
+    qdd_max: FloatArray
+
+    def narrow(self, limits: Limits) -> Limits:
+        """The stricter of both, joint by joint."""
+        return replace(
+            limits,
+            q_min=np.maximum(limits.q_min, self.q_min),
+            q_max=np.minimum(limits.q_max, self.q_max),
+            qd_max=np.minimum(limits.qd_max, self.qd_max),
+            qdd_max=np.minimum(limits.qdd_max, self.qdd_max),
+        )
+
+
+def told_by_primary(
+    address: str, within_s: float = WITHIN_S, port: int = PRIMARY_PORT
+) -> JointLimits:
+    """Ask a controller for its joint limits; commands nothing.
+
+    Args:
+        address: Of the controller.
+        within_s: Wall time this may take.
+        port: Of the primary interface.
+
+    Raises:
+        RobotConnectionError: It does not say, not in time, or nothing that could be.
+    """
+    until = time.monotonic() + within_s
+    peer = f"{address}:{port}"
+    try:
+        with socket.create_connection((address, port), within_s) as line:
+            return _first_limits(line, until, peer)
+    except OSError as error:
+        raise _problem(peer, f"cannot be asked: {error.strerror or error}") from error
+
+
+def limits_in(state: bytes) -> JointLimits | None:
+    """The joint limits in the content of one robot state, None when they are not in it.
+
+    Raises:
+        ValueError: It is no robot state, or no arm can have such limits.
+    """
+    at = 0
+    while at < len(state):
+        if len(state) - at < _PART.size:
+            raise ValueError("a part of a robot state is cut off")
+        size, kind = _PART.unpack_from(state, at)
+        if not _PART.size <= size <= len(state) - at:
+            raise ValueError(f"a part of a robot state says that it has {size} bytes")
+        if kind == CONFIGURATION:
+            return _limits_of(state[at + _PART.size : at + size])
+        at += size
+    return None
+
+
+def _limits_of(content: bytes) -> JointLimits:
+    if len(content) < _LIMITS.size:
+        raise ValueError(f"configuration data of {len(content)} bytes")
+    numbers = np.array(_LIMITS.unpack_from(content)).reshape(2, N, 2)
+    (q_min, q_max), (qd_max, qdd_max) = numbers.transpose(0, 2, 1)
+    told = JointLimits(q_min, q_max, qd_max, qdd_max)
+    sound = np.isfinite(numbers).all() and (q_min < q_max).all() and (numbers[1] > 0).all()
+    if not sound:
+        raise ValueError(f"joint limits that cannot be: {numbers.round(3).tolist()}")
+    return told
+
+
+def _first_limits(line: socket.socket, until: float, peer: str) -> JointLimits:
+    for kind, content in _packets(line, until, peer):
+        if kind != ROBOT_STATE:
+            continue
+        try:
+            told = limits_in(content)
+        except ValueError as error:
+            raise _problem(peer, f"tells {error}") from error
+        if told is not None:
+            return told
+    raise _problem(peer, "has not told its joint limits in time")
+
+
+def _packets(line: socket.socket, until: float, peer: str) -> Iterator[tuple[int, bytes]]:
+    """Type and content of what comes, until it has been too much or too long."""
+    data, taken = b"", 0
+    while taken < MOST_BYTES and (left := until - time.monotonic()) > 0:
+        line.settimeout(left)
+        try:
+            more = line.recv(1 << 14)
+        except TimeoutError:
+            return
+        if not more:
+            raise _problem(peer, "has hung up")
+        data, taken = data + more, taken + len(more)
+        while len(data) >= _PACKET.size:
+            size, kind = _PACKET.unpack_from(data)
+            if not _PACKET.size <= size <= LARGEST_PACKET:
+                raise _problem(peer, f"sends what is no packet: {data[:8].hex(' ')}")
+            if len(data) < size:
+                break
+            yield kind, data[_PACKET.size : size]
+            data = data[size:]
+
+
+def _problem(peer: str, what: str) -> RobotConnectionError:
+    return RobotConnectionError(
+        f"the primary interface at {peer} {what}",
+        hint="see whether port 30001 is open in the controller's security settings",
+    )
