@@ -15,6 +15,14 @@ N = 6
 BLOCK = 8
 
 
+def require_within(segment: Segment, limits: Limits) -> None:
+    """Refuse what leaves the limits."""
+    beyond = (segment.q > limits.q_max) | (segment.q < limits.q_min)
+    beyond |= (np.abs(segment.qd) > limits.qd_max) | (np.abs(segment.qdd) > limits.qdd_max)
+    if beyond.any():
+        raise CommandRefused(f"segment {segment.index} leaves the limits")
+
+
 class KinematicRobot:
     """Set-points become measurements; `disturb` may change a block before it is handed out."""
 
@@ -55,6 +63,7 @@ class KinematicRobot:
 
     def prepare(self, segment: Segment) -> None:
         self.calls.append(f"prepare {segment.index}")
+        require_within(segment, self.limits)
         self._prepared = segment
 
     def start(self) -> None:

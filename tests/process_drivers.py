@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from kinematic_robot import KinematicRobot
+from kinematic_robot import KinematicRobot, require_within
 
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
@@ -136,6 +136,7 @@ class WallArm:
 
     def prepare(self, segment: Segment) -> None:
         self._require()
+        require_within(segment, self.limits)
         self._prepared = segment
 
     def start(self) -> None:
@@ -186,7 +187,7 @@ class WallArm:
     def _row(self, tick: int) -> Any:
         moving = self._cursor < len(self._path)
         row = np.zeros((), dtype=state_dtype(N))
-        row["device_time"] = row["host_time"] = tick / self._rate
+        row["device_time"], row["host_time"] = tick / self._rate, time.time()
         before = self._path[max(min(self._cursor, len(self._path)) - 1, 0)]
         self._cursor += moving
         q = self._path[min(self._cursor, len(self._path)) - 1]

@@ -13,10 +13,14 @@ import numpy as np
 import pytest
 from kinematic_robot import KinematicRobot
 
-from hil.robot import Capabilities, Limits, Robot, Segment
+from hil.errors import CommandRefused, RobotFault
+from hil.robot import Capabilities, Limits, Robot, Segment, Status
 from hil.robot.process import RobotProcess
+from hil.testing.bench import Bench
 from hil.testing.conformance import NotConforming, robot_conformance
-from hil.testing.robot_checks import BEFORE_AND_AFTER, CONNECTED
+from hil.testing.robot_checks import BEFORE_AND_AFTER, BENCH, CONNECTED, FAULTY
+from hil.testing.stop_checks import a_fault_surfaces_in_the_next_read
+from hil.testing.unit_checks import rows_are_in_the_units_they_say
 from hil.typing import StructArray
 from hil_mock_robot.driver import MockRobot
 
@@ -41,11 +45,14 @@ def other_arm_in_its_own_process() -> Robot:
     return RobotProcess("process_drivers:WallArm", "bench", "ur5")
 
 
+ALWAYS = len(BEFORE_AND_AFTER) + len(CONNECTED) + len(BENCH)
+
+
 @pytest.mark.parametrize(
     "make_robot", [KinematicRobot, embedded_mock, kinematic_in_its_own_process]
 )
 def test_a_robot_on_a_virtual_clock_conforms(make_robot: Callable[[], Robot]) -> None:
-    assert len(robot_conformance(make_robot)) == len(BEFORE_AND_AFTER) + len(CONNECTED)
+    assert len(robot_conformance(make_robot)) == ALWAYS
 
 
 PRIVATE = ["a_robot_in_wall_time_says_which_one_it_is"]
@@ -65,7 +72,7 @@ def test_a_robot_in_wall_time_conforms(
     make_robot: Callable[[], Robot], leave_out: list[str]
 ) -> None:
     done = robot_conformance(make_robot, leave_out=leave_out)
-    assert len(done) == len(BEFORE_AND_AFTER) + len(CONNECTED) - len(leave_out)
+    assert len(done) == ALWAYS - len(leave_out)
 
 
 class SlowToStop(KinematicRobot):
@@ -137,16 +144,180 @@ class LacksGains(KinematicRobot):
         return replace(super().capabilities, drive_gains=(8.0, 8.0, 8.0, 8.0, 8.0, 0.0))
 
 
+class BrakesSlowly(KinematicRobot):
+    """Comes to rest in a second."""
+
+    def stop(self) -> None:
+        left = self._queue[:1] * 60
+        self._queue = [(q, qd * 0.5) for q, qd in left]
+
+
+class TakesAnything(KinematicRobot):
+    def prepare(self, segment: Segment) -> None:
+        self._prepared = segment
+
+
+class TakesOneFieldFor(KinematicRobot):
+    """Gives one field in another unit, or late."""
+
+    def __init__(self, change: Callable[[StructArray], None]) -> None:
+        super().__init__(change)
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return replace(super().capabilities, drive_gains=(8.0,) * 6)
+
+
+def scaled(field: str, factor: float) -> Callable[[StructArray], None]:
+    def change(block: StructArray) -> None:
+        block[field] *= factor
+
+    return change
+
+
+def milliamperes(block: StructArray) -> None:
+    block["effort"] = 800.0
+
+
+def kelvin(block: StructArray) -> None:
+    block["temperature"] += 273.15
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (scaled("q", 57.3), "q is"),
+        (scaled("qd", 57.3), "in rad/s"),
+        (scaled("qd", -1.0), "in rad/s"),
+        (scaled("device_time", 0.5), "in rad/s"),
+        (milliamperes, "effort of j1"),
+        (kelvin, "in °C"),
+    ],
+)
+def test_a_unit_that_is_another_is_found(change: Callable[[StructArray], None], told: str) -> None:
+    robot = TakesOneFieldFor(change)
+    robot.connect()
+    with pytest.raises(AssertionError, match=told):
+        rows_are_in_the_units_they_say(robot)
+
+
+def test_rows_at_another_rate_are_found() -> None:
+    robot = KinematicRobot(both(scaled("device_time", 1.05), scaled("qd", 1 / 1.05)))
+    robot.connect()
+    with pytest.raises(AssertionError, match=r"rows are 119 a second"):
+        rows_are_in_the_units_they_say(robot)
+
+
+def both(*changes: Callable[[StructArray], None]) -> Callable[[StructArray], None]:
+    def change(block: StructArray) -> None:
+        for each in changes:
+            each(block)
+
+    return change
+
+
+def pushed(robot: Robot) -> None:
+    assert isinstance(robot, MockRobot)
+    robot.push([200.0, 0, 0, 0, 0, 0])
+
+
+def test_a_fault_of_the_embedded_mock_surfaces_in_the_next_read() -> None:
+    left_out = [check.__name__ for check in (*BEFORE_AND_AFTER, *CONNECTED, *BENCH)]
+    done = robot_conformance(embedded_mock, leave_out=left_out, bench=Bench(fault=pushed))
+    assert done == tuple(check.__name__ for check in FAULTY)
+
+
+@pytest.mark.wire
+def test_a_fault_of_the_mock_in_its_own_process_surfaces_in_the_next_read() -> None:
+    faults = [{"kind": "protective_stop", "at_s": 1.0}]
+    robot = RobotProcess("mock", "bench", "ur5", {"clock": "wall", "faults": faults})
+
+    def waits(robot: Robot) -> None:
+        """It comes by itself."""
+
+    try:
+        a_fault_surfaces_in_the_next_read(robot, Bench(fault=waits))
+    finally:
+        robot.close()
+
+
+class FaultsIn(KinematicRobot):
+    """Shows a fault when it is asked for one, and raises so many reads later."""
+
+    def __init__(self, reads: int = 1, obeys: bool = False) -> None:
+        super().__init__()
+        self.faulty, self._left, self._obeys = False, reads, obeys
+
+    def read(self, timeout_s: float = 1.0) -> StructArray:
+        if self.faulty and self._left <= 0:
+            raise RobotFault("it has faulted")
+        block = super().read(timeout_s)
+        if self.faulty:
+            self._left -= 1
+            block["status"] |= int(Status.FAULT)
+        return block
+
+    def prepare(self, segment: Segment) -> None:
+        if self.faulty and not self._obeys:
+            raise CommandRefused("it has faulted")
+        super().prepare(segment)
+
+
+def strike(robot: Robot) -> None:
+    assert isinstance(robot, FaultsIn)
+    robot.faulty = True
+
+
+@pytest.mark.parametrize(
+    ("robot", "told"),
+    [
+        (lambda: FaultsIn(2), "read after them has not raised"),
+        (lambda: FaultsIn(1, obeys=True), "prepare after a fault"),
+    ],
+)
+def test_a_fault_that_is_told_late_or_not_minded_is_found(
+    robot: Callable[[], Robot], told: str
+) -> None:
+    with pytest.raises(AssertionError, match=told):
+        a_fault_surfaces_in_the_next_read(robot(), Bench(fault=strike))
+
+
+def test_a_fault_that_is_never_told_is_found() -> None:
+    with pytest.raises(AssertionError, match="no read has told the fault"):
+        a_fault_surfaces_in_the_next_read(KinematicRobot(), Bench(fault=lambda robot: None))
+
+
+def test_a_fault_that_is_told_is_what_is_asked_for() -> None:
+    a_fault_surfaces_in_the_next_read(FaultsIn(), Bench(fault=strike))
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"),
+    [(lambda asked: asked + 0.2, "on the wire after 200 ms"), (lambda asked: None, "no stop came")],
+)
+def test_a_stop_that_comes_late_or_never_is_found(
+    seen: Callable[[float], float | None], told: str
+) -> None:
+    with pytest.raises(NotConforming, match=told) as caught:
+        robot_conformance(KinematicRobot, bench=Bench(stop_seen=seen))
+    assert list(caught.value.failures) == ["a_stop_is_on_the_wire_in_time"]
+
+
 @pytest.mark.parametrize(
     ("robot", "check"),
     [
+        (BrakesSlowly, "stop_ends_a_move"),
+        (BrakesSlowly, "stop_ends_a_trajectory"),
+        (TakesAnything, "a_position_beyond_the_limits_is_refused"),
+        (TakesAnything, "a_velocity_beyond_the_limits_is_refused"),
+        (TakesAnything, "an_acceleration_beyond_the_limits_is_refused"),
         (KnowsNoLimit, "every_joint_has_limits_and_gains"),
         (InWallTime, "a_robot_in_wall_time_says_which_one_it_is"),
         (NamesNoAddress, "a_robot_in_wall_time_says_which_one_it_is"),
         (LacksGains, "every_joint_has_limits_and_gains"),
         (SlowToStop, "stop_works_before_connecting"),
         (SlowToStop, "stop_works_at_rest_and_again"),
-        (StopsNothing, "stop_ends_a_motion"),
+        (StopsNothing, "stop_ends_a_move"),
         (NamesNoSegment, "a_move_ends_where_it_was_told"),
         (RepeatsItself, "rows_are_state_rows_in_order"),
         (GoesElsewhere, "a_move_ends_where_it_was_told"),

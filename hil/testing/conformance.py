@@ -7,12 +7,22 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator, Sequence
 
 from hil.errors import HilError
 from hil.robot import Robot
+from hil.testing.bench import Bench
 from hil.testing.moves import settle
-from hil.testing.robot_checks import BEFORE_AND_AFTER, CONNECTED, Check
+from hil.testing.robot_checks import (
+    BEFORE_AND_AFTER,
+    BENCH,
+    CONNECTED,
+    FAULTY,
+    SEEN,
+    BenchCheck,
+    Check,
+)
 
 MakeRobot = Callable[[], Robot]
 
@@ -29,13 +39,16 @@ class NotConforming(AssertionError):
         self.failures = failures
 
 
-def robot_conformance(make_robot: MakeRobot, *, leave_out: Sequence[str] = ()) -> tuple[str, ...]:
+def robot_conformance(
+    make_robot: MakeRobot, *, leave_out: Sequence[str] = (), bench: Bench | None = None
+) -> tuple[str, ...]:
     """Check a driver against the robot protocol, moving its last joint by up to 0.4 rad at a time.
 
     Args:
         make_robot: Gives a robot that is not connected, a fresh one each time. It is connected,
             moved, stopped and closed; a real one needs room around it.
         leave_out: Checks that are not done.
+        bench: What there is beside the robot. What no bench can see or do is not checked.
 
     Returns:
         Names of the checks that were done.
@@ -43,11 +56,31 @@ def robot_conformance(make_robot: MakeRobot, *, leave_out: Sequence[str] = ()) -
     Raises:
         NotConforming: At least one of them failed.
     """
-    failures = dict(_alone(make_robot, _kept(BEFORE_AND_AFTER, leave_out)))
-    failures |= dict(_together(make_robot, _kept(CONNECTED, leave_out)))
+    bench = bench or Bench()
+    alone = _kept(BEFORE_AND_AFTER, leave_out)
+    together = _kept(
+        (*CONNECTED, *_at(bench, (*BENCH, *(SEEN if bench.stop_seen else ())))), leave_out
+    )
+    faulty = _kept(_at(bench, FAULTY if bench.fault else ()), leave_out)
+    failures = dict(_alone(make_robot, alone))
+    failures |= dict(_together(make_robot, together))
+    failures |= dict(_alone(make_robot, faulty))
     if failures:
         raise NotConforming(failures)
-    return tuple(check.__name__ for check in _kept((*BEFORE_AND_AFTER, *CONNECTED), leave_out))
+    return tuple(check.__name__ for check in (*alone, *together, *faulty))
+
+
+def _at(bench: Bench, checks: Sequence[BenchCheck]) -> list[Check]:
+    """The checks with their bench, under their own names."""
+
+    def bound(check: BenchCheck) -> Check:
+        @functools.wraps(check)
+        def at_the_bench(robot: Robot) -> None:
+            check(robot, bench)
+
+        return at_the_bench
+
+    return [bound(check) for check in checks]
 
 
 def _kept(checks: Sequence[Check], leave_out: Sequence[str]) -> list[Check]:

@@ -19,9 +19,15 @@ REST_RAD_S = 0.02
 REST_S = 5.0
 """At rest is slower than this, and has to be reached within that time."""
 
+LONG_WAY_RAD = 0.4
 AT_SET_POINT_RAD = 0.01
+SURE_S = 0.1
+"""An arm that stays at rest for so long is at rest [s]."""
+
 _UNDER_WAY_RAD = 0.02
 _PATIENCE_S = 3.0
+
+Kind = Literal["move", "trajectory", "hold"]
 
 _numbers = itertools.count(1)
 
@@ -33,17 +39,44 @@ def standing_at(robot: Robot) -> FloatArray:
     return np.where(np.abs(q - target) < AT_SET_POINT_RAD, target, q)
 
 
-def move(robot: Robot, way_rad: float) -> Segment:
+def room(robot: Robot) -> tuple[float, float]:
+    """How far the last joint can turn up and down from where it stands [rad]."""
+    q, limits = standing_at(robot)[-1], robot.limits
+    return float(limits.q_max[-1] - q), float(q - limits.q_min[-1])
+
+
+def move(robot: Robot, way_rad: float, kind: Literal["move", "trajectory"] = "move") -> Segment:
     """A slow line of the last joint from where the robot stands, to the side with more room."""
-    q, limits = standing_at(robot), robot.limits
-    goal = q.copy()
-    goal[-1] += way_rad if limits.q_max[-1] - q[-1] > q[-1] - limits.q_min[-1] else -way_rad
+    up, down = room(robot)
+    limits = robot.limits
     velocity = min(SPEED_RAD_S, float(limits.qd_max[-1]) / 2)
     acceleration = min(ACCELERATION_RAD_S2, float(limits.qdd_max[-1]) / 2)
+    return line(robot, way_rad if up > down else -way_rad, velocity, acceleration, kind)
+
+
+def line(
+    robot: Robot,
+    way_rad: float,
+    velocity: float,
+    acceleration: float,
+    kind: Literal["move", "trajectory"] = "move",
+) -> Segment:
+    """The last joint from where the robot stands to somewhere else, limits or not.
+
+    Args:
+        robot: At rest.
+        way_rad: Which way and how far.
+        velocity: At most, and reached when the way is long enough [rad/s].
+        acceleration: The same [rad/s²].
+        kind: Of the segment.
+    """
+    q, rate = standing_at(robot), robot.capabilities.rate_hz
+    goal = q.copy()
+    goal[-1] += way_rad
     ends = tuple(q.tolist()), tuple(goal.tolist())
-    rate = robot.capabilities.rate_hz
-    line = Line(*ends, velocity, acceleration, jerk=10 * acceleration, rate_hz=rate)
-    return _segment(robot, line, "move")
+    # As little as it takes to get to both: a jolt at the start might be refused by itself.
+    jerk = 1.2 * acceleration**2 / velocity
+    return _segment(robot, Line(*ends, velocity, acceleration, jerk, rate_hz=rate), kind)
 
 
 def hold(robot: Robot) -> Segment:
@@ -59,7 +92,7 @@ def begin(robot: Robot, segment: Segment) -> None:
     """
     robot.prepare(segment)
     robot.start()
-    for row in _rows(robot, _PATIENCE_S):
+    for row in rows_for(robot, _PATIENCE_S):
         if row["segment"] == segment.index and _way(row, segment) > _UNDER_WAY_RAD:
             return
     raise AssertionError(f"the robot has not moved within {_PATIENCE_S:g} s")
@@ -75,7 +108,7 @@ def follow(robot: Robot, segment: Segment) -> StructArray:
     robot.start()
     allowed = len(segment.q) / robot.capabilities.rate_hz * 1.5 + _PATIENCE_S
     mine = []
-    for row in _rows(robot, allowed):
+    for row in rows_for(robot, allowed):
         if row["segment"] == segment.index:
             mine.append(row)
             if not row["status"] & Status.MOVING:
@@ -92,13 +125,28 @@ def settle(robot: Robot) -> None:
     Raises:
         AssertionError: It does not come to rest in time.
     """
-    for row in _rows(robot, REST_S):
+    for row in rows_for(robot, REST_S):
         if not row["status"] & Status.MOVING and np.abs(row["qd"]).max() < REST_RAD_S:
             return
     raise AssertionError(f"the arm is not at rest {REST_S:g} s after stop")
 
 
-def _rows(robot: Robot, seconds: float) -> Iterator[np.void]:
+def rest_time(robot: Robot) -> float:
+    """Read until the arm has stayed at rest for a while; returns since when, device time [s].
+
+    Raises:
+        AssertionError: It does not come to rest in time.
+    """
+    since = np.inf
+    for row in rows_for(robot, REST_S):
+        now = float(row["device_time"])
+        since = min(since, now) if np.abs(row["qd"]).max() < REST_RAD_S else np.inf
+        if now - since >= SURE_S:
+            return since
+    raise AssertionError(f"the arm is not at rest {REST_S:g} s after stop")
+
+
+def rows_for(robot: Robot, seconds: float) -> Iterator[np.void]:
     """Rows for so long by the device clock and, where that is wall time, by ours."""
     wall = robot.capabilities.clock == "wall"
     until, last = time.monotonic() + seconds, np.inf
@@ -110,7 +158,7 @@ def _rows(robot: Robot, seconds: float) -> Iterator[np.void]:
             yield row
 
 
-def _segment(robot: Robot, motion: Motion, kind: Literal["move", "hold"]) -> Segment:
+def _segment(robot: Robot, motion: Motion, kind: Kind) -> Segment:
     samples = motion.sample(robot.capabilities.rate_hz)
     return Segment(
         index=next(_numbers),

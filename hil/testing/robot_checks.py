@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
 
-from hil.errors import HilError, RobotConnectionError, RobotError, RobotTimeout
+from hil.errors import RobotConnectionError, RobotError, RobotTimeout
 from hil.payload import Payload
-from hil.robot import HasResource, Robot, Status, state_dtype
-from hil.testing.moves import REST_RAD_S, begin, follow, hold, move, settle, standing_at
+from hil.robot import HasResource, Robot, Status
+from hil.testing.asserts import raises, stop_in_time
+from hil.testing.bench import Bench
+from hil.testing.limit_checks import (
+    a_position_beyond_the_limits_is_refused,
+    a_velocity_beyond_the_limits_is_refused,
+    an_acceleration_beyond_the_limits_is_refused,
+)
+from hil.testing.moves import REST_RAD_S, follow, hold, move, standing_at
+from hil.testing.stop_checks import (
+    a_fault_surfaces_in_the_next_read,
+    a_stop_is_on_the_wire_in_time,
+    stop_ends_a_move,
+    stop_ends_a_trajectory,
+    stop_works_at_rest_and_again,
+    stop_works_while_another_thread_reads,
+)
+from hil.testing.unit_checks import rows_are_in_the_units_they_say, rows_are_state_rows_in_order
 
 Check: TypeAlias = Callable[[Robot], None]
+BenchCheck: TypeAlias = Callable[[Robot, Bench], None]
 
-STOP_S = 0.1
-"""Wall time that `stop` may take [s]."""
-
-_WAY_RAD = 0.1
-_LONG_WAY_RAD = 0.4
 _AT_GOAL_RAD = 0.01
-_GRACE_S = 2.0
 
 
 def names_rates_and_limits_are_known_before_connecting(robot: Robot) -> None:
@@ -72,13 +82,13 @@ def a_robot_in_wall_time_says_which_one_it_is(robot: Robot) -> None:
 
 def nobody_is_there_before_connecting(robot: Robot) -> None:
     """`identity` and `read` raise `RobotConnectionError`."""
-    _raises(RobotConnectionError, lambda: robot.identity, "identity before connect")
-    _raises(RobotConnectionError, robot.read, "read before connect")
+    raises(RobotConnectionError, lambda: robot.identity, "identity before connect")
+    raises(RobotConnectionError, robot.read, "read before connect")
 
 
 def stop_works_before_connecting(robot: Robot) -> None:
     """There is nothing to stop, and it says nothing."""
-    _stop_in_time(robot, "before connect")
+    stop_in_time(robot, "before connect")
 
 
 def connecting_twice_is_connecting_once(robot: Robot) -> None:
@@ -96,20 +106,8 @@ def a_closed_robot_is_gone(robot: Robot) -> None:
     robot.read()
     robot.close()
     robot.close()
-    _stop_in_time(robot, "after close")
-    _raises(RobotConnectionError, robot.read, "read after close")
-
-
-def rows_are_state_rows_in_order(robot: Robot) -> None:
-    """`read` gives at least one row of `state_dtype(n)`; device time increases row by row."""
-    blocks = [robot.read() for _ in range(5)]
-    expected = state_dtype(len(robot.capabilities.joint_names))
-    for block in blocks:
-        assert len(block), "a block without rows"
-        assert block.dtype == expected, f"rows are {block.dtype}, not {expected}"
-    times = np.concatenate(blocks)["device_time"]
-    assert np.isfinite(times).all(), "a device time that is not a number"
-    assert (np.diff(times) > 0).all(), "device times repeat or run backwards"
+    stop_in_time(robot, "after close")
+    raises(RobotConnectionError, robot.read, "read after close")
 
 
 def a_robot_at_rest_holds(robot: Robot) -> None:
@@ -121,7 +119,7 @@ def a_robot_at_rest_holds(robot: Robot) -> None:
 
 def a_move_ends_where_it_was_told(robot: Robot) -> None:
     """Its rows carry its segment, `MOVING` ends at the goal."""
-    segment = move(robot, _WAY_RAD)
+    segment = move(robot, 0.1)
     mine = follow(robot, segment)
     off = np.abs(mine[-1]["q"] - segment.q[-1]).max()
     assert off < _AT_GOAL_RAD, f"ended {off:.4f} rad from where it was told to"
@@ -138,7 +136,7 @@ def a_hold_of_one_set_point_holds(robot: Robot) -> None:
 
 def what_was_not_prepared_does_not_start(robot: Robot) -> None:
     """`start` raises a `RobotError`, also when a segment was started before."""
-    _raises(RobotError, robot.start, "start with nothing prepared")
+    raises(RobotError, robot.start, "start with nothing prepared")
 
 
 def the_payload_is_read_back(robot: Robot) -> None:
@@ -156,40 +154,8 @@ def a_read_waits_no_longer_than_it_may(robot: Robot) -> None:
     with contextlib.suppress(RobotTimeout):
         robot.read(1e-4)
     took = time.monotonic() - asked
-    assert took < _GRACE_S, f"read(timeout_s=1e-4) took {took:.2f} s"
+    assert took < 2.0, f"read(timeout_s=1e-4) took {took:.2f} s"
     assert len(robot.read()), "a block without rows"
-
-
-def stop_works_at_rest_and_again(robot: Robot) -> None:
-    """`stop` is idempotent."""
-    for which in ("at rest", "at rest, the second time"):
-        _stop_in_time(robot, which)
-
-
-def stop_ends_a_motion(robot: Robot) -> None:
-    """It returns at once, the arm comes to rest before its goal, and can be moved again."""
-    segment = move(robot, _LONG_WAY_RAD)
-    begin(robot, segment)
-    _stop_in_time(robot, "while moving")
-    settle(robot)
-    left = np.abs(standing_at(robot) - segment.q[-1]).max()
-    assert left > _AT_GOAL_RAD, "the motion went on to its goal"
-    a_move_ends_where_it_was_told(robot)
-
-
-def stop_works_while_another_thread_reads(robot: Robot) -> None:
-    """No call in progress delays it."""
-    begin(robot, move(robot, _LONG_WAY_RAD))
-    over = threading.Event()
-    thread = threading.Thread(target=_read_until, args=(robot, over))
-    thread.start()
-    try:
-        time.sleep(0.05)
-        _stop_in_time(robot, "while another thread reads")
-    finally:
-        over.set()
-        thread.join()
-    settle(robot)
 
 
 BEFORE_AND_AFTER: tuple[Check, ...] = (
@@ -212,34 +178,23 @@ CONNECTED: tuple[Check, ...] = (
     what_was_not_prepared_does_not_start,
     the_payload_is_read_back,
     a_read_waits_no_longer_than_it_may,
+    rows_are_in_the_units_they_say,
+    a_position_beyond_the_limits_is_refused,
+    a_velocity_beyond_the_limits_is_refused,
+    an_acceleration_beyond_the_limits_is_refused,
     stop_works_at_rest_and_again,
-    stop_ends_a_motion,
     stop_works_while_another_thread_reads,
 )
 """Each leaves a connected robot at rest."""
 
+BENCH: tuple[BenchCheck, ...] = (
+    stop_ends_a_move,
+    stop_ends_a_trajectory,
+)
+"""The same, with a word about the robot's ramps."""
 
-def _raises(kind: type[HilError], call: Callable[[], object], what: str) -> None:
-    try:
-        call()
-    except kind:
-        return
-    except Exception as error:
-        raise AssertionError(
-            f"{what} raised {type(error).__name__}, not {kind.__name__}"
-        ) from error
-    raise AssertionError(f"{what} did not raise {kind.__name__}")
+SEEN: tuple[BenchCheck, ...] = (a_stop_is_on_the_wire_in_time,)
+"""The same, for a bench where somebody sees the wire."""
 
-
-def _stop_in_time(robot: Robot, when: str) -> None:
-    asked = time.perf_counter()
-    robot.stop()
-    took = time.perf_counter() - asked
-    assert took < STOP_S, f"stop {when} took {took * 1e3:.0f} ms"
-
-
-def _read_until(robot: Robot, over: threading.Event) -> None:
-    with contextlib.suppress(HilError):
-        while not over.is_set():
-            robot.read()
-            time.sleep(1e-3)  # what an engine does with the rows
+FAULTY: tuple[BenchCheck, ...] = (a_fault_surfaces_in_the_next_read,)
+"""Each needs a robot that is not connected, and a bench where it can be made to fault."""
