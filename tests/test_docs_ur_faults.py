@@ -1,0 +1,69 @@
+"""docs/reference/mock-ur-faults.md: its tables are complete, its file is one, its example runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+from ur_machine import Wire, machine_of
+from ur_mock import loopback
+
+from hil_mock_robot.ur.faults import KINDS, OWN_DURATION, Fault, read_faults
+from hil_mock_robot.ur.pacing import LockStep
+from hil_mock_robot.ur.side import SideService
+from hil_mock_robot.ur.troubles import Troubles
+from hil_mock_robot.ur.witness import SAFETY_FAULT, TOLD
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
+TEXT = (REFERENCE / "mock-ur-faults.md").read_text("utf-8")
+
+
+def section(name):
+    return TEXT.split(f"## {name}\n")[1].split("\n## ")[0]
+
+
+def block(language):
+    (found,) = re.findall(rf"```{language}\n(.*?)```", TEXT, re.S)
+    return found
+
+
+def rows():
+    found = re.findall(r"^\| `(\w+)` \| (.*?) \|", section("Kinds"), re.M)
+    return {kind: re.findall(r"`(\w+)`(?: \((.*?)\))?", keys) for kind, keys in found}
+
+
+def test_every_kind_is_there_with_its_keys():
+    told = {kind: {key for key, _ in keys} for kind, keys in rows().items()}
+    for kind in ("jitter", "late"):
+        told[kind].add("for_s")
+    assert told == {kind: set(keys) for kind, keys in KINDS.items()}
+
+
+def test_the_defaults_are_those_of_the_code():
+    for kind, keys in rows().items():
+        fault = Fault(kind, for_s=OWN_DURATION.get(kind, float("inf")))
+        for key, default in keys:
+            if default:
+                value = getattr(fault, key)
+                assert default.replace("−", "-") in (f"{value:g}", str(value).lower()), (kind, key)
+
+
+def test_every_request_and_event_is_there():
+    asked = set(re.findall(r'^\| `\{"do": "(\w+)"', section("Side channel"), re.M))
+    machine = machine_of()
+    session = SideService(1, machine, Troubles(machine), LockStep()).accept(Wire())
+    assert asked == set(session._answers)
+    journal = section("Journal")
+    assert all(f"`{SAFETY_FAULT.get(event, event)}`" in journal for event in TOLD)
+
+
+def test_the_file_is_one(tmp_path):
+    path = tmp_path / "faults.yaml"
+    path.write_text(block("yaml"), "utf-8")
+    assert [fault.kind for fault in read_faults(path)] == ["silence", "protective_stop", "reboot"]
+
+
+@pytest.mark.wire
+def test_the_example_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("faults.yaml").write_text(block("yaml"), "utf-8")
+    exec(compile(block("python"), "mock-ur-faults.md", "exec"), {"ADDRESS": loopback()})
