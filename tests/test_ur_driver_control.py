@@ -62,13 +62,47 @@ def open_control(monkeypatch):
         (lambda c: c.servo_j([0.0] * 6, 0.1, 300), "servoJ"),
         (lambda c: c.servo_stop(10.0), "servoStop"),
         (lambda c: c.set_payload(Payload(1.0)), "setPayload"),
-        (lambda c: c.begin_again(4.0), "reuploadScript"),
     ],
 )
 @pytest.mark.parametrize("answer", [False, None])
 def test_an_answer_that_is_not_true_is_an_error(open_control, command, said, answer):
     control = open_control(answer=answer)
     with pytest.raises(CommandRefused, match=said):
+        command(control)
+
+
+@pytest.mark.parametrize(
+    ("thrown", "error"),
+    [
+        (RuntimeError("unable to get state data"), RobotConnectionError),
+        (OverflowError("std::logic_error"), RobotConnectionError),
+        (ValueError("not within [0;3.14]"), CommandRefused),
+    ],
+)
+@pytest.mark.parametrize(
+    "command",
+    [
+        lambda c: c.kick(),
+        lambda c: c.move_j([0.0] * 6, 0.5, 1.0),
+        lambda c: c.servo_j([0.0] * 6, 0.1, 300.0),
+        lambda c: c.stop_j(6.0),
+        lambda c: c.servo_stop(10.0),
+        lambda c: c.operation,
+        lambda c: c.set_payload(Payload(1.0)),
+    ],
+)
+def test_whatever_the_library_throws_is_an_error_of_ours(open_control, command, thrown, error):
+    control = open_control()
+
+    class Throws:
+        def __getattr__(self, name):
+            def throw(*args):
+                raise thrown
+
+            return throw
+
+    control._rtde = Throws()
+    with pytest.raises(error, match="ur-rtde"):
         command(control)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import os
 import signal
@@ -22,7 +23,6 @@ from hil.errors import (
     RobotConnectionError,
     RobotFault,
     RobotTimeout,
-    StaleState,
 )
 from hil.robot import Segment, Status
 from hil_drivers.ur import motion
@@ -49,8 +49,12 @@ class Desk:
             while True:
                 client, _ = line.accept()
                 with client:
+                    if port == 29999:
+                        client.sendall(b"Connected: Universal Robots Dashboard Server\n")
                     while got := client.recv(4096):
                         self.said[port] += got
+                        if port == 29999:
+                            client.sendall(b"Stopped\n")
 
     def wait(self, port, text, within_s=2.0):
         until = time.monotonic() + within_s
@@ -205,9 +209,9 @@ def test_false_is_an_error_that_says_which_command(fake):
 def test_a_refused_set_point_ends_the_motion_and_is_told(fake):
     process = fake("refuse_servo")
     process.connect()
-    with pytest.raises(CommandRefused, match="servoJ"):
+    with pytest.raises(HilError, match="servoJ"):
         move_to_the_end(process, led())
-    assert "servoStop" in fake.commands()
+    assert fake.desk.wait(30003, b"stopj")
 
 
 def test_an_arm_that_does_not_follow_is_stopped(fake):
@@ -292,25 +296,118 @@ def _quietly(call):
 
 
 def test_a_stop_that_does_not_work_is_made_again_directly(fake):
+    """Nothing tells that a move obeys but the arm: the answer comes in any case."""
     process = fake("deaf_stop")
     process.connect()
     begin(process, move(2.0))
     time.sleep(0.1)
-    process.stop()
+    with pytest.raises(RobotTimeout):
+        process.stop()
     assert fake.desk.wait(30003, b"stopj(8.000)")
+
+
+def test_a_stop_that_hangs_is_not_said_to_be_made_and_is_made_again_directly(fake):
+    process = fake("hang_stop")
+    process.connect()
+    begin(process, move(2.0))
+    time.sleep(0.1)
+    asked = time.monotonic()
+    with pytest.raises(RobotTimeout):
+        process.stop()
+    assert time.monotonic() - asked < 0.1
+    assert fake.desk.wait(30003, b"stopj(8.000)")
+
+
+def test_a_refused_end_of_leading_is_made_directly(fake):
+    process = fake("refuse_stop")
+    process.connect()
+    begin(process, led(2.0, rows=500))
+    time.sleep(0.2)
+    with contextlib.suppress(RobotConnectionError):
+        process.stop()
+    assert fake.desk.wait(30003, b"stopj(8.000)")
+
+
+@pytest.mark.parametrize(("how", "segment"), [("throw_kick", move(2.0)), ("throw_servo", led())])
+def test_whatever_the_library_throws_ends_the_motion_and_is_told(fake, how, segment):
+    process = fake(how)
+    process.connect()
+    with pytest.raises(HilError, match="ur-rtde"):
+        move_to_the_end(process, segment)
+    assert fake.desk.wait(30003, b"stopj")
+
+
+def test_a_stop_that_throws_is_made_directly(fake):
+    process = fake("throw_stop")
+    process.connect()
+    begin(process, move(2.0))
+    time.sleep(0.1)
+    with contextlib.suppress(RobotConnectionError):
+        process.stop()
+    assert fake.desk.wait(30003, b"stopj(8.000)")
+
+
+def test_a_process_that_had_to_stop_the_arm_directly_ends_and_connecting_again_works(
+    fake, monkeypatch
+):
+    process = fake("deaf_stop")
+    process.connect()
+    begin(process, move(1.0))
+    time.sleep(0.1)
+    with pytest.raises(RobotTimeout):
+        process.stop()
+    with pytest.raises(RobotConnectionError, match="not come to rest"):
+        wait_until_over(process)
+    monkeypatch.setenv("UR_FAKE", "")
+    process.connect()
+    begin(process, move())
+    wait_until_over(process)
+
+
+@pytest.mark.parametrize("how", ["blink_move", "pause_move"])
+def test_a_program_that_does_not_play_for_one_tick_ends_the_session(fake, how):
+    """`ur-rtde` may have connected again by itself: what it commands then is not ours."""
+    process = fake(how)
+    process.connect()
+    with pytest.raises(HilError, match="robot program ended"):
+        move_to_the_end(process, move(2.0))
+    assert not process.alive
+    assert fake.desk.wait(30003, b"stopj")
+    assert how == "blink_move" or fake.desk.wait(29999, b"stop\n")
+
+
+def test_a_program_that_is_held_paused_is_ended_with_the_process(fake):
+    """It would go on with its old move as soon as a protective stop is unlocked."""
+    process = fake("pause_at_end")
+    process.connect()
+    begin(process, move(2.0))
+    process.close()
+    assert fake.desk.wait(29999, b"stop\n")
+
+
+def test_a_watchdog_that_cannot_be_armed_leaves_no_program_behind(fake):
+    process = fake("refuse_watchdog")
+    with pytest.raises(CommandRefused, match="setWatchdog"):
+        process.connect()
+    assert fake.commands()[-2:] == ["stopScript", "disconnect"]
+
+
+def test_a_move_without_speed_is_refused(fake):
+    process = fake()
+    process.connect()
+    slow = move()
+    process.prepare(dataclasses.replace(slow, speed=0.0))
+    with pytest.raises(CommandRefused, match="no speed"):
+        process.start()
 
 
 def test_silence_during_a_move_stops_it_directly_and_then_ends_the_process(fake):
     process = fake("silence_move")
     process.connect()
-    with pytest.raises(StaleState, match="has not said anything"):
+    with pytest.raises(RobotConnectionError, match="has not said anything"):
         move_to_the_end(process, move(2.0))
     assert fake.desk.wait(30003, b"stopj")
-    until = time.monotonic() + 3.0
-    while process.alive and time.monotonic() < until:
-        time.sleep(0.02)
-    with pytest.raises(RobotConnectionError, match="connection lost"):
-        process.look()
+    assert not process.alive
 
 
 def test_a_cut_connection_during_a_move_stops_it_directly_and_ends_the_process(fake):

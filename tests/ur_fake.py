@@ -46,6 +46,8 @@ class World:
         self.playing, self.operation, self.running = False, 0, False
         self.led = None
         self.silent = self.cut = False
+        self.stopped = 1
+        self.blinks = 0
         self.ticks = 0
         self.begun = time.monotonic()
 
@@ -69,7 +71,13 @@ class World:
             self.q = self.led.copy()
         if self.q is not before:
             self.qd = (self.q - before) * RATE_HZ
-        return (self.ticks / RATE_HZ, self.q, self.qd, 2 if self.playing else 1)
+        return (self.ticks / RATE_HZ, self.q, self.qd, self._state())
+
+    def _state(self):
+        if self.blinks:
+            self.blinks -= 1
+            return 1
+        return 2 if self.playing else self.stopped
 
     def stand(self):
         with self.lock:
@@ -116,10 +124,12 @@ class RTDEControlInterface:
 
     def setWatchdog(self, hz):  # noqa: N802
         note(f"watchdog {hz:g}")
-        return True
+        return not how("refuse_watchdog")
 
     def kickWatchdog(self):  # noqa: N802
         note("kick")
+        if how("throw_kick") and WORLD.running:
+            raise RuntimeError("basic_string::_M_create")
         return WORLD.playing
 
     def moveJ(self, q, speed, acceleration, asynchronous):  # noqa: N802
@@ -137,6 +147,10 @@ class RTDEControlInterface:
             WORLD.silent = True
         if how("cut_move"):
             WORLD.cut = True
+        if how("blink_move"):
+            WORLD.blinks = 1
+        if how("pause_move"):
+            WORLD.playing, WORLD.stopped = False, 4
         if how("program_ends"):
             WORLD.playing = False
             WORLD.stand()
@@ -144,6 +158,8 @@ class RTDEControlInterface:
 
     def servoJ(self, q, speed, acceleration, period, lookahead, gain):  # noqa: N802
         note(f"servoJ {q[5]:.4f} {period:.4f}")
+        if how("throw_servo"):
+            raise ValueError("the value is not within [0.03;0.2]")
         if not how("no_follow"):
             with WORLD.lock:
                 WORLD.led = np.array(q)
@@ -158,18 +174,17 @@ class RTDEControlInterface:
         note("stopJ")
         if how("hang_stop"):
             time.sleep(60)
+        if how("throw_stop"):
+            raise RuntimeError("unable to get state data for specified key: runtime_state")
         if not how("deaf_stop"):
             WORLD.stand()
 
     def stopScript(self):  # noqa: N802
         note("stopScript")
+        if how("pause_at_end"):
+            WORLD.stopped = 4
         WORLD.playing = False
         WORLD.stand()
-
-    def reuploadScript(self):  # noqa: N802
-        note("reupload")
-        WORLD.playing = True
-        return True
 
     def setPayload(self, mass, com):  # noqa: N802
         note(f"payload {mass:g} {com}")

@@ -63,9 +63,6 @@ def _require_within(where: str, segment: Segment, limits: Limits) -> None:
         raise _refused(f"{where} leaves the arm's joint range")
     _require_joints_within(where, "rad/s", segment.qd, limits.qd_max)
     _require_joints_within(where, "rad/s²", segment.qdd, limits.qdd_max)
-    goes = np.abs(q[-1] - q[0]).max() > AT_SET_POINT_RAD
-    if segment.kind == "move" and goes and not min(segment.speed, segment.acceleration) > 0:
-        raise _refused(f"{where} asks for no speed or no acceleration, and has a way to go")
     if not 0 <= segment.speed <= MOST_SPEED * SPEED_SLACK:
         raise _refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
     if not 0 <= segment.acceleration <= MOST_ACCELERATION:

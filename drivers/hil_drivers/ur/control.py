@@ -107,20 +107,6 @@ class Control:
             com[2] = NO_COM_M
         self._command("setPayload", payload.mass, com)
 
-    def begin_again(self, watchdog_hz: float, within_s: float = 5.0) -> None:
-        """Upload the program once more after we have stopped it ourselves.
-
-        Raises:
-            CommandRefused: It does not run.
-        """
-        self._command("reuploadScript")
-        until = time.monotonic() + within_s
-        while not self.playing:
-            if time.monotonic() > until:
-                raise self._refused("reuploadScript")
-            time.sleep(0.002)
-        self.arm_watchdog(watchdog_hz)
-
     def end(self) -> None:
         """End the program and let go of the inputs; takes half a second."""
         try:

@@ -9,13 +9,8 @@ import numpy as np
 
 from hil.errors import HilError
 from hil_drivers.ur.braking import Ramp
-from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.phases import UNDER_WAY, Phase
-
-OLD_BLOCKS = 2
-"""How many blocks of rows may hold some from before our program was uploaded again: one that was
-taken before, and one that had begun to gather."""
 
 
 class Course:
@@ -31,8 +26,6 @@ class Course:
         begun: Device time at which the newest motion began [s].
         failure: What ended it, told once.
         ramp: The newest stop.
-        replaced: Whether our program was ended by ourselves, and not uploaded again yet.
-        old_blocks: How many blocks of rows may still be from before it was uploaded again.
         asked: Whether a stop was asked for since the newest segment was prepared.
         obeyed: Whether the controller was seen to obey it.
         news: There is a new row, or a stop to be made.
@@ -46,7 +39,6 @@ class Course:
         self.begun = -np.inf
         self.failure: HilError | None = None
         self.ramp: Ramp | None = None
-        self.replaced, self.old_blocks = False, 0
         self.asked, self.obeyed, self.news = (threading.Event() for _ in range(3))
 
     @property
@@ -86,21 +78,3 @@ class Course:
     def fail(self, error: HilError) -> None:
         """Note what went wrong first."""
         self.failure = self.failure or error
-
-    def reborn(self) -> None:
-        """Our program plays again."""
-        self.replaced, self.old_blocks = False, OLD_BLOCKS
-
-    def stop_directly(self) -> None:
-        """By another program, which ends ours; the next segment uploads it again.
-
-        Where that was of no use, as in local control, by the dashboard too.
-        """
-        again, self.replaced = self.replaced, True
-        self.ramp = Ramp(self.newest, self._options, led=False)
-        self.ramp.told = True
-        told = stop_directly(self._options.address, self._options.stop_rad_s2)
-        if again:
-            told = stop_program(self._options.address) or told
-        if told:
-            self.obeyed.set()

@@ -45,13 +45,22 @@ class Hands:
         self._leading: Leading | None = None
 
     def move(self, segment: Segment) -> None:
-        """Begin a move of the controller's own to a segment's end."""
+        """Begin a move of the controller's own to a segment's end.
+
+        Raises:
+            CommandRefused: It would never get there, or has not accepted that.
+        """
         row = self.course.newest
         self._goal = segment.q[-1]
         self._before, _ = self._control.operation
         if off(row, self._goal) < AT_GOAL_RAD:
             self.course.rest()
             return
+        if not min(segment.speed, segment.acceleration) > 0.0:
+            raise CommandRefused(
+                f"segment {segment.index} has a way to go with no speed or no acceleration",
+                hint="plan it again",
+            )
         speed = min(segment.speed, MOST_SPEED)
         acceleration = min(segment.acceleration, MOST_ACCELERATION)
         self._control.move_j(self._goal.tolist(), speed, acceleration)
@@ -76,8 +85,6 @@ class Hands:
     def act(self, row: np.void) -> None:
         """Do what a row calls for."""
         course = self.course
-        if course.replaced:
-            return  # that is not our program any more
         if course.asked.is_set() and course.under_way:
             self.brake(row)
         elif course.phase is Phase.LED:

@@ -13,9 +13,9 @@ import numpy as np
 from hil.errors import HilError, RobotConnectionError, RobotFault, RobotTimeout, StaleState
 from hil.typing import StructArray
 from hil_drivers.ur.course import Course
-from hil_drivers.ur.direct_stop import stop_program
+from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.options import Options
-from hil_drivers.ur.phases import PLAYING, STOPPED, UNDER_WAY, Phase
+from hil_drivers.ur.phases import PLAYING, STOPPED, Phase
 
 LOOK_S = 0.02
 SILENT_S = 1.5
@@ -34,7 +34,7 @@ class Ticks(Protocol):
 
     @property
     def age_s(self) -> float:
-        """How long ago the newest one came [s]."""
+        """How long ago the controller's clock was last heard to go on [s]."""
 
     def take(self, timeout_s: float) -> StructArray:
         """All rows since the last call, at least one; raises `RobotTimeout`."""
@@ -45,8 +45,8 @@ class Lookout(threading.Thread):
 
     `ur-rtde` connects again by itself as soon as its own connection ends: it stops the program,
     uploads it once more without a watchdog, and repeats the command it was about to give. From
-    here that looks like a program that ends. Whatever ends it, this process goes before anything
-    can be commanded; whoever wants to go on connects again.
+    here that looks like a program that ends, or a command that fails. Whatever it is, this process
+    goes before anything more can be commanded; whoever wants to go on connects again.
 
     Args:
         ticks: Rows of the controller's state, none left out.
@@ -61,6 +61,7 @@ class Lookout(threading.Thread):
         super().__init__(name="hil-ur-lookout", daemon=True)
         self._ticks, self._course, self._options = ticks, course, options
         self._leave = leave
+        self._going = threading.Lock()
         self.ending = threading.Event()
 
     def run(self) -> None:
@@ -79,15 +80,16 @@ class Lookout(threading.Thread):
 
     def _see(self, rows: StructArray) -> None:
         course = self._course
-        course.newest, course.heard = rows[-1], time.monotonic()
+        # A state that is repeated is no news, so a controller that hangs is silent.
+        course.newest, course.heard = rows[-1], time.monotonic() - self._ticks.age_s
         ended = rows["runtime_state"] != PLAYING
-        if course.old_blocks:
-            course.old_blocks -= 1
-        elif ended.any() and not course.replaced:
+        if ended.any():
             return self._program_ended(rows[ended][0])
         if course.phase is Phase.BRAKING:
             self._watch_ramp(rows)
         course.news.set()
+        if self._ticks.age_s > self._options.late_s:
+            self._silent()
 
     def _watch_ramp(self, rows: StructArray) -> None:
         ramp, newest = self._course.ramp, rows[-1]
@@ -98,7 +100,12 @@ class Lookout(threading.Thread):
         if ramp.stands(newest):
             self._course.rest()
         elif ramp.overdue(newest):
-            self._course.stop_directly()
+            self.go(
+                RobotFault(
+                    "the arm has not come to rest in the time of its stop: it was stopped directly",
+                    hint="see to the robot itself, then connect again",
+                )
+            )
 
     def _silent(self) -> None:
         """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
@@ -106,47 +113,53 @@ class Lookout(threading.Thread):
         for_s = time.monotonic() - course.heard
         if self._ticks.age_s > SILENT_S:
             return self._lost(f"the controller has not said anything for {for_s:.1f} s")
-        if course.under_way and for_s > self._options.late_s:
-            course.fail(
+        allowed_s = FRESH_S if course.asked.is_set() else self._options.late_s
+        if course.under_way and for_s > allowed_s:
+            self.go(
                 StaleState(
                     f"the controller has not said anything for {for_s:.2f} s while the arm was "
                     "moving",
                     hint="check the network between this computer and the controller",
                 )
             )
-        stopped = course.failure is not None or (course.asked.is_set() and for_s > FRESH_S)
-        if stopped and course.turn(Phase.BRAKING, out_of=UNDER_WAY):
-            course.stop_directly()
 
     def _program_ended(self, row: np.void) -> None:
         """A program that is only paused would go on with its old move once it is let."""
-        state = int(row["runtime_state"])
         at = f"at device time {float(row['timestamp']):.3f} s"
-        self._go(
+        self.go(
             RobotFault(
                 f"the robot program ended {at}",
                 hint="look for a stop or a message at the teach pendant, connect again; `hil "
                 "resume` goes on at the last checkpoint",
             ),
-            paused=state != STOPPED,
+            paused=int(row["runtime_state"]) != STOPPED,
         )
 
     def _lost(self, why: str) -> None:
-        self._go(
+        self.go(
             RobotConnectionError(
                 f"connection lost: {why}", hint="check the network, then connect again"
             )
         )
 
-    def _go(self, error: HilError, *, paused: bool = False) -> None:
-        """Stop the arm, and leave before `ur-rtde` goes on by itself."""
-        if self.ending.is_set():
-            return
-        self.ending.set()
+    def go(self, error: HilError, *, paused: bool = False) -> None:
+        """Stop the arm without `ur-rtde`, and leave before that does anything more; once.
+
+        Args:
+            error: Why; the last word of this process.
+            paused: Whether the program may be let go on by somebody, and must be ended.
+        """
+        with self._going:
+            if self.ending.is_set():
+                return
+            self.ending.set()
+        options, told = self._options, False
         if self._course.phase is not Phase.IDLE:
-            self._course.stop_directly()
+            told = stop_directly(options.address, options.stop_rad_s2)
         if paused:
-            stop_program(self._options.address)
+            told = stop_program(options.address) or told
+        if told:
+            self._course.obeyed.set()
         self._course.fail(error)
         print(error.message, file=sys.stderr, flush=True)  # noqa: T201
         self._leave(LOST_EXIT)

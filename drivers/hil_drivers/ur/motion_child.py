@@ -30,16 +30,9 @@ REST_S = 3.0
 LAST_ROW_S = 0.2
 
 PROGRESS = np.dtype(
-    [
-        ("device_time", "<f8"),
-        ("begun", "<f8"),
-        ("qd", "<f8", (6,)),
-        ("status", "<i4"),
-        ("replaced", "<i4"),
-    ]
+    [("device_time", "<f8"), ("begun", "<f8"), ("qd", "<f8", (6,)), ("status", "<i4")]
 )
-"""One row per `read`: the controller's time now, when the newest motion began, how it stands, and
-whether our program was ended by ourselves and is not to be missed."""
+"""One row per `read`: the controller's time now, when the newest motion began, how it stands."""
 
 
 class UrMotion:
@@ -151,9 +144,7 @@ class UrMotion:
             raise failure
         status = Status.HOLDING if phase is Phase.IDLE else Status.MOVING
         told = np.zeros(1, PROGRESS)
-        told[0] = (
-            row["timestamp"], course.begun, row["target_qd"], int(status), course.replaced
-        )  # fmt: skip
+        told[0] = (row["timestamp"], course.begun, row["target_qd"], int(status))
         return told
 
     def stop(self) -> None:

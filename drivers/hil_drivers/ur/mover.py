@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hil.errors import CommandRefused, HilError, RobotFault, RobotTimeout
+from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Segment
 from hil_drivers.ur.control import Control
 from hil_drivers.ur.course import Course
 from hil_drivers.ur.hands import Hands
 from hil_drivers.ur.lookout import LOOK_S, Lookout, Ticks
 from hil_drivers.ur.options import Options
-from hil_drivers.ur.phases import UNDER_WAY, Phase
+from hil_drivers.ur.phases import Phase
 
 OBEY_WITHIN_S = 0.05
 """How soon the controller must be seen to obey a stop; whoever asked has other ways [s]."""
@@ -46,7 +46,7 @@ class Mover(threading.Thread):
         leave: Callable[[int], object] = os._exit,
     ) -> None:
         super().__init__(name="hil-ur-mover", daemon=True)
-        self._control, self._options = control, options
+        self._control = control
         self._using = threading.Lock()
         self.course = Course(ticks.take(1.0)[-1], options)
         self._hands = Hands(control, self.course, options, frequency_hz)
@@ -89,7 +89,6 @@ class Mover(threading.Thread):
         if self.course.phase is not Phase.IDLE:
             raise CommandRefused("the arm is moving", hint="wait until the motion is over")
         with self._using:
-            self._ready()
             what(self._control)
 
     def stop(self) -> None:
@@ -104,7 +103,7 @@ class Mover(threading.Thread):
         if course.phase is Phase.IDLE or course.obeyed.wait(OBEY_WITHIN_S):
             return
         if self.alone:
-            course.stop_directly()
+            self._lookout.go(RobotFault("nobody is there, and the program does not stop the arm"))
             return
         raise RobotTimeout("the program does not stop the arm in time", hint="stop it directly")
 
@@ -125,18 +124,13 @@ class Mover(threading.Thread):
             if course.asked.is_set():
                 raise CommandRefused("stopped before it was started", hint="prepare it again")
             with self._using:
-                self._ready()
                 course.begun = float(course.newest["timestamp"])
                 yield
-        except BaseException:
+        except BaseException as error:
+            if isinstance(error, RobotConnectionError):
+                self._lookout.go(error)
             course.rest()
             raise
-
-    def _ready(self) -> None:
-        """Upload the program again if it was us who ended it; nobody else's stop is undone."""
-        if self.course.replaced:
-            self._control.begin_again(self._options.watchdog_hz)
-            self.course.reborn()
 
     def _tick(self, row: np.void) -> None:
         if not self._using.acquire(blocking=False):
@@ -151,12 +145,13 @@ class Mover(threading.Thread):
             self._using.release()
 
     def _fail(self, error: HilError) -> None:
-        """Note why a motion ended, and end it."""
+        """End a motion that does not go as it should; where the library does not, the session."""
         course = self.course
+        if not isinstance(error, RobotFault):
+            self._lookout.go(error)
+            return
         course.fail(error)
-        if course.under_way:
-            with contextlib.suppress(Exception):
-                self._hands.brake(course.newest)
-        untold = course.phase is Phase.BRAKING and not (course.ramp and course.ramp.told)
-        if untold or course.turn(Phase.BRAKING, out_of=UNDER_WAY):
-            course.stop_directly()
+        try:
+            self._hands.brake(course.newest)
+        except HilError as worse:
+            self._lookout.go(worse)

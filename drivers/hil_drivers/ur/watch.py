@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.errors import HilError, RobotConnectionError
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.ur.faults import PAUSED, PAUSING, complaints, first_fault
@@ -22,6 +22,14 @@ UPLOAD_GRACE_S = 0.1
 """How much later than the beginning of a motion the program that makes it may be seen to play,
 where it had to be uploaded again: two connections tell of it [s]."""
 
+EXPLAINED_S = 0.05
+"""How long the end of the process that moves the arm waits for rows that explain it: it sees them
+by a connection of its own, and leaves when the controller has ended its program [s]."""
+
+OURS_FOR_S = 3.0
+"""How long after the end of our program a fault is still ours to deal with [s]; whoever stands at
+the pendant may start another one then."""
+
 
 class Watch:
     """Knows how the arm stands, from when it was connected to the first fault.
@@ -35,7 +43,7 @@ class Watch:
         replaced: Whether our program was ended by ourselves, and is not to be missed.
         severed: Whether the process that moves the arm was passed over when the arm was stopped:
             its program is gone without its doing, and it ends.
-        ours: Whether what the controller plays, or holds paused, is still our program.
+        gone_at: Device time at which our program was seen to have ended; None while it was not [s].
         problem: What was found wrong and is to be told, once.
     """
 
@@ -44,8 +52,9 @@ class Watch:
         self._standing = Standing()
         self._stopped_by: float | None = None
         self._plays_from = -np.inf
+        self._left: tuple[float, HilError] | None = None
         self.faulty = self.halted = self.replaced = self.severed = False
-        self.ours = True
+        self.gone_at: float | None = None
         self.problem: HilError | None = None
 
     @property
@@ -60,7 +69,7 @@ class Watch:
         if not moves:
             return
         if self.replaced:
-            self._plays_from, self.ours = at + UPLOAD_GRACE_S, True
+            self._plays_from, self.gone_at = at + UPLOAD_GRACE_S, None
         self._stopped_by, self.replaced = None, False
 
     def stopping(self, row: Any) -> None:
@@ -85,12 +94,13 @@ class Watch:
         moved = self.moving
         if moved and told is not None and not int(told["status"]) & Status.MOVING:
             self._standing.end(float(told["device_time"]))
-        if told is not None and told["replaced"]:
-            self.replaced = True
+        # The process that moves the arm has other ways to stop it, too.
+        self.replaced |= told is not None and bool(told["replaced"])
         ought = np.asarray(raw["timestamp"] > self._plays_from)
-        if (ought & ~program_running(raw)).any():
-            self.ours = False
-        self.found(first_fault(raw, ought & (not self.replaced)) or error)
+        ended = ought & ~program_running(raw)
+        if self.gone_at is None and ended.any():
+            self.gone_at = float(raw["timestamp"][int(ended.argmax())])
+        self.found(first_fault(raw, ought & (not self.replaced)) or self._unexplained(raw, error))
         if self.moving and self.halted and still(raw[-1]):
             # Who moved it may not be there any more to say that the motion is over.
             self._standing.end(float(raw["timestamp"][-1]))
@@ -110,11 +120,20 @@ class Watch:
 
     def must_not_go_on(self, row: Any) -> bool:
         """Whether that raw row shows our program held by a stop that somebody may lift."""
-        if row is None or not self.faulty or not self.ours:
+        if row is None or not self.faulty or self.gone_at is not None:
             return False
         # For some ticks after a protective stop the program may still be said to play.
         held = int(program_state(row.reshape(1))[0]) in (PAUSING, PAUSED) or complaints(row)
         return bool(held)
+
+    def is_for_others(self, row: Any) -> bool:
+        """Whether what moves the arm, if anything does, is not ours to stop any more.
+
+        Shortly after our program has ended it may be that `ur-rtde` has uploaded it again.
+        """
+        if row is None or not self.faulty or self.gone_at is None:
+            return False
+        return float(row["timestamp"]) - self.gone_at > OURS_FOR_S
 
     def stop_has_failed(self, raw: StructArray) -> bool:
         """Whether the arm still moved when it ought to have come to rest; said once.
@@ -134,3 +153,11 @@ class Watch:
         self._standing.stamp(rows)
         if self.faulty:
             rows["status"][-1] |= Status.FAULT
+
+    def _unexplained(self, raw: StructArray, error: HilError | None) -> HilError | None:
+        """An error of the process that moves the arm; that it has ended, after a moment only."""
+        if not isinstance(error, RobotConnectionError):
+            return error
+        now = float(raw["timestamp"][-1])
+        since, first = self._left = self._left or (now, error)
+        return first if now - since >= EXPLAINED_S else None
