@@ -222,7 +222,12 @@ def test_servoj_and_speedj_in_a_program(station):
         (["x = " + "1+" * 500 + "1"], "nested too deeply"),
         (["def f():", " f()", "end", "f()"], "too deeply"),
         (["write_output_integer_register(99, 1)"], "whole number"),
-        (["movec(1, 2)"], "does not know this motion"),
+        (["movec(1, 2)"], "six numbers are needed"),
+        (["servoc(1, 2)"], "does not know this motion"),
+        (["x = sqrt(-1)"], "line 2: sqrt(-1)"),
+        (["x = pow(-8, 0.5)"], "line 2: pow(-8, 0.5)"),
+        (["x = 1 xor 2"], "line 2: True or False is needed"),
+        (["socket_open(1)"], "line 2: there is no function 'socket_open'"),
     ],
 )
 def test_what_cannot_be_ends_the_program_with_its_line(station, lines, said):

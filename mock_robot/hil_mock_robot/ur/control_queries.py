@@ -14,7 +14,7 @@ import numpy as np
 from hil.errors import CommandRefused
 from hil.typing import FloatArray
 from hil_mock_robot.ur.kinematics import jacobian, pose_of, pose_trans
-from hil_mock_robot.ur.moving import is_steady, joints_of, pose_at, within_limits
+from hil_mock_robot.ur.moving import is_steady, joint_torques, joints_of, pose_at, within_limits
 from hil_mock_robot.ur.threaded import Steps
 
 if TYPE_CHECKING:
@@ -109,10 +109,7 @@ def _step_time(script: ControlScript) -> None:
 
 
 def _joint_torques(script: ControlScript) -> None:
-    """What the motors deliver beyond what the controller's model needs for the motion."""
-    machine = script.machine
-    beyond = machine.reading.current - machine.reading.current_target
-    script.registers.put_doubles(0, np.nan_to_num(machine.body.arm.drive_gains * beyond))
+    script.registers.put_doubles(0, joint_torques(script.machine))
 
 
 def _is_steady(script: ControlScript) -> None:

@@ -83,6 +83,12 @@ def stop_line(program: Threaded, deceleration: float) -> Steps:
     return program.drive(lambda: StopL(machine.body.arm, machine.tcp, rate, machine.tick_s))
 
 
+def joint_torques(machine: Machine) -> FloatArray:
+    """(6,) what the motors deliver beyond what the controller's model needs [N·m]."""
+    beyond = machine.reading.current - machine.reading.current_target
+    return np.nan_to_num(machine.body.arm.drive_gains * beyond)
+
+
 def is_steady(machine: Machine) -> bool:
     """Whether nothing moves, nor is about to."""
     commanded = bool(machine.setpoint[1].any())

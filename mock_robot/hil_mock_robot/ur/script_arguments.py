@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hil.errors import CommandRefused
 
+if TYPE_CHECKING:
+    from hil_mock_robot.ur.script_evaluation import Evaluator
+    from hil_mock_robot.ur.script_values import Value
+
 Given: TypeAlias = Sequence[Any]
 Named: TypeAlias = Mapping[str, Any]
+Answer: TypeAlias = "Callable[[Evaluator, Given, Named], Value]"
+"""A function that only returns something."""
 
 
 def bound(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Generator, Sequence
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import CommandRefused
@@ -43,6 +44,7 @@ class Evaluator(Threaded):
     Attributes:
         registers: Known from `begin` on.
         servo: What a `servoj` before this one has left behind.
+        random: Numbers that are the same in every run.
     """
 
     registers: Registers
@@ -50,6 +52,7 @@ class Evaluator(Threaded):
     def __init__(self, name: str, *, patient: bool = True) -> None:
         super().__init__(name, patient=patient)
         self.servo: ServoJ | None = None
+        self.random = Random(name)  # noqa: S311 — no secrets depend on it
         self._functions: dict[str, Statement] = {}
         self._scopes: list[dict[str, Value]] = [{}]
         self._steps = 0
@@ -99,6 +102,8 @@ class Evaluator(Threaded):
                 left = yield from self._value(node.left)
                 right = yield from self._value(node.right)
                 yield from self._count(effort(left))
+                if isinstance(node.op, ast.BitXor):
+                    return truth(left) is not truth(right)
                 return combined(type(node.op), left, right)
             case ast.UnaryOp() | ast.BoolOp() | ast.Compare():
                 return (yield from self._logic(node))

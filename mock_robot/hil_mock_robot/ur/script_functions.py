@@ -162,7 +162,8 @@ ACTIONS: dict[str, Action] = {
     "write_output_integer_register": _write_integer,
     **dict.fromkeys(
         ("end_force_mode", "force_mode", "force_mode_set_damping", "force_mode_set_gain_scaling",
-         "set_analog_outputdomain", "set_gravity", "set_tool_voltage", "zero_ftsensor"),
+         "set_analog_outputdomain", "set_gravity", "set_tool_output_mode", "set_tool_voltage",
+         "zero_ftsensor"),
         _nothing,
     ),
 }  # fmt: skip

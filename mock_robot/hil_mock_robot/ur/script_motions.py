@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from hil.errors import CommandRefused
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.motions import Leg
-from hil_mock_robot.ur.moving import speed_motion, stop_joints, stop_line
+from hil_mock_robot.ur.moving import pose_at, speed_motion, stop_joints, stop_line
+from hil_mock_robot.ur.path import follow
+from hil_mock_robot.ur.script_arcs import arc_legs
 from hil_mock_robot.ur.script_arguments import Given, Named, bound
-from hil_mock_robot.ur.script_values import Pose, number, six
+from hil_mock_robot.ur.script_values import Pose, integer, number, six
 from hil_mock_robot.ur.servoing import ServoJ
 from hil_mock_robot.ur.threaded import Steps
 
@@ -97,6 +99,24 @@ def _ticks(machine: Machine, seconds: float) -> int:
     return max(1, round(seconds / machine.tick_s))
 
 
+def _movec(program: Evaluator, given: Given, named: Named) -> Steps:
+    """It stops at its end: nothing is blended into what follows."""
+    optional = {"a": 1.2, "v": 0.25, "r": 0.0, "mode": 0}
+    via, to, a, v, _, mode = bound("movec", given, named, ["pose_via", "pose_to"], optional)
+    machine = program.machine
+    start = pose_at(machine, machine.setpoint[0]).tolist()
+    targets = _pose(machine, via), _pose(machine, to)
+    fixed = integer(mode, 0, 1) == 1
+    return follow(program, arc_legs(start, *targets, number(v), number(a), fixed=fixed))
+
+
+def _pose(machine: Machine, where: Any) -> tuple[float, ...]:
+    """Where to: a pose, or the joints that lead there."""
+    if isinstance(where, Pose):
+        return six(where)
+    return tuple(map(float, pose_at(machine, six(where))))
+
+
 def _sleep(program: Evaluator, given: Given, named: Named) -> Steps:
     (t,) = bound("sleep", given, named, ["t"])
     return program.wait(_ticks(program.machine, number(t)))
@@ -112,7 +132,7 @@ def _unknown_motion(program: Evaluator, given: Given, named: Named) -> Steps:
 
 
 MOTIONS: dict[str, Motions] = {
-    "movec": _unknown_motion,
+    "movec": _movec,
     "servoc": _unknown_motion,
     "servoj": _servoj,
     "sleep": _sleep,

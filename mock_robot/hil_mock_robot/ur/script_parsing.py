@@ -155,13 +155,23 @@ def expression(number: int, text: str) -> ast.expr:
     if text.isidentifier() and not iskeyword(text):
         return ast.Name(text, ast.Load())
     try:
-        parsed = ast.parse(text, mode="eval").body
+        parsed = ast.parse(_with_xor(text), mode="eval").body
         # Nothing that is shorter than that can be deeper, and most lines are.
         if len(text) > DEEPEST_EXPRESSION // 2 and _depth(parsed) > DEEPEST_EXPRESSION:
             raise ScriptError(number, "the expression is nested too deeply")
         return parsed
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ScriptError(number, f"syntax error at {text[:40]!r}", syntax=True) from error
+
+
+def _with_xor(text: str) -> str:
+    """The text with the one operator that Python writes otherwise."""
+    if "xor" not in text:
+        return text
+    return "".join(
+        part if part.startswith('"') else re.sub(r"\bxor\b", "^", part)
+        for part in re.split(r'("[^"]*")', text)
+    )
 
 
 def _depth(root: ast.expr) -> int:

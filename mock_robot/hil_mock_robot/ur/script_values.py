@@ -96,20 +96,17 @@ def shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)[:200]
 
 
-def listed(values: list[Any]) -> int:
-    """How many elements a list has, with those of the lists in it.
+def listed(values: list[Any]) -> None:
+    """Look whether a list is one that a program may have.
 
     Raises:
         CommandRefused: They are too many, or lists are too deep in each other.
     """
-    count = 0
-    for each in values:
-        if isinstance(each, list) and any(isinstance(inner, list) for inner in each):
-            raise CommandRefused("lists are nested too deeply")
-        count += len(each) if isinstance(each, list) else 1
-        if count > MOST_ELEMENTS:
-            raise CommandRefused(f"a list has more than {MOST_ELEMENTS} elements")
-    return count
+    inner = [each for each in values if isinstance(each, list)]
+    if any(isinstance(each, list) for every in inner for each in every):
+        raise CommandRefused("lists are nested too deeply")
+    if len(values) + sum(map(len, inner)) > MOST_ELEMENTS:
+        raise CommandRefused(f"a list has more than {MOST_ELEMENTS} elements")
 
 
 def copied(value: Any) -> Any:
@@ -126,8 +123,9 @@ def copied(value: Any) -> Any:
 
 def effort(value: Any) -> int:
     """Steps that it takes to go through a value."""
-    return 1 + (sum(len(each) if isinstance(each, list) else 1 for each in value) // 10
-                if isinstance(value, list) else 0)  # fmt: skip
+    if not isinstance(value, list):
+        return 1
+    return 1 + sum(len(each) if isinstance(each, list) else 1 for each in value) // 10
 
 
 def constant(value: Any) -> Value:
