@@ -228,6 +228,8 @@ class UrRobot:
     def stop(self) -> None:
         """Bring the arm to rest: by the program that moves it, else by one that replaces it.
 
+        Seconds after our program was ended by somebody else, their programs are left alone.
+
         Raises:
             RobotConnectionError: Nobody could be told.
         """
@@ -237,6 +239,8 @@ class UrRobot:
         self._prepared = None
         newest = self._controller.receiver.newest
         row = None if newest is None else newest[0]
+        if self._watch.is_for_others(row):
+            return
         self._watch.stopping(row)
         try:
             self._motion.stop()
@@ -270,8 +274,7 @@ class UrRobot:
         try:
             told = None if self._watch.severed else self._motion.look()[0]
         except HilError as caught:
-            # It has seen rows that are newer than these, and ends where they show a fault.
-            error = self._watch.seen(self._controller.receiver.newest) or caught
+            error = caught
         ended = self._watch.look(raw, told, error)
         if self._watch.stop_has_failed(raw):
             self._watch.severed = True

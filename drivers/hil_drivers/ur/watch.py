@@ -94,8 +94,6 @@ class Watch:
         moved = self.moving
         if moved and told is not None and not int(told["status"]) & Status.MOVING:
             self._standing.end(float(told["device_time"]))
-        # The process that moves the arm has other ways to stop it, too.
-        self.replaced |= told is not None and bool(told["replaced"])
         ought = np.asarray(raw["timestamp"] > self._plays_from)
         ended = ought & ~program_running(raw)
         if self.gone_at is None and ended.any():
@@ -105,13 +103,6 @@ class Watch:
             # Who moved it may not be there any more to say that the motion is over.
             self._standing.end(float(raw["timestamp"][-1]))
         return moved and not self.moving
-
-    def seen(self, raw: StructArray | None) -> HilError | None:
-        """What is wrong by the newest raw row (1,), which may not have been taken yet."""
-        if raw is None:
-            return None
-        ought = np.asarray(raw["timestamp"] > self._plays_from) & (not self.replaced)
-        return first_fault(raw, ought)
 
     def found(self, problem: HilError | None) -> None:
         """Note what is wrong; the first one explains."""
