@@ -22,8 +22,8 @@ from hil.errors import (
 from hil.excite.motion import Line
 from hil.payload import Payload
 from hil.robot import Segment, Status
-from hil.testing.conformance import robot_conformance
 from hil.testing.moves import begin, follow, hold, move, settle, standing_at
+from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
 from hil_drivers.ur.rows import TOPIC
 
@@ -101,10 +101,6 @@ def first(journal, event, after=0.0, **details):
         if late_enough and all(line.get(key) == value for key, value in details.items()):
             return line
     raise AssertionError(f"no {event} {details} in {[line['event'] for line in journal][-30:]}")
-
-
-def test_it_keeps_the_contract_of_a_robot(mock):
-    robot_conformance(lambda: UrRobot("arm", "ur5", address=mock.address, **SLOW))
 
 
 def test_every_state_of_the_controller_arrives_once(robot):
@@ -208,8 +204,8 @@ def test_nobody_there_is_told_with_what_to_look_at():
     assert caught.value.hint
 
 
-def test_a_second_driver_is_told_who_owns_the_inputs(mock, robot):
-    with pytest.raises(RobotConnectionError, match="owns the inputs"):
+def test_a_second_driver_is_told_that_somebody_drives_the_arm(mock, robot):
+    with pytest.raises(RobotFault, match="a program is running"):
         UrRobot("arm", "ur5", address=mock.address, **SLOW).connect()
     follow(robot, move(robot, 0.05))
 
@@ -276,6 +272,70 @@ def test_a_motion_process_that_hangs_does_not_either(tmp_path):
         finally:
             os.kill(robot._motion.pid, signal.SIGCONT)
         settle(robot)
+        with pytest.raises(RobotFault, match="replaced"):
+            robot.prepare(move(robot, 0.1))
+        robot.connect()
+        follow(robot, move(robot, 0.1))
+
+
+FAST_RAD_S = 2.9
+FAST = {
+    "move": lambda r: turn(r, "move"),
+    "trajectory": lambda r: turn(r, "trajectory"),
+}
+
+
+def turn(robot, kind, way=4.0):
+    """The last joint turned at nearly full speed."""
+    q = standing_at(robot)
+    goal = q.copy()
+    goal[-1] += way if q[-1] < 0 else -way
+    rate = robot.capabilities.rate_hz
+    line = Line(tuple(q.tolist()), tuple(goal.tolist()), FAST_RAD_S, 6.0, jerk=60.0, rate_hz=rate)
+    samples = line.sample(rate)
+    return Segment(41, kind, samples.q, samples.qd, samples.qdd, FAST_RAD_S, 6.0)
+
+
+@pytest.mark.parametrize("kind", FAST)
+def test_a_stop_out_of_full_speed_is_over_before_the_watchdog_bites(kind, tmp_path):
+    usual = {"watchdog_hz": Options("").watchdog_hz}
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running, **usual) as robot:
+        begin(robot, FAST[kind](robot))
+        while max(map(abs, running.side("state")["qd_target"])) < 0.98 * FAST_RAD_S:
+            robot.read()
+        asked = time.monotonic()
+        robot.stop()
+        settle(robot)
+        time.sleep(1.0)
+        said = [e["event"] for e in running.journal() if e["monotonic_s"] > asked]
+        assert not {"watchdog", "program_stopped"} & set(said), said
+        assert first(running.journal(), "stop", after=asked)["monotonic_s"] - asked < STOP_S
+        follow(robot, move(robot, 0.1))
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_library_that_connects_again_by_itself_has_nothing_left_to_command(kind, tmp_path):
+    """Only its connection ends, ours tells on: it would repeat what it was about to command."""
+    with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
+        begin(robot, MOTIONS[kind](robot))
+        pid = robot._motion.pid
+        running.side("fault", kind="cut", only="inputs")
+        error, _ = until_it_raises(robot)
+        assert isinstance(error, HilError)
+        with contextlib.suppress(RobotConnectionError):
+            robot.stop()
+        time.sleep(1.5)
+        assert not robot._motion.alive, pid
+        journal = running.journal()
+        began = first(journal, "fault", kind="cut")["monotonic_s"]
+        after = [e for e in journal if e["monotonic_s"] > began]
+        stops = [e for e in after if e["event"] in ("stop", "watchdog", "program_stopped")]
+        assert stops, after
+        late = [e for e in after if e["monotonic_s"] > stops[0]["monotonic_s"]]
+        assert not [e for e in late if e["event"] == "start"], late
+        assert max(map(abs, running.side("state")["qd_target"])) < 1e-6
+        robot.connect()
+        follow(robot, move(robot, 0.1))
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
