@@ -307,15 +307,11 @@ def test_what_has_stopped_the_program_is_told_before_that_it_has_stopped():
     assert "an emergency stop" in standing.problem.message
 
 
-def test_a_program_that_we_have_replaced_is_not_missed_until_it_is_there_again():
+def test_a_program_that_we_have_replaced_is_not_missed():
     standing = watch()
     standing.replaced = True
     standing.look(block(raw(runtime=1), raw(runtime=1)), None, None)
-    standing.begun(3, 10.008, moves=True)
-    standing.look(block(*[raw(runtime=1)] * 4, *[raw()] * 20), None, None)
     assert not standing.faulty
-    standing.look(block(*[raw()] * 20, raw(runtime=1), raw()), None, None)
-    assert "program is stopped" in standing.problem.message
 
 
 def test_a_stop_has_failed_when_the_arm_moves_as_it_ought_to_stand_and_not_when_it_does_later():
@@ -341,6 +337,36 @@ def test_only_our_own_program_is_kept_from_going_on():
     assert not watch().must_not_go_on(raw(runtime=4)), "there is no fault"
 
 
+@pytest.mark.parametrize(
+    ("then", "said"), [(raw(runtime=1), "program is stopped"), (raw(), "it has died")]
+)
+def test_that_the_process_next_door_has_left_waits_for_the_row_that_explains_it(then, said):
+    standing, died = watch(), RobotConnectionError("it has died")
+    rows = block(*[raw()] * 40, *[then] * 40)
+    standing.look(rows[:1], None, died, left=True)
+    standing.look(rows[:40], None, RobotConnectionError("nobody is there"), left=True)
+    assert not standing.faulty
+    standing.look(rows[40:], None, RobotConnectionError("nobody is there"), left=True)
+    assert said in standing.problem.message
+
+
+def test_that_it_has_died_is_told_at_once():
+    standing = watch()
+    standing.look(block(raw()), None, RobotConnectionError("it has died"))
+    assert "it has died" in standing.problem.message
+
+
+def test_what_plays_seconds_after_our_program_has_ended_is_for_others():
+    standing = watch()
+    rows = block(raw(), *[raw(runtime=1)] * 300, *[raw(runtime=2)] * 300)
+    standing.look(rows[:100], None, None)
+    assert standing.gone_at == rows["timestamp"][1]
+    assert [standing.is_for_others(rows[at]) for at in (100, 300, 400, 600)] == [
+        False, False, True, True
+    ]  # fmt: skip
+    assert not watch().is_for_others(rows[-1])
+
+
 class Taken:
     """In place of a receiver: one block of rows, and what is asked of it."""
 
@@ -359,7 +385,7 @@ class Taken:
 class Deaf:
     """In place of the process that moves the arm: it has died."""
 
-    alive = False
+    alive = left = False
 
     def look(self):
         raise RobotConnectionError("it has died")

@@ -81,6 +81,11 @@ class DriverProcess:
         return self.alive and not self._calls.torn
 
     @property
+    def exit_code(self) -> int | None:
+        """Of the process; None while it runs, negative when a signal has ended it."""
+        return self._process.poll()
+
+    @property
     def printed(self) -> str:
         """The end of what the driver printed."""
         if not self._drop.alive:

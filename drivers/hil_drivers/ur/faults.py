@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.errors import RobotFault
-from hil.typing import BoolArray, StructArray
+from hil.typing import StructArray
 from hil_drivers.ur.rows import HARMLESS, RUNNING, STOPPED, STOPPING, integers
 
 SAFETY: dict[int, tuple[str, str]] = {
@@ -95,21 +95,21 @@ def occupied(row: np.void) -> list[tuple[str, str]]:
     return said
 
 
-def first_fault(raw: StructArray, program: BoolArray) -> RobotFault | None:
+def first_fault(raw: StructArray, *, program: bool) -> RobotFault | None:
     """The first fault in a block, were it over at its end or not.
 
     Args:
         raw: (N,) raw RTDE rows.
-        program: (N,) whether our robot program ought to play.
+        program: Whether our robot program ought to play.
     """
     safety, mode = integers(raw, "safety_mode", 1), integers(raw, "robot_mode", RUNNING)
     state = integers(raw, "runtime_state", PLAYING)
     unsafe = ~np.isin(safety, HARMLESS) | (mode != RUNNING)
     # What stops the program is a better reason than that it has stopped, if both are seen at once.
-    for wrong in (unsafe, program & (state != PLAYING)):
+    for wrong in (unsafe, (state != PLAYING) & program):
         if wrong.any():
             at = int(wrong.argmax())
-            return fault_of(raw[at], program=bool(program[at]))
+            return fault_of(raw[at], program=program)
     return None
 
 

@@ -14,6 +14,7 @@ from hil.robot.documents import plain_options, segment_document
 from hil.robot.driver_process import DriverProcess
 from hil.robot.frames import garbage
 from hil.typing import StructArray
+from hil_drivers.ur.lookout import LOST_EXIT
 
 CHILD = "hil_drivers.ur.motion_child:UrMotion"
 OPEN_S, CONNECT_S, COMMAND_S, LOOK_S, CLOSE_S = 30.0, 20.0, 8.0, 2.0, 6.0
@@ -53,6 +54,11 @@ class MotionProcess:
     def pid(self) -> int:
         """Of the process; 0 when there is none."""
         return self._process.pid if self._process is not None else 0
+
+    @property
+    def left(self) -> bool:
+        """Whether it has stopped the arm and ended by itself: a row that explains it will come."""
+        return self._process is not None and self._process.exit_code == LOST_EXIT
 
     def connect(self) -> None:
         """Start the process, let it upload the program and arm the watchdog.

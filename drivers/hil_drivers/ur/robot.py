@@ -275,7 +275,7 @@ class UrRobot:
             told = None if self._watch.severed else self._motion.look()[0]
         except HilError as caught:
             error = caught
-        ended = self._watch.look(raw, told, error)
+        ended = self._watch.look(raw, told, error, left=self._motion.left)
         if self._watch.stop_has_failed(raw):
             self._watch.severed = True
             try:

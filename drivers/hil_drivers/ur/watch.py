@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError, RobotConnectionError
+from hil.errors import HilError
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.ur.faults import PAUSED, PAUSING, complaints, first_fault
@@ -18,13 +18,9 @@ from hil_drivers.ur.standing import Standing
 RAMP_GRACE_S = 0.5
 """How much longer than its ramp an arm may take to be seen standing still after a stop [s]."""
 
-UPLOAD_GRACE_S = 0.1
-"""How much later than the beginning of a motion the program that makes it may be seen to play,
-where it had to be uploaded again: two connections tell of it [s]."""
-
-EXPLAINED_S = 0.05
-"""How long the end of the process that moves the arm waits for rows that explain it: it sees them
-by a connection of its own, and leaves when the controller has ended its program [s]."""
+EXPLAINED_S = 0.5
+"""How long it waits for rows that explain it when the process that moves the arm has stopped the
+arm and left: it sees them by a connection of its own [s]."""
 
 OURS_FOR_S = 3.0
 """How long after the end of our program a fault is still ours to deal with [s]; whoever stands at
@@ -51,7 +47,6 @@ class Watch:
         self._options = options
         self._standing = Standing()
         self._stopped_by: float | None = None
-        self._plays_from = -np.inf
         self._left: tuple[float, HilError] | None = None
         self.faulty = self.halted = self.replaced = self.severed = False
         self.gone_at: float | None = None
@@ -68,9 +63,7 @@ class Watch:
         self.halted = False
         if not moves:
             return
-        if self.replaced:
-            self._plays_from, self.gone_at = at + UPLOAD_GRACE_S, None
-        self._stopped_by, self.replaced = None, False
+        self._stopped_by = None
 
     def stopping(self, row: Any) -> None:
         """The arm is told to stop, this being its newest raw row; None when there is none."""
@@ -80,13 +73,21 @@ class Watch:
             ramp_s = speed / self._options.stop_rad_s2 + RAMP_GRACE_S
             self._stopped_by = float(row["timestamp"]) + ramp_s
 
-    def look(self, raw: StructArray, told: np.void | None, error: HilError | None) -> bool:
+    def look(
+        self,
+        raw: StructArray,
+        told: np.void | None,
+        error: HilError | None,
+        *,
+        left: bool = False,
+    ) -> bool:
         """Judge a block of raw rows, every one of them.
 
         Args:
             raw: (N,), N ≥ 1.
             told: How the motion stands, by the process that moves the arm.
             error: What that process said instead.
+            left: Whether it has stopped the arm and ended by itself.
 
         Returns:
             Whether a motion has just been seen to end.
@@ -94,11 +95,16 @@ class Watch:
         moved = self.moving
         if moved and told is not None and not int(told["status"]) & Status.MOVING:
             self._standing.end(float(told["device_time"]))
-        ought = np.asarray(raw["timestamp"] > self._plays_from)
-        ended = ought & ~program_running(raw)
+        ended = ~program_running(raw)
         if self.gone_at is None and ended.any():
             self.gone_at = float(raw["timestamp"][int(ended.argmax())])
-        self.found(first_fault(raw, ought & (not self.replaced)) or self._unexplained(raw, error))
+        fault = first_fault(raw, program=not self.replaced)
+        if fault is None and error is not None:
+            self._left = self._left or (float(raw["timestamp"][-1]), error)
+            since, error = self._left
+            waits = left and float(raw["timestamp"][-1]) - since < EXPLAINED_S
+            error = None if waits else error
+        self.found(fault or error)
         if self.moving and self.halted and still(raw[-1]):
             # Who moved it may not be there any more to say that the motion is over.
             self._standing.end(float(raw["timestamp"][-1]))
@@ -144,11 +150,3 @@ class Watch:
         self._standing.stamp(rows)
         if self.faulty:
             rows["status"][-1] |= Status.FAULT
-
-    def _unexplained(self, raw: StructArray, error: HilError | None) -> HilError | None:
-        """An error of the process that moves the arm; that it has ended, after a moment only."""
-        if not isinstance(error, RobotConnectionError):
-            return error
-        now = float(raw["timestamp"][-1])
-        since, first = self._left = self._left or (now, error)
-        return first if now - since >= EXPLAINED_S else None
