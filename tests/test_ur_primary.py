@@ -276,6 +276,56 @@ def test_what_does_not_compile_is_told_with_its_place_and_never_starts(text, lin
     assert explanation.kind == 0
 
 
+EXAMPLE_FUN = """def example_fun():
+  movej([0,-1.2,1.2,-0.1,1.57,0])
+  sleep(0.1)
+  current_pose = get_target_tcp_pose()
+  relative_move = p[0,-0.1,0,0,0,0]
+  movel(pose_trans(current_pose, relative_move), t=1)
+end
+"""
+NAMED = 'def cool_function_name():\n  textmsg("hello")\nend\n'
+SECONDARY = 'sec sec_script():\n  textmsg("Named secondary program")\nend\n'
+
+
+def titles_of(data):
+    """Titles and texts of key messages, the kind and text of others."""
+    told = []
+    for message in messages_of(data):
+        if message.kind == 7:
+            length = message.body[8]
+            told.append((message.body[9 : 9 + length], message.body[9 + length :]))
+        elif message.kind in (0, 10):
+            told.append((message.kind, message.body[8 if message.kind == 10 else 0 :]))
+    return told
+
+
+@pytest.mark.parametrize("arm", ["ur5", "ur5e"])
+@pytest.mark.parametrize("powered", [True, False])
+def test_the_send_script_example_of_urs_client_library(arm, powered):
+    """What it sends once it has stripped comments, and what it waits for; read, not run."""
+    client = Client(arm, powered=powered)
+
+    def sent(text, seconds):
+        client.wire.take()
+        client.session.received(text.encode())
+        return titles_of(client.wire.take() + client.after(seconds))
+
+    assert sent("set robotmode run\n", 3.0) == []
+    assert client.state[0][15] == RobotMode.RUNNING
+    started, stopped = b"PROGRAM_XXX_STARTED", b"PROGRAM_XXX_STOPPED"
+    assert sent(EXAMPLE_FUN, 6.0) == [(started, b"example_fun"), (stopped, b"example_fun")]
+    assert sent(NAMED, 0.5) == [
+        (started, b"cool_function_name"), (0, b"hello"), (stopped, b"cool_function_name")
+    ]  # fmt: skip
+    assert sent(SECONDARY, 0.5) == [(0, b"Named secondary program")]
+    exception, _ = sent(BAD_CODE, 0.5)
+    assert exception == (10, b"compile_error_name_not_found:current_pos:")
+    moved = sent("movej([0.1,-0.9,0.9,0,0,0])\n", 6.0)
+    assert [title for title, _ in moved] == [started, stopped]
+    np.testing.assert_allclose(client.machine.setpoint[0], [0.1, -0.9, 0.9, 0, 0, 0], atol=1e-6)
+
+
 def test_what_does_not_compile_ends_what_plays():
     client = Client()
     client.machine.play(IdleProgram("before"))

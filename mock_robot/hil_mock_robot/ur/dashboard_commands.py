@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hil_mock_robot.ur.dashboard_reports import flight_report, save_log, support_file
+from hil_mock_robot.ur.dashboard_roles import clear_operational, set_operational, set_role
 from hil_mock_robot.ur.mode_codes import SafetyMode
 from hil_mock_robot.ur.pendant import UNNAMED, Pendant
 from hil_mock_robot.ur.series import Series
@@ -18,7 +19,6 @@ TOO_SOON = (
     "Cannot unlock protective stop until 5s after occurrence. "
     "Always inspect cause of protective stop before unlocking"
 )
-ROLES = ("PROGRAMMER", "OPERATOR", "NONE", "LOCKED", "RESTRICTED")
 ALWAYS = (0, 0)
 
 
@@ -145,25 +145,6 @@ def _model(pendant: Pendant, _: str) -> str:
     return pendant.machine.body.arm.name.removesuffix("e").upper()
 
 
-def _set_role(pendant: Pendant, role: str) -> str:
-    if role.upper() not in ROLES:
-        return f"Failed setting user role: {role}"
-    pendant.role = role.upper()
-    return f"Setting user role: {role}"
-
-
-def _set_operational(pendant: Pendant, mode: str) -> str:
-    if mode.upper() not in ("MANUAL", "AUTOMATIC"):
-        return f"could not understand: set operational mode {mode}"
-    pendant.operational = mode.upper()
-    return f"Operational mode {pendant.operational} is set"
-
-
-def _clear_operational(pendant: Pendant, _: str) -> str:
-    now = pendant.operational
-    return f"No longer controlling the operational mode. Current operational mode: '{now}'."
-
-
 def _lower(flag: bool) -> str:
     return "true" if flag else "false"
 
@@ -204,10 +185,10 @@ COMMANDS = (
     Command("get serial number", lambda p, _: p.machine.serial, (3, 12), (5, 6)),
     Command("get robot model", _model, (3, 12), (5, 6)),
     Command("is in remote control", lambda p, _: _lower(p.machine.modes.remote), None, (5, 6)),
-    Command("setUserRole", _set_role, (3, 1), None),
+    Command("setUserRole", set_role, (3, 1), None),
     Command("getUserRole", lambda p, _: p.role, (3, 1), None),
-    Command("set operational mode", _set_operational, None),
+    Command("set operational mode", set_operational, None),
     Command("get operational mode", lambda p, _: p.operational, None, (5, 6)),
-    Command("clear operational mode", _clear_operational, None),
+    Command("clear operational mode", clear_operational, None),
 )
 """Every command but `quit`, which belongs to the connection."""
