@@ -122,7 +122,7 @@ def test_after_a_fault_the_programs_of_others_are_not_stopped():
         begin(robot, move(robot, 0.4))
         pendant(running, "stop")
         until_it_faults(robot)
-        until(lambda: running.side("state")["program"] is None)
+        until(lambda: not robot._motion.alive and running.side("state")["program"] is None)
         pendant(running, "load weld.urp", "play")
         assert running.side("state")["program"] == "weld"
         ended = robot.read()["device_time"][-1]
