@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.errors import CommandRefused, SpecError
+from hil.robot import Segment
 from hil_drivers.ur.braking import Ramp
 from hil_drivers.ur.options import SERIES_HZ, options_of
+from hil_drivers.ur.robot import UrRobot
 
 ROW = np.dtype([("timestamp", "f8"), ("target_qd", "f8", 6), ("target_TCP_speed", "f8", 6)])
 
@@ -69,3 +71,29 @@ def test_a_ramp_that_takes_too_long_is_told_once():
     assert not ramp.overdue(row(1.3, 0.5))
     assert ramp.overdue(row(1.5, 0.5))
     assert not ramp.overdue(row(2.0, 0.5))
+
+
+def test_a_stop_that_comes_while_a_segment_is_prepared_holds(monkeypatch):
+    robot = UrRobot("arm", "ur5", address="192.0.2.7")
+    zeros = np.zeros((1, 6))
+    at = np.zeros(1, [("timestamp", "f8"), ("target_q", "f8", 6), ("target_qd", "f8", 6)])
+
+    class Next:
+        alive = True
+
+        def prepare(self, segment):
+            robot.stop()
+
+        def stop(self):
+            pass
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(robot, "_motion", Next())
+    monkeypatch.setattr(robot, "_connected", True)
+    monkeypatch.setattr(type(robot._controller), "row", at[0])
+    with pytest.raises(CommandRefused, match="stopped while"):
+        robot.prepare(Segment(1, "move", zeros, zeros, zeros, 0.0, 0.0))
+    with pytest.raises(CommandRefused, match="no segment"):
+        robot.start()

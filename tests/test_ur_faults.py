@@ -234,6 +234,21 @@ def test_a_cut_line_hangs_up_and_goes_on_doing_so_until_it_is_over():
     assert not line.over(Wire()).closed
 
 
+def test_a_cut_may_strike_only_those_who_own_inputs():
+    class Client:
+        hung_up = 0
+
+        def hang_up(self):
+            self.hung_up += 1
+
+    owners, writer, reader = Ownership(), Client(), Client()
+    owners.take(["input_int_register_0", "input_int_register_1"], writer)
+    troubled(machine_of(), owners=owners).add({"kind": "cut", "only": "inputs"})
+    assert (writer.hung_up, reader.hung_up) == (1, 0)
+    with pytest.raises(SpecError, match="only"):
+        fault_of("f", {"kind": "cut", "only": "readers"})
+
+
 # The machine
 
 
