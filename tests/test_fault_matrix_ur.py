@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 from faults.ur_cases import FAULTS, Case, cases
-from faults.ur_field import run_field
+from faults.ur_field import Field, run_field
 
 from hil_mock_robot.ur.faults import KINDS
 
 LOST_AT_MOST_S = 0.25
 """Device time of samples before the fault that may be lacking."""
+
+ENDED_WITHIN_S = 15.0
+"""Wall time from the fault until the process of a run that it ends has ended."""
 
 pytestmark = pytest.mark.matrix
 
@@ -21,31 +24,39 @@ pytestmark = pytest.mark.matrix
 @pytest.mark.parametrize("case", list(cases()), ids=str)
 def test_field_of_the_fault_matrix_over_the_wire(case: Case, tmp_path: Path) -> None:
     field = run_field(case, tmp_path)
-    _keep(case, field.to_dict())
+    _keep(case, field)
     told = (tmp_path / "stderr.txt").read_text("utf-8")[-2000:]
     ending = case.ending
+    assert field.struck, f"the fault has never struck; {told}"
     assert (field.outcome, field.exit_code) == (ending.outcome, ending.exit_code), told
     if ending.before:
         assert field.commands == 0
-        return
-    if case.stop_within_s is None:
-        assert set(field.lacking) <= set(ending.lacks)
-        return
+    elif ending.stop_within_s is None:
+        assert not field.lacking
+        assert field.counts == ending.counts
+    else:
+        _require_stopped(case, field, told)
+
+
+def _require_stopped(case: Case, field: Field, told: str) -> None:
     assert field.stop_s is not None, "nobody stopped the arm"
+    assert case.stop_within_s is not None
     assert field.stop_s <= case.stop_within_s, told
     assert field.commands_after == 0, told
     assert field.rest_s is not None, "the arm never came to rest"
-    assert field.rest_s <= ending.rest_within_s
+    assert field.rest_s <= case.ending.rest_within_s
     assert field.lost_s is not None, "the recording cannot be read"
     assert field.lost_s <= LOST_AT_MOST_S
+    assert field.ended_s is not None
+    assert field.ended_s <= ENDED_WITHIN_S
 
 
 def test_every_kind_of_fault_of_the_mock_is_in_the_matrix() -> None:
     assert {ending.fault["kind"] for ending in FAULTS.values()} == set(KINDS)
 
 
-def _keep(case: Case, field: dict[str, object]) -> None:
+def _keep(case: Case, field: Field) -> None:
     """What was measured, for the table in the docs."""
-    if folder := os.environ.get("HIL_MATRIX_UR"):
-        row = {"step": case.step, "fault": case.fault, **field}
-        Path(folder, f"{case}.json").write_text(json.dumps(row), "utf-8")
+    if folder := os.environ.get("HIL_MATRIX"):
+        row = {"wire": True, "step": case.step, "fault": case.fault, **field.to_dict()}
+        Path(folder, f"wire {case}.json").write_text(json.dumps(row), "utf-8")

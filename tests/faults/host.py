@@ -25,7 +25,7 @@ from hil.campaign.desk import Desk
 from hil.cli.app import _end_like_ctrl_c
 from hil.engine import Reply
 from hil.engine.pausing import nobody_goes_on
-from hil.errors import exit_code_of
+from hil.errors import HilError, exit_code_of
 from hil.plan.plan_file import read_plan
 from hil.record import recorder as recorder_module
 from hil.record.writer import McapWriter
@@ -166,12 +166,16 @@ def main() -> int:
             meanwhile()
         return Reply(yes=True, who="the matrix")
 
-    report = hil.run(
-        hil.load("spec.yaml", "station.yaml"),
-        runs="runs",
-        observers=(Injector(case, Path("happened.json")),),
-        desk=Desk(confirm, nobody_goes_on),
-    )
+    try:
+        report = hil.run(
+            hil.load("spec.yaml", "station.yaml"),
+            runs="runs",
+            observers=(Injector(case, Path("happened.json")),),
+            desk=Desk(confirm, nobody_goes_on),
+        )
+    except HilError as error:  # before there is a run
+        print(error.message, file=sys.stderr)  # noqa: T201
+        return exit_code_of(error)
     return 0 if report.error is None else exit_code_of(report.error)
 
 

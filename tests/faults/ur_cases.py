@@ -8,17 +8,11 @@ from typing import Any
 
 from faults.cases import Ending
 
-PATIENT: Mapping[str, Any] = {"late_s": 0.5, "lag_s": 1.0, "watchdog_hz": 1.0}
-"""Options of the driver where no time-out is at stake: a busy computer shall not end a run."""
-
-PROMPT: Mapping[str, Any] = {**PATIENT, "late_s": 0.1}
-VITAL: Mapping[str, Any] = {**PATIENT, "watchdog_hz": 2.0}
-
 DWELLS = """
 hil: 1
 name: matrix
 robot: ur5
-excitation: {kind: dwell, waypoints: 2, approach: positive, seed: 3, dwell_s: 1.5}
+excitation: {kind: dwell, waypoints: 1, approach: positive, seed: 11, dwell_s: 1.2}
 warm_up: {duration_s: 0}
 reference: {every: 0}
 """
@@ -26,24 +20,31 @@ TRAJECTORY = """
 hil: 1
 name: matrix
 robot: ur5
-excitation: {kind: fourier, trajectories: 1, fundamental_hz: 0.1, seed: 3}
+excitation: {kind: fourier, trajectories: 1, fundamental_hz: 0.25, seed: 3}
 warm_up: {duration_s: 0}
 reference: {every: 0}
 """
-LOADED = DWELLS.replace("reference:", "loads: [{mass_kg: 1}]\nreference:")
-SPECS = {"dwells": DWELLS, "trajectory": TRAJECTORY, "loaded": LOADED}
+LOAD = "loads: [{mass_kg: 1}]\n"
+SPECS = {
+    "dwell": DWELLS,
+    "fourier": TRAJECTORY,
+    "loaded dwell": DWELLS + LOAD,
+    "loaded fourier": TRAJECTORY + LOAD,
+}
 
 STEPS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
-    "move": ("dwells", {"motion": 1, "after_s": 0.6}),
-    "dwell": ("dwells", {"motion": 2, "after_s": 1.0}),
-    "trajectory": ("trajectory", {"motion": 2, "after_s": 1.0}),
+    "move": ("dwell", {"motion": 1, "after_s": 0.7}),
+    "dwell": ("dwell", {"motion": 2, "after_s": 1.0}),
+    "trajectory": ("fourier", {"motion": 2, "after_s": 0.8}),
 }
-"""Where something goes wrong → the spec, and when; motion 1 leads to the first step."""
+"""Where something goes wrong → the program, and when; motion 1 leads to the first step."""
 
-BEFORE = "before"
-"""It goes wrong before the run begins: no arm may move."""
-
+MOVING = ("move", "trajectory")
+PROGRAMS = ("dwell", "fourier")
 NONE = "no run"
+
+SILENCE = "the driver's 0.1 s without news (its option late_s), then 0.1 s"
+STANDING = "; where the arm stands, the engine's 2 s for a read that does not come back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,32 +53,30 @@ class WireEnding(Ending):
 
     Attributes:
         fault: As the mock controller is asked for it.
-        by: Who stops the arm first: `driver`, or `controller` where no command can arrive or the
-            controller needs none.
-        before: It is there from the beginning.
-        spec: For those, the spec.
+        by: Who stops the arm first: `driver`, or `controller` where no command can arrive.
+        before: It is there from the beginning: no arm may move.
+        loaded: For those: the spec has a load.
         arguments: For the mock.
-        options: Of the driver.
         standing_s: In place of `stop_within_s` where the arm stands when it happens.
-        lacks: What a run that goes on may lack.
+        counts: What the recording of a run that goes on has to count, exactly.
     """
 
     fault: Mapping[str, Any] = field(default_factory=dict)
     by: str = "driver"
     before: bool = False
-    spec: str = "dwells"
+    loaded: bool = False
     arguments: tuple[str, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=lambda: PATIENT)
     standing_s: float | None = None
-    lacks: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
 
 
 def _fails(fault: str, within_s: float = 0.1, **more: Any) -> WireEnding:
+    more = {"rest_within_s": 0.6, **more}
     return WireEnding("failed", 4, within_s, fault=_asked(fault), **more)
 
 
-def _goes_on(fault: str, *lacks: str) -> WireEnding:
-    return WireEnding("completed", 0, None, fault=_asked(fault), lacks=lacks)
+def _goes_on(fault: str, why: str, **counts: int) -> WireEnding:
+    return WireEnding("completed", 0, None, why=why, fault=_asked(fault), counts=counts)
 
 
 def _never_begins(fault: str, outcome: str, exit_code: int, **more: Any) -> WireEnding:
@@ -87,28 +86,22 @@ def _never_begins(fault: str, outcome: str, exit_code: int, **more: Any) -> Wire
 def _asked(fault: str) -> Mapping[str, Any]:
     """`kind key=value …` as the mock is asked for it."""
     kind, *keys = fault.split()
-    return {"kind": kind, **{key: float(v) for key, v in (each.split("=") for each in keys)}}
+    pairs = (each.split("=") for each in keys)
+    return {"kind": kind, **{key: v if v.isalpha() else float(v) for key, v in pairs}}
 
 
-_SILENT: Mapping[str, Any] = {
-    "options": PROMPT,
-    "standing_s": 2.5,
-    "why": "0.1 s of silence, then 0.1 s; where the arm stands, a read that does not come back",
-}
 FAULTS: Mapping[str, WireEnding] = {
     "connection cut": _fails("cut for_s=2"),
+    "ur-rtde's connection cut": _fails("cut only=inputs"),
     "cable out": _fails(
         "unplugged",
-        0.4,
+        0.7,
         by="controller",
-        options=VITAL,
-        why="no command arrives: the controller's watchdog acts after 0.25 s",
+        why="no command arrives: the controller's watchdog acts after 0.5 s (watchdog_hz)",
     ),
-    "silence": _fails("silence", 0.2, **_SILENT),
-    "late packages": _fails("late by_s=1.0", 0.2, **_SILENT),
-    "frozen data": WireEnding(
-        "tripped", 5, 0.7, fault=_asked("freeze"), why="0.5 s without news is stale, then 0.1 s"
-    ),
+    "silence": _fails("silence", 0.2, standing_s=2.5, why=SILENCE + STANDING),
+    "late packages": _fails("late by_s=1.0", 0.2, standing_s=2.5, why=SILENCE + STANDING),
+    "frozen data": _fails("freeze", 0.2, standing_s=2.5, why=SILENCE + STANDING),
     "garbage": _fails("garbage", why="it also aborts the process in which ur-rtde is"),
     "wrong length": _fails("wrong_length"),
     "protective stop": _fails("protective_stop"),
@@ -116,20 +109,28 @@ FAULTS: Mapping[str, WireEnding] = {
     "safeguard stop": _fails("safeguard_stop"),
     "safety fault": _fails("safety_fault"),
     "joint too hot": _fails("overheat", why="the controller stops at 85 °C"),
-    "controller reboots": _fails("reboot", by="controller", why="its brakes stop the arm"),
-    "jitter": _goes_on("jitter by_s=0.04"),
-    "lost packages": _goes_on("drop", "gaps", "missing"),
-    "doubled packages": _goes_on("duplicate", "duplicates"),
-    "dashboard hangs": _goes_on("dashboard_hang for_s=5"),
-    "inputs owned": _never_begins("inputs_owned", NONE, 4),
-    "payload refused": _never_begins("payload_refused", "failed", 3, spec="loaded"),
-    "local control": _never_begins("remote_off", NONE, 4, arguments=("--model", "ur5e")),
+    "controller reboots": _fails(
+        "reboot", by="controller", why="its brakes stop the arm; no command arrives"
+    ),
+    "jitter": _goes_on("jitter by_s=0.04", "0 to 40 ms late, in order: nothing is lost"),
+    "lost package": _goes_on("drop", "counted", gaps=1, missing=1),
+    "doubled package": _goes_on("duplicate", "counted", duplicates=1),
+    "dashboard hangs": _goes_on("dashboard_hang for_s=5", "nothing is asked of it meanwhile"),
+    "inputs owned": _never_begins(
+        "inputs_owned", NONE, 4, why="refused before the program is uploaded"
+    ),
+    "payload refused": _never_begins(
+        "payload_refused", "failed", 3, loaded=True, why="read back before the first motion"
+    ),
+    "local control": _never_begins(
+        "remote_off", NONE, 4, arguments=("--model", "ur5e"), why="refused before it connects"
+    ),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One field of the matrix."""
+    """One field of the matrix; where the fault is there from the beginning, `step` is a program."""
 
     step: str
     fault: str
@@ -148,7 +149,9 @@ class Case:
     @property
     def spec(self) -> str:
         """Name of the spec that is run."""
-        return self.ending.spec if self.ending.before else STEPS[self.step][0]
+        if self.ending.before:
+            return f"loaded {self.step}" if self.ending.loaded else self.step
+        return STEPS[self.step][0]
 
     @property
     def strikes(self) -> Mapping[str, Any]:
@@ -160,8 +163,15 @@ class Case:
         return f"{self.fault} at {self.step}".replace(" ", "-")
 
 
+def steps_of(ending: WireEnding) -> tuple[str, ...]:
+    """Where a fault strikes: what goes on is tried where most is at stake, while the arm moves."""
+    if ending.before:
+        return PROGRAMS
+    return MOVING if ending.stop_within_s is None else tuple(STEPS)
+
+
 def cases() -> Iterator[Case]:
     """All fields."""
     for fault, ending in FAULTS.items():
-        for step in (BEFORE,) if ending.before else STEPS:
+        for step in steps_of(ending):
             yield Case(step, fault)

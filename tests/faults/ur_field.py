@@ -8,12 +8,13 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from faults.field import HOST, REST_RAD_S, _lacking
+from faults.field import HOST, REST_RAD_S
 from faults.ur_cases import NONE, SPECS, Case
 from ur_mock import mock_ur
 
@@ -24,10 +25,7 @@ from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 
 ENDS_WITHIN_S = 90.0
-COMMAND = ("-c", "from hil.cli import main; main()", "run", "spec.yaml", "--station",
-           "station.yaml", "--runs", "runs")  # fmt: skip
-"""`hil run`, for what is wrong before any run begins."""
-
+COUNTED = ("gaps", "missing", "duplicates")
 CONTROLLER_STOPS = ("protective_stop", "emergency_stop", "watchdog", "power_cut")
 
 Note = dict[str, Any]
@@ -40,22 +38,28 @@ class Field:
     Attributes:
         outcome: Of the run directory.
         exit_code: Of the process.
+        struck: Whether the fault has happened.
+        ended_s: Wall time from the fault to the end of the process.
         stop_s: Wall time from the fault to the first stop that the arm got, by whoever counts.
         rest_s: Device time from the first stop until the arm was at rest.
         commands: Motions commanded at all.
         commands_after: Motions commanded after the first stop.
         lost_s: Device time from the last sample recorded to the fault.
-        lacking: Where the run goes on: what is not measured, missing, or there twice.
+        lacking: Where the run goes on: what is not measured.
+        counts: Where the run goes on: what its recording counts, zeros left out.
     """
 
     outcome: str
     exit_code: int
-    stop_s: float | None
-    rest_s: float | None
-    commands: int
-    commands_after: int
-    lost_s: float | None
-    lacking: tuple[str, ...]
+    struck: bool
+    ended_s: float | None = None
+    stop_s: float | None = None
+    rest_s: float | None = None
+    commands: int = 0
+    commands_after: int = 0
+    lost_s: float | None = None
+    lacking: tuple[str, ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -71,19 +75,19 @@ def run_field(case: Case, folder: Path) -> Field:
     (folder / "case.json").write_text(json.dumps(about), "utf-8")
     arguments = ("--faults", str(folder / "faults.yaml"), *case.ending.arguments)
     with mock_ur(*arguments, journal=folder / "journal.jsonl") as mock:
-        model = "ur5e" if "ur5e" in arguments else "ur5"
-        (folder / "station.yaml").write_text(_station(mock.address, model, case), "utf-8")
-        exit_code = _run(folder, COMMAND if case.ending.before else [str(HOST), "case.json"])
+        (folder / "station.yaml").write_text(_station(mock.address, arguments), "utf-8")
+        exit_code = _run(folder)
+        ended = time.monotonic()
         mock.process.terminate()
         mock.process.wait(20)
-        return _judged(case, folder, exit_code, mock.journal())
+        return _judged(case, folder, exit_code, ended, mock.journal())
 
 
-def _run(folder: Path, command: Sequence[str]) -> int:
+def _run(folder: Path) -> int:
     environment = {**os.environ, "HIL_LEASES": str(folder / "leases")}
     with (folder / "stderr.txt").open("wb") as errors:
         done = subprocess.run(
-            [sys.executable, *command],
+            [sys.executable, str(HOST), "case.json"],
             cwd=folder,
             stdout=errors,
             stderr=errors,
@@ -94,9 +98,10 @@ def _run(folder: Path, command: Sequence[str]) -> int:
     return done.returncode
 
 
-def _station(address: str, model: str, case: Case) -> str:
-    options = {"address": address, **case.ending.options}
-    robot = {"driver": "ur", "model": model, "options": options}
+def _station(address: str, arguments: Sequence[str]) -> str:
+    """The driver with its own options: nothing is made easier for it."""
+    model = "ur5e" if "ur5e" in arguments else "ur5"
+    robot = {"driver": "ur", "model": model, "options": {"address": address}}
     return json.dumps({"hil_station": 1, "robots": {"ur5": robot}})
 
 
@@ -111,31 +116,40 @@ def _plan(spec: str) -> str:
         return json.dumps(plan_for(experiment, robot).to_dict())
 
 
-def _judged(case: Case, folder: Path, exit_code: int, journal: Sequence[Note]) -> Field:
+def _judged(
+    case: Case, folder: Path, exit_code: int, ended: float, journal: Sequence[Note]
+) -> Field:
     runs = list(folder.glob("runs/*/*/*"))
-    run = runs[0] if runs else None
-    outcome = str(RunDirectory.open(run).status) if run else NONE
-    started = [note for note in journal if note["event"] == "start"]
+    run = RunDirectory.open(runs[0]) if runs else None
     fault = next((note for note in journal if note["event"] == "fault"), None)
-    if case.ending.before or case.ending.stop_within_s is None or fault is None:
-        lacking = _lacking(run) if run and not case.ending.before else ()
-        return Field(outcome, exit_code, None, None, len(started), 0, None, lacking)
+    about: dict[str, Any] = {
+        "outcome": str(run.status) if run else NONE,
+        "exit_code": exit_code,
+        "struck": fault is not None,
+        "commands": sum(note["event"] == "start" for note in journal),
+    }
+    if fault is None:
+        return Field(**about)
+    about["ended_s"] = ended - fault["monotonic_s"]
+    if case.ending.before:
+        return Field(**about)
+    if case.ending.stop_within_s is None:
+        return Field(**about, lacking=_lacking(run), counts=_counts(run))
     after = list(journal[journal.index(fault) :])
+    return Field(**about, **_stopped(case, after), lost_s=_lost(run, fault))
+
+
+def _stopped(case: Case, after: Sequence[Note]) -> dict[str, Any]:
     events = ("stop",) if case.ending.by == "driver" else CONTROLLER_STOPS
     stop = next((note for note in after if note["event"] in events), None)
     if stop is None:
-        return Field(outcome, exit_code, None, None, len(started), 0, None, ())
+        return {}
     later = after[after.index(stop) + 1 :]
-    return Field(
-        outcome,
-        exit_code,
-        stop["monotonic_s"] - fault["monotonic_s"],
-        _rest(stop, after),
-        len(started),
-        sum(note["event"] == "start" for note in later),
-        _lost(run, fault),
-        (),
-    )
+    return {
+        "stop_s": stop["monotonic_s"] - after[0]["monotonic_s"],
+        "rest_s": _rest(stop, after),
+        "commands_after": sum(note["event"] == "start" for note in later),
+    }
 
 
 def _rest(stop: Note, after: Sequence[Note]) -> float | None:
@@ -146,9 +160,19 @@ def _rest(stop: Note, after: Sequence[Note]) -> float | None:
     return None if rest is None else max(0.0, rest["device_time"] - stop["device_time"])
 
 
-def _lost(run: Path | None, fault: Note) -> float | None:
+def _lacking(run: RunDirectory | None) -> tuple[str, ...]:
+    complete = ((run and run.stop) or {}).get("complete") or {"all": {"done": 0, "of": 1}}
+    return tuple(kind for kind, n in complete.items() if n["done"] != n["of"])
+
+
+def _counts(run: RunDirectory | None) -> dict[str, int]:
+    stop = (run and run.stop) or {}
+    return {name: int(stop[name]) for name in COUNTED if stop.get(name)}
+
+
+def _lost(run: RunDirectory | None, fault: Note) -> float | None:
     try:
-        paths = RunDirectory.open(run).recordings if run else []
+        paths = run.recordings if run else []
         last = max(float(read_topic(path, salvage=True)["device_time"].max()) for path in paths)
     except (DataError, ValueError):
         return None
