@@ -143,7 +143,7 @@ def _peer(model: str, speed: str, seconds: float, rate_hz: float) -> dict[str, f
 def _mock(model: str, speed: str) -> Iterator[tuple[str, int]]:
     """A mock controller of its own: its address and process."""
     pid = os.getpid()
-    address = f"127.{1 + pid % 250}.{pid // 250 % 250}.{100 + next(_numbers)}"
+    address = f"127.{1 + pid % 250}.{pid // 250 % 250}.{200 + next(_numbers)}"
     arguments = ["--address", address, "--model", model, "--speed", speed, "--side-port", "0"]
     mock = subprocess.Popen(
         [sys.executable, "-m", "hil_mock_robot", "ur", *arguments],

@@ -108,6 +108,12 @@ def test_time_outs_of_a_robot_in_wall_time_do_not_need_its_clock() -> None:
     assert [deadline.over(0.0) for _ in range(7)] == [False] * 5 + [True] * 2
 
 
+def test_a_simulated_second_that_lasts_a_tenth_leaves_the_computer_its_time() -> None:
+    walls = iter([0.0, 0.3, 0.9, 1.0])
+    deadline = Deadline(2.0, 0.0, wall=True, now=lambda: next(walls))
+    assert [deadline.over(at) for at in (3.0, 9.0, 10.0)] == [False, False, True]
+
+
 def test_a_stopped_arm_is_recorded_until_it_is_at_rest() -> None:
     class Coasts(KinematicRobot):
         coasting = 0

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from ur_mock import MockUr, mock_ur
 
+from hil import benchmarking
 from hil.data.load import load_source
 from hil.errors import RobotConnectionError, SpecError
 from hil.fitting import fit_sources
@@ -232,6 +233,15 @@ def test_a_controller_that_is_switched_off_leaves_what_was_recorded(tmp_path):
     assert load_source(document["run"], kinds=("dwell",)).n_joints == 6
 
 
+def test_the_benchmark_loses_nothing_and_names_its_peer():
+    document = benchmarking.measure("rtde", quick=True)
+    figures, ratios = document["figures"], document["ratios"]
+    assert (figures["real_missing"], figures["free_missing"]) == (0, 0)
+    assert figures["real_states_per_s"] == pytest.approx(500, rel=0.2)
+    assert ratios["free_run_factor"] > 2  # 30 with a core to itself; whatever else is running
+    assert 0 <= figures["ur_rtde_real_lost_share"] < 1
+
+
 # --- helpers ---
 
 
@@ -288,7 +298,7 @@ def start_recording(tmp_path: Path, address: str, *more: str) -> subprocess.Pope
     station = tmp_path / "station.yaml"
     station.write_text(
         "hil_station: 1\nrobots:\n  ur5:\n    driver: ur\n    model: ur5\n"
-        f"    options: {{address: {address}}}\n"
+        f"    own_process: true\n    options: {{address: {address}}}\n"
     )
     command = [sys.executable, "-m", "hil", "record", "--robot", "ur5", "--station", str(station)]
     process = subprocess.Popen(
