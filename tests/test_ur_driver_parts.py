@@ -356,6 +356,29 @@ def test_that_it_has_died_is_told_at_once():
     assert "it has died" in standing.problem.message
 
 
+def progress(status):
+    told = np.zeros(1, PROGRESS)
+    told["device_time"], told["status"] = 10.0, int(status)
+    return told[0]
+
+
+def test_a_stop_is_not_over_before_the_process_that_makes_it_says_so():
+    standing = watch()
+    standing.begun(1, 9.0, moves=True)
+    standing.stopping(raw())
+    for told, moving in ((Status.MOVING, True), (Status.HOLDING, False)):
+        standing.look(block(raw()), progress(told), None)
+        assert standing.moving == moving
+
+
+def test_without_that_process_it_is_over_when_the_arm_stands():
+    standing = watch()
+    standing.begun(1, 9.0, moves=True)
+    standing.stopping(raw())
+    standing.look(block(raw()), None, None)
+    assert not standing.moving
+
+
 def test_what_plays_seconds_after_our_program_has_ended_is_for_others():
     standing = watch()
     rows = block(raw(), *[raw(runtime=1)] * 300, *[raw(runtime=2)] * 300)

@@ -105,8 +105,9 @@ class Watch:
             waits = left and float(raw["timestamp"][-1]) - since < EXPLAINED_S
             error = None if waits else error
         self.found(fault or error)
-        if self.moving and self.halted and still(raw[-1]):
-            # Who moved it may not be there any more to say that the motion is over.
+        if self.moving and self.halted and told is None and still(raw[-1]):
+            # Who moved it is not there any more to say so. While it is, the arm may stand before
+            # the program has answered the stop, and nothing can be started before that.
             self._standing.end(float(raw["timestamp"][-1]))
         return moved and not self.moving
 
