@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import types
 
 import pytest
+from ur_mock import loopback
 
 from hil.errors import CommandRefused, PluginError, RobotConnectionError
 from hil.payload import Payload
@@ -156,6 +158,37 @@ def test_any_other_error_is_not_tried_again(open_control):
     with pytest.raises(RobotConnectionError, match="timeout of 5 seconds"):
         open_control(errors=[RuntimeError("Failed to start, before timeout of 5 seconds")])
     assert len(made) == 1
+
+
+class Connecting(Interface):
+    """Opens a connection as `ur-rtde` does, and another one when it has lost it."""
+
+    def __init__(self, host, *how):
+        super().__init__(host, *how)
+        self.line = socket.create_connection((host, 30004), 5.0)
+
+    def connect_again(self, host):
+        self.line.close()
+        self.line = socket.create_connection((host, 30004), 5.0)
+
+
+@pytest.mark.wire
+def test_a_connection_that_the_library_opens_again_is_not_the_one_it_had(monkeypatch):
+    address = loopback()
+    library = types.ModuleType("fake_rtde_control")
+    library.RTDEControlInterface = Connecting
+    monkeypatch.setitem(sys.modules, "fake_rtde_control", library)
+    with (
+        socket.create_server((address, 30004)),
+        socket.create_connection((address, 30004)) as another,
+    ):
+        control = Control(address, 125.0, (3, 15), library="fake_rtde_control")
+        assert control.connected
+        another.close()
+        assert control.connected
+        made[-1].connect_again(address)
+        assert not control.connected
+        made[-1].line.close()
 
 
 def test_without_the_library_the_error_says_what_to_install():

@@ -14,6 +14,7 @@ from typing import Any
 
 from hil.errors import CommandRefused, PluginError, RobotConnectionError
 from hil.payload import Payload
+from hil_drivers.ur.own_line import OwnLine
 
 LIBRARY = "rtde_control"
 IN_USE_WAITS_S = (0.5, 1.0, 2.0)
@@ -56,7 +57,14 @@ class Control:
         kind = _library(library)
         # The force-torque input is one more register that somebody else might own.
         flags = int(kind.FLAG_UPLOAD_SCRIPT) | int(kind.FLAG_NO_EXT_FT)
-        self._rtde = _opened(kind, address, frequency_hz, flags)
+        self._line = OwnLine()
+        with self._line.opened():
+            self._rtde = _opened(kind, address, frequency_hz, flags)
+
+    @property
+    def connected(self) -> bool:
+        """Whether it has the connection it was opened with; no other one is to be trusted."""
+        return self._line.kept
 
     @property
     def playing(self) -> bool:

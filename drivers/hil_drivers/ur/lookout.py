@@ -45,20 +45,28 @@ class Lookout(threading.Thread):
 
     `ur-rtde` connects again by itself as soon as its own connection ends: it stops the program,
     uploads it once more without a watchdog, and repeats the command it was about to give. From
-    here that looks like a program that ends, or a command that fails. Whatever it is, this process
-    goes before anything more can be commanded; whoever wants to go on connects again.
+    here that looks like a program that ends, a command that fails, or like nothing at all but a
+    connection that is another one. Whatever it is, this process goes before anything more can be
+    commanded; whoever wants to go on connects again.
 
     Args:
         ticks: Rows of the controller's state, none left out.
         course: What the arm is doing.
         options: Of the arm.
         leave: Ends this process.
+        connected: Whether `ur-rtde` has its first connection still.
     """
 
     def __init__(
-        self, ticks: Ticks, course: Course, options: Options, leave: Callable[[int], object]
+        self,
+        ticks: Ticks,
+        course: Course,
+        options: Options,
+        leave: Callable[[int], object],
+        connected: Callable[[], bool] = lambda: True,
     ) -> None:
         super().__init__(name="hil-ur-lookout", daemon=True)
+        self._connected = connected
         self._ticks, self._course, self._options = ticks, course, options
         self._leave = leave
         self._going = threading.Lock()
@@ -80,6 +88,8 @@ class Lookout(threading.Thread):
 
     def _see(self, rows: StructArray) -> None:
         course = self._course
+        if not self._connected():
+            return self._lost("ur-rtde's own connection has ended")
         # A state that is repeated is no news, so a controller that hangs is silent.
         course.newest, course.heard = rows[-1], time.monotonic() - self._ticks.age_s
         ended = rows["runtime_state"] != PLAYING
@@ -111,6 +121,8 @@ class Lookout(threading.Thread):
         """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
         course = self._course
         for_s = time.monotonic() - course.heard
+        if not self._connected():
+            return self._lost("ur-rtde's own connection has ended")
         if self._ticks.age_s > SILENT_S:
             return self._lost(f"the controller has not said anything for {for_s:.1f} s")
         allowed_s = FRESH_S if course.asked.is_set() else self._options.late_s

@@ -50,7 +50,7 @@ class Mover(threading.Thread):
         self._using = threading.Lock()
         self.course = Course(ticks.take(1.0)[-1], options)
         self._hands = Hands(control, self.course, options, frequency_hz)
-        self._lookout = Lookout(ticks, self.course, options, leave)
+        self._lookout = Lookout(ticks, self.course, options, leave, lambda: control.connected)
         self.alone = False
 
     def run(self) -> None:
