@@ -15,17 +15,18 @@ from hil_mock_robot.ur.faults import KINDS
 LOST_AT_MOST_S = 0.25
 """Device time of samples before the fault that may be lacking."""
 
-ENDED_WITHIN_S = 15.0
-"""Wall time from the fault until the process of a run that it ends has ended."""
+ENDED_WITHIN_S = 20.0
+"""Wall time from the fault until the process of a run that it ends has ended: 10 s may pass until
+nobody waits any more for an arm that nobody can see come to rest."""
 
-pytestmark = pytest.mark.matrix
+pytestmark = [pytest.mark.matrix, pytest.mark.timeout(300)]
 
 
 @pytest.mark.parametrize("case", list(cases()), ids=str)
 def test_field_of_the_fault_matrix_over_the_wire(case: Case, tmp_path: Path) -> None:
     field = run_field(case, tmp_path)
     _keep(case, field)
-    told = (tmp_path / "stderr.txt").read_text("utf-8")[-2000:]
+    told = "".join(path.read_text("utf-8")[-2000:] for path in tmp_path.glob("*/stderr.txt"))
     ending = case.ending
     assert field.struck, f"the fault has never struck; {told}"
     assert (field.outcome, field.exit_code) == (ending.outcome, ending.exit_code), told

@@ -1,4 +1,4 @@
-"""Runs the fault matrix and writes its table into the docs: `make fault-matrix`."""
+"""Runs both fault matrices and writes their tables into the docs: `make fault-matrix`."""
 
 from __future__ import annotations
 
@@ -13,23 +13,29 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from faults.cases import FAULTS, STEPS
+from faults import cases, ur_cases
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "reference" / "fault-matrix.md"
+REFERENCE = ROOT / "docs" / "reference"
+MATRICES = {
+    "fault-matrix.md": ("tests/test_fault_matrix.py", 3),
+    "fault-matrix-ur.md": ("tests/test_fault_matrix_ur.py", 2),
+}
+"""Page → its tests, and how many of them at a time: an arm over the wire minds a busy computer."""
+
 BEGIN, END = "<!-- table: make fault-matrix -->", "<!-- end of table -->"
 
 Row = Mapping[str, Any]
 
 
-def measured() -> list[Row]:
-    """One row per field of the matrix, from running its tests.
+def measured(tests: str, workers: int) -> list[Row]:
+    """One row per field of a matrix, from running its tests.
 
     Raises:
         SystemExit: A field is not as it has to be.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "3", "-m", "matrix"]
+        command = [sys.executable, "-m", "pytest", "-q", "-n", str(workers), "-m", "matrix", tests]
         done = subprocess.run(
             command, cwd=ROOT, env={**os.environ, "HIL_MATRIX": folder}, check=False
         )
@@ -45,14 +51,36 @@ def table(rows: Sequence[Row]) -> str:
         " steps | why |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for fault, ending in FAULTS.items():
+    for fault, ending in cases.FAULTS.items():
         mine = [row for row in rows if row["fault"] == fault]
-        outcome = {row["outcome"] for row in mine}
         stop, rest = _worst(mine, "stop_s"), _worst(mine, "rest_s")
-        allowed = "—" if ending.stop_within_s is None else f"{1e3 * ending.stop_within_s:.0f} ms"
         lines.append(
-            f"| {fault} | {', '.join(sorted(outcome))} | {ending.exit_code} | {_ms(stop)} | "
-            f"{_ms(rest)} | {allowed} | {len(mine)} of {len(STEPS)} | {ending.why} |"
+            f"| {fault} | {_outcomes(mine)} | {ending.exit_code} | {_ms(stop)} | "
+            f"{_ms(rest)} | {_allowed(ending.stop_within_s)} | {len(mine)} of {len(cases.STEPS)} | "
+            f"{ending.why} |"
+        )
+    return "\n".join(lines)
+
+
+def wire_table(rows: Sequence[Row]) -> str:
+    """Markdown: a line per fault, the first stop for each kind of step, else the worst figures."""
+    lines = [
+        f"| what goes wrong | ends as | exit code | {' | '.join(ur_cases.STEPS)} | allowed |"
+        " at rest after | lost | process ends | why |",
+        "|---" * (len(ur_cases.STEPS) + 8) + "|",
+    ]
+    for fault, ending in ur_cases.FAULTS.items():
+        mine = {row["step"]: row for row in rows if row["fault"] == fault}
+        figures = [
+            *(_wire_stop(ending, mine.get(step)) for step in ur_cases.STEPS),
+            _wire_allowed(ending),
+            _ms(_worst(list(mine.values()), "rest_s"), "—"),
+            _ms(_worst(list(mine.values()), "lost_s"), "—"),
+            f"{_worst(list(mine.values()), 'ended_s'):.1f} s",
+        ]
+        lines.append(
+            f"| {fault} | {_outcomes(list(mine.values()))} | {ending.exit_code} | "
+            f"{' | '.join(figures)} | {ending.why} |"
         )
     return "\n".join(lines)
 
@@ -63,13 +91,45 @@ def written(page: str, new: str) -> str:
     return f"{head}{BEGIN}\n{new}\n{END}{rest.split(END)[1]}"
 
 
+def _wire_stop(ending: ur_cases.WireEnding, row: Row | None) -> str:
+    if ending.before:
+        return "does not move"
+    if ending.stop_within_s is None:
+        return "—" if row is None else "goes on"
+    return "—" if row is None else _ms(row["stop_s"])
+
+
+def _wire_allowed(ending: ur_cases.WireEnding) -> str:
+    standing = f", standing {_allowed(ending.standing_s)}" if ending.standing_s else ""
+    return _allowed(ending.stop_within_s) + standing
+
+
+def _outcomes(rows: Sequence[Row]) -> str:
+    return ", ".join(sorted({row["outcome"] for row in rows}))
+
+
+def _allowed(seconds: float | None) -> str:
+    return "—" if seconds is None else f"{1e3 * seconds:.0f} ms"
+
+
 def _worst(rows: Sequence[Row], key: str) -> float | None:
     return max((row[key] for row in rows if row[key] is not None), default=None)
 
 
-def _ms(seconds: float | None) -> str:
-    return "goes on" if seconds is None else f"{1e3 * seconds:.0f} ms"
+def _ms(seconds: float | None, nothing: str = "goes on") -> str:
+    return nothing if seconds is None else f"{1e3 * seconds:.0f} ms"
+
+
+def main() -> None:
+    """Both pages, or those that are named."""
+    makers = {"fault-matrix.md": table, "fault-matrix-ur.md": wire_table}
+    for name, (tests, workers) in MATRICES.items():
+        if len(sys.argv) > 1 and name not in sys.argv:
+            continue
+        page = REFERENCE / name
+        new = makers[name](measured(tests, workers))
+        page.write_text(written(page.read_text("utf-8"), new), "utf-8")
 
 
 if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text("utf-8"), table(measured())), "utf-8")
+    main()

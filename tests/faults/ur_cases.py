@@ -75,6 +75,10 @@ def _fails(fault: str, within_s: float = 0.1, **more: Any) -> WireEnding:
     return WireEnding("failed", 4, within_s, fault=_asked(fault), **more)
 
 
+def _trips(fault: str, within_s: float, **more: Any) -> WireEnding:
+    return WireEnding("tripped", 5, within_s, fault=_asked(fault), rest_within_s=0.6, **more)
+
+
 def _goes_on(fault: str, why: str, **counts: int) -> WireEnding:
     return WireEnding("completed", 0, None, why=why, fault=_asked(fault), counts=counts)
 
@@ -101,7 +105,13 @@ FAULTS: Mapping[str, WireEnding] = {
     ),
     "silence": _fails("silence", 0.2, standing_s=2.5, why=SILENCE + STANDING),
     "late packages": _fails("late by_s=1.0", 0.2, standing_s=2.5, why=SILENCE + STANDING),
-    "frozen data": _fails("freeze", 0.2, standing_s=2.5, why=SILENCE + STANDING),
+    "frozen data": _trips(
+        "freeze",
+        0.2,
+        standing_s=0.7,
+        why=SILENCE + "; where the arm stands, the stale interlock's 0.5 s, which is what ends the "
+        "run",
+    ),
     "garbage": _fails("garbage", why="it also aborts the process in which ur-rtde is"),
     "wrong length": _fails("wrong_length"),
     "protective stop": _fails("protective_stop"),
