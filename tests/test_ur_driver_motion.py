@@ -23,6 +23,7 @@ from hil.errors import (
     RobotConnectionError,
     RobotFault,
     RobotTimeout,
+    StaleState,
 )
 from hil.robot import Segment, Status
 from hil_drivers.ur import motion
@@ -404,10 +405,24 @@ def test_a_move_without_speed_is_refused(fake):
 def test_silence_during_a_move_stops_it_directly_and_then_ends_the_process(fake):
     process = fake("silence_move")
     process.connect()
-    with pytest.raises(RobotConnectionError, match="has not said anything"):
+    with pytest.raises(StaleState, match="has not said anything") as caught:
         move_to_the_end(process, move(2.0))
+    assert "network" in caught.value.hint
     assert fake.desk.wait(30003, b"stopj")
     assert not process.alive
+
+
+def test_a_computer_that_holds_its_breath_does_not_make_the_controller_silent(fake):
+    process = fake()
+    process.connect()
+    begin(process, move(1.0))
+    for _ in range(3):
+        time.sleep(0.2)
+        os.kill(process.pid, signal.SIGSTOP)
+        time.sleep(0.25)
+        os.kill(process.pid, signal.SIGCONT)
+    wait_until_over(process)
+    assert fake.desk.said[30003] == b""
 
 
 def test_a_cut_connection_during_a_move_stops_it_directly_and_ends_the_process(fake):

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
 from hil.payload import Payload
 from hil.robot import Segment, Status, state_dtype
 from hil_drivers.ur.checks import require_executable, require_liftable
@@ -348,6 +348,20 @@ def test_that_the_process_next_door_has_left_waits_for_the_row_that_explains_it(
     assert not standing.faulty
     standing.look(rows[40:], None, RobotConnectionError("nobody is there"), left=True)
     assert said in standing.problem.message
+
+
+def test_silence_that_stopped_the_arm_is_not_hidden_by_the_stop_it_has_led_to():
+    """The stop has ended the program, which nobody has done at the teach pendant."""
+    quiet = StaleState("nothing was said for 0.12 s")
+    rows = block(*[raw()] * 20, *[raw(runtime=1)] * 80)
+    standing = watch()
+    standing.look(rows[:30], None, quiet, left=True)
+    standing.look(rows[30:], None, RobotConnectionError("nobody is there"), left=True)
+    assert standing.problem is quiet
+    stopped = watch()
+    stopped.look(rows[:30], None, quiet, left=True)
+    stopped.look(block(raw(safety=3, runtime=4)), None, quiet, left=True)
+    assert "protective stop" in stopped.problem.message
 
 
 def test_that_it_has_died_is_told_at_once():

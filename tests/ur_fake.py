@@ -199,6 +199,9 @@ class Receiver:
 
     def __init__(self, host, frequency_hz=None):
         self._heard = time.monotonic()
+        self._rows = []
+        self._changed = threading.Condition()
+        threading.Thread(target=self._listen, daemon=True).start()
 
     @property
     def age_s(self):
@@ -211,13 +214,20 @@ class Receiver:
         pass
 
     def take(self, timeout_s=1.0):
-        until = time.monotonic() + timeout_s
+        with self._changed:
+            self._changed.wait_for(lambda: self._rows or WORLD.cut, timeout_s)
+            rows, self._rows = self._rows, []
+        if WORLD.cut:
+            raise RobotConnectionError("the controller has hung up")
+        if not rows:
+            raise RobotTimeout("no row")
+        return np.array(rows, ROW)
+
+    def _listen(self):
         while True:
-            if WORLD.cut:
-                raise RobotConnectionError("the controller has hung up")
             if rows := WORLD.rows_due():
                 self._heard = time.monotonic()
-                return np.array(rows, ROW)
-            if time.monotonic() > until:
-                raise RobotTimeout("no row")
+                with self._changed:
+                    self._rows += rows
+                    self._changed.notify_all()
             time.sleep(0.002)

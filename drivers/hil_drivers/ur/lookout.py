@@ -25,8 +25,14 @@ itself, and upload its program, whatever the arm was doing [s]."""
 FRESH_S = 0.1
 """A state younger than this is taken for the present one where the arm is to be stopped [s]."""
 
-LOST_EXIT = 3
-"""Exit code of a process that has lost its controller, or its program there."""
+DOZE_S = 0.05
+"""A look that takes longer was held up by this computer: nothing is known of the controller [s]."""
+
+LOST_EXIT, STALE_EXIT = 3, 4
+"""Exit codes of a process that has lost its controller, or its program there; and of one that has
+stopped the arm because nothing was heard of the controller."""
+
+SILENCE_HINT = "check the network between this computer and the controller, then connect again"
 
 
 class Ticks(Protocol):
@@ -70,11 +76,13 @@ class Lookout(threading.Thread):
         self._ticks, self._course, self._options = ticks, course, options
         self._leave = leave
         self._going = threading.Lock()
+        self._looked, self._dozed = time.monotonic(), False
         self.ending = threading.Event()
 
     def run(self) -> None:
         """Look at every row until the end."""
         while not self.ending.is_set():
+            self._looked = time.monotonic()
             try:
                 rows = self._ticks.take(LOOK_S)
             except RobotTimeout:
@@ -100,6 +108,8 @@ class Lookout(threading.Thread):
         course.news.set()
         if self._ticks.age_s > self._options.late_s:
             self._silent()
+        else:
+            self._dozed = False
 
     def _watch_ramp(self, rows: StructArray) -> None:
         ramp, newest = self._course.ramp, rows[-1]
@@ -119,6 +129,8 @@ class Lookout(threading.Thread):
 
     def _silent(self) -> None:
         """Nothing comes: `ur-rtde` would wait for an answer, for minutes if need be."""
+        if self._dozes():
+            return
         course = self._course
         for_s = time.monotonic() - course.heard
         if not self._connected():
@@ -131,9 +143,15 @@ class Lookout(threading.Thread):
                 StaleState(
                     f"the controller has not said anything for {for_s:.2f} s while the arm was "
                     "moving",
-                    hint="check the network between this computer and the controller",
+                    hint=SILENCE_HINT,
                 )
             )
+
+    def _dozes(self) -> bool:
+        """Whether what has come may still wait to be heard: not believed twice in a row."""
+        late = time.monotonic() - self._looked > DOZE_S
+        self._dozed = late and not self._dozed
+        return self._dozed
 
     def _program_ended(self, row: np.void) -> None:
         """A program that is only paused would go on with its old move once it is let."""
@@ -174,4 +192,4 @@ class Lookout(threading.Thread):
             self._course.obeyed.set()
         self._course.fail(error)
         print(error.message, file=sys.stderr, flush=True)  # noqa: T201
-        self._leave(LOST_EXIT)
+        self._leave(STALE_EXIT if isinstance(error, StaleState) else LOST_EXIT)

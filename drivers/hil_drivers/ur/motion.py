@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from hil.errors import HilError, RobotConnectionError
+from hil.errors import HilError, RobotConnectionError, StaleState
 from hil.payload import Payload
 from hil.robot import Segment
 from hil.robot.documents import plain_options, segment_document
 from hil.robot.driver_process import DriverProcess
 from hil.robot.frames import garbage
 from hil.typing import StructArray
-from hil_drivers.ur.lookout import LOST_EXIT
+from hil_drivers.ur.lookout import LOST_EXIT, SILENCE_HINT, STALE_EXIT
 
 CHILD = "hil_drivers.ur.motion_child:UrMotion"
 OPEN_S, CONNECT_S, COMMAND_S, LOOK_S, CLOSE_S = 30.0, 20.0, 8.0, 2.0, 6.0
@@ -57,8 +57,9 @@ class MotionProcess:
 
     @property
     def left(self) -> bool:
-        """Whether it has stopped the arm and ended by itself: a row that explains it will come."""
-        return self._process is not None and self._process.exit_code == LOST_EXIT
+        """Whether it has stopped the arm and ended by itself: a row may come that explains it."""
+        process = self._process
+        return process is not None and process.exit_code in (LOST_EXIT, STALE_EXIT)
 
     def connect(self) -> None:
         """Start the process, let it upload the program and arm the watchdog.
@@ -96,7 +97,14 @@ class MotionProcess:
         Raises:
             HilError: Why the newest motion was ended; told once.
         """
-        _, arrays = self._alive().ask("read", LOOK_S, {"timeout_s": LOOK_S})
+        process = self._alive()
+        try:
+            _, arrays = process.ask("read", LOOK_S, {"timeout_s": LOOK_S})
+        except RobotConnectionError as error:
+            if process.exit_code != STALE_EXIT:
+                raise
+            said = process.printed.strip().splitlines() or [error.message]
+            raise StaleState(said[-1], hint=SILENCE_HINT) from error
         if not arrays or not len(arrays[0]):
             raise garbage("progress without a row")
         return arrays[0]

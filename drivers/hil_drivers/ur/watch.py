@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.errors import HilError, StaleState
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.ur.faults import PAUSED, PAUSING, complaints, first_fault
@@ -98,9 +98,12 @@ class Watch:
         ended = ~program_running(raw)
         if self.gone_at is None and ended.any():
             self.gone_at = float(raw["timestamp"][int(ended.argmax())])
-        fault = first_fault(raw, program=not self.replaced)
-        if fault is None and error is not None:
+        if error is not None:
             self._left = self._left or (float(raw["timestamp"][-1]), error)
+        # Who has stopped the arm for silence has ended the program, too: that explains nothing.
+        stale = self._left is not None and isinstance(self._left[1], StaleState)
+        fault = first_fault(raw, program=not (self.replaced or stale))
+        if fault is None and error is not None and self._left is not None:
             since, error = self._left
             waits = left and float(raw["timestamp"][-1]) - since < EXPLAINED_S
             error = None if waits else error
