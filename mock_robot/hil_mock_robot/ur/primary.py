@@ -10,11 +10,11 @@ from hil_mock_robot.ur.primary_messages import (
     Level,
     error_message,
     exception_message,
+    greeting,
     key_message,
     popup_message,
     safety_mode_message,
     text_message,
-    version_message,
 )
 from hil_mock_robot.ur.primary_state import state_packet
 
@@ -88,7 +88,7 @@ class PrimarySession:
         self._service, self._link = service, link
         self._inbox = ScriptInbox(service.machine)
         self._sent = -1
-        link.send(version_message(service.machine.series, service.machine.now_s))
+        link.send(greeting(service.machine.series))
         self._publish()
 
     def received(self, data: bytes) -> None:

@@ -14,6 +14,9 @@ from hil_mock_robot.ur.series import Series
 
 ROBOT_MESSAGE = 20
 NAME = b"URControl"
+UNTIMED = 0xFFFFFFFFFFFFFFFF
+"""Time of what is told on connecting: clients that look for a packet by its first bytes, such as
+python-urx, take a real time for one now and then."""
 
 
 class Source(IntEnum):
@@ -35,9 +38,12 @@ class Level(IntEnum):
     FAULT = 4
 
 
-def message(kind: int, body: bytes, now_s: float, source: Source = Source.ROBOT_INTERFACE) -> bytes:
+def message(
+    kind: int, body: bytes, now_s: float | None, source: Source = Source.ROBOT_INTERFACE
+) -> bytes:
     """A robot message: size, type, time [µs], source, kind of message, body."""
-    head = struct.pack(">BQbb", ROBOT_MESSAGE, round(now_s * 1e6), source, kind)
+    time_us = UNTIMED if now_s is None else round(now_s * 1e6)
+    head = struct.pack(">BQbb", ROBOT_MESSAGE, time_us, source, kind)
     return struct.pack(">i", 4 + len(head) + len(body)) + head + body
 
 
@@ -53,12 +59,19 @@ def popup_message(title: str, text: str, now_s: float) -> bytes:
     return message(2, body + name + text.encode(), now_s, Source.RT_MACHINE)
 
 
-def version_message(series: Series, now_s: float) -> bytes:
-    """The first thing a client is told (kind 3)."""
-    major, minor, bugfix, build = series.version
+def greeting(series: Series) -> bytes:
+    """What a client is told on connecting: the version (kind 3), and what UR alone reads (12).
+
+    As controllers and URSim of 3.10, 5.12 and 5.13 do: no time, no build number.
+    """
+    return _version(series) + message(12, struct.pack(">iiB", 0, 0, 1), None)
+
+
+def _version(series: Series) -> bytes:
+    major, minor, bugfix, _ = series.version
     date = time.strftime("%d-%m-%Y, %H:%M:%S", time.strptime(series.date, "%b %d %Y"))
-    body = struct.pack(">b", len(NAME)) + NAME + struct.pack(">BBii", major, minor, bugfix, build)
-    return message(3, body + date.encode(), now_s)
+    body = struct.pack(">b", len(NAME)) + NAME + struct.pack(">BBii", major, minor, bugfix, 0)
+    return message(3, body + date.encode(), None)
 
 
 def safety_mode_message(mode: int, now_s: float) -> bytes:

@@ -1,7 +1,9 @@
 """The robot state of the primary and secondary interface: one packet of sub-packages.
 
 Source: Universal Robots, "Primary and Secondary Interfaces", robot state message of 3.15 and
-5.10; sizes as in a state packet of software 5.8 (1386 bytes, tests of UR's client library).
+5.10; sizes as in a state packet of software 5.8 (1386 bytes, tests of UR's client library). CB3: a
+UR10 of 3.5.3 sends 1350 (python-urx issue 65), which is this without what is the tool's in 11 and
+12, and without the last byte of the master board, which that library reads on both series.
 Everything is big-endian.
 """
 
@@ -44,11 +46,10 @@ def _parts(machine: Machine) -> Iterator[tuple[int, bytes]]:
     yield 2, _tool(machine)
     yield 6, configuration(machine.body.arm, machine.series)
     yield 7, _force_mode(machine)
-    if not machine.series.is_e:
-        yield 8, bytes((0, 1, 0))
-        return
-    yield 8, bytes((0, 1, 0, 1))
+    yield 8, bytes((0, 1, 0, 1)) if machine.series.is_e else bytes((0, 1, 0))
     yield 10, bytes(38)  # safety data, for UR's own software only
+    if not machine.series.is_e:
+        return
     yield 11, struct.pack(">?iiiff", False, TOOL_BAUD, 0, 1, 1.5, 3.5)
     yield 12, bytes((0, 1, 1))
 
@@ -116,8 +117,7 @@ def _master_board(machine: Machine) -> bytes:
         out["io_current"],
     )
     reduced = safety is SafetyMode.REDUCED
-    body += struct.pack(">B??IBB", int(safety), reduced, False, 0, AUTOMATIC, PRESSED)
-    return body + b"\x00" if machine.series.is_e else body
+    return body + struct.pack(">B??IBBB", int(safety), reduced, False, 0, AUTOMATIC, PRESSED, 0)
 
 
 def _tool(machine: Machine) -> bytes:
