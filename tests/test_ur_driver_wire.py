@@ -403,8 +403,14 @@ def test_a_program_that_somebody_stops_is_a_fault(kind):
         follow(robot, move(robot, 0.1))
 
 
+KNOWN_S = {"cut": 0.1, "silence": 0.3 + 0.1, "unplugged": 1 / SLOW["watchdog_hz"] + 0.1}
+"""When whoever can stop the arm knows of it: at once, after late_s, after the watchdog's period."""
+
+BUSY_S = 0.3
+
+
 @pytest.mark.parametrize("kind", MOTIONS)
-@pytest.mark.parametrize("fault", ["cut", "unplugged", "silence"])
+@pytest.mark.parametrize("fault", KNOWN_S)
 def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kind, fault, tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running, late_s=0.3) as robot:
         begin(robot, MOTIONS[kind](robot))
@@ -425,6 +431,7 @@ def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kin
             if e["monotonic_s"] > began and e["event"] in ("stop", "watchdog", "program_stopped")
         ]
         assert stops, [e["event"] for e in journal]
+        assert stops[0] - began < KNOWN_S[fault] + BUSY_S
         assert not [e for e in journal if e["event"] == "start" and e["monotonic_s"] > stops[0]]
         state = running.side("state")
         assert max(map(abs, state["qd_target"])) < 1e-6
@@ -436,8 +443,7 @@ def test_a_load_the_controller_does_not_take_is_seen():
     with mock_ur() as running, robot_on(running) as robot:
         running.side("fault", kind="payload_refused")
         declared = Payload(2.0, (0.0, 0.0, 0.05))
-        with contextlib.suppress(CommandRefused):
-            assert not declared.agrees_with(robot.set_payload(declared))
+        assert robot.set_payload(declared).mass == 0.0
 
 
 def test_nothing_plays_after_closing(mock):
