@@ -98,6 +98,18 @@ def test_ticks_that_were_missed_are_caught_up_with_gently():
     assert feed.late_s == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_host_that_answers_every_few_ticks_catches_up_too(every):
+    feed = Feed(ramp(900), 500.0, begun=0.0)
+    for k in range(every, 800, every):
+        if 200 < k < 230:  # 60 ms in which nothing was answered
+            continue
+        last = feed.due(0.002 * k)[0]
+        assert feed.late_s < 0.07
+    assert feed.late_s == pytest.approx(0.0)
+    assert last == pytest.approx(k)
+
+
 def test_a_few_missed_ticks_are_made_up_for_at_once():
     feed = Feed(ramp(), 125.0, begun=0.0)
     feed.due(TICK_S)

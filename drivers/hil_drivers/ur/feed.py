@@ -21,7 +21,7 @@ class Feed:
 
     Ticks that were missed let the arm stand still on its last set-point. After a few it is where
     it ought to be with the next one; after more it goes on from where it stands, at most a quarter
-    faster than planned. A robot that lives ten times as fast, or a host that is late, thus gets
+    faster than planned, also where only every few ticks are answered. A robot that lives ten times as fast, or a host that is late, thus gets
     the same path.
 
     Args:
@@ -51,7 +51,11 @@ class Feed:
         """(n,) what to command now that the robot says which time it is [rad]."""
         schedule = min((device_time - self._begun) * self._rate_hz, len(self._q) - 1.0)
         behind = max(schedule - self.place, 0.0)
-        self.place += behind if behind <= JUMP_S * self._rate_hz else CATCH_UP
+        ticks = (device_time - self._last_tick) * self._rate_hz
+        self._last_tick = device_time
+        few = JUMP_S * self._rate_hz
+        gently = CATCH_UP * (ticks if ticks <= few else 1.0)
+        self.place += behind if behind <= few else min(behind, gently)
         self.late_s = (schedule - self.place) / self._rate_hz
         before = min(int(self.place), len(self._q) - 1)
         after = min(before + 1, len(self._q) - 1)
