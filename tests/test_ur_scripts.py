@@ -566,3 +566,29 @@ def test_no_text_crashes_the_controller(text):
 @given(st.binary(max_size=300))
 def test_no_bytes_crash_the_inbox(data):
     ScriptInbox(ONE).feed(data + b"\n")
+
+
+@pytest.mark.parametrize("arm", ["ur5", "ur5e"])
+def test_a_program_answers_inputs_by_outputs_tick_by_tick(arm):
+    """`rtde_roundtrip` of UR's client library: bit inverted, integer plus one, double negated."""
+    station = Station(arm)
+    lines = (
+        "while (True):",
+        "  write_output_boolean_register(64, not read_input_boolean_register(64))",
+        "  write_output_integer_register(24, read_input_integer_register(24) + 1)",
+        "  write_output_float_register(24, -1.0 * read_input_float_register(24))",
+        "  sync()",
+        "end",
+    )
+    station.send(program(*lines, name="rtde_register_mirror"))
+    inputs, outputs = station.machine.inputs, station.machine.outputs
+    for count in range(1, 200):
+        value = float(np.sin(count * 0.01))
+        inputs["input_bit_register_64"] = count % 2 == 0
+        inputs["input_int_register_24"], inputs["input_double_register_24"] = count, value
+        station.machine.tick()
+        assert bool(outputs["output_bit_register_64"]) is (count % 2 == 1)
+        assert outputs["output_int_register_24"] == count + 1
+        assert outputs["output_double_register_24"] == -value
+    station.send("stop program\n")
+    assert station.machine.runtime is RuntimeState.STOPPED
