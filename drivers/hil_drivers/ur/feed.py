@@ -21,8 +21,8 @@ class Feed:
 
     Ticks that were missed let the arm stand still on its last set-point. After a few it is where
     it ought to be with the next one; after more it goes on from where it stands, at most a quarter
-    faster than planned, also where only every few ticks are answered. A robot that lives ten times as fast, or a host that is late, thus gets
-    the same path.
+    faster than planned, also where only every few ticks are answered. A robot that lives ten times
+    as fast, or a host that is late, thus gets the same path.
 
     Args:
         q: (N, n) set-points [rad].
