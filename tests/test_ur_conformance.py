@@ -15,12 +15,10 @@ from ur_mock import MockUr, mock_ur
 from hil.robot import Robot
 from hil.testing.bench import Bench
 from hil.testing.conformance import robot_conformance
+from hil_drivers.ur.options import Options
 from hil_drivers.ur.robot import UrRobot
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
-
-STOPJ_RAD_S2 = 6.0
-"""The driver's option `stop_rad_s2`."""
 
 STOPL_RAD_S2 = 1.0
 """What 10 m/s² at the tool, its option `stop_m_s2`, are at the last joint at least."""
@@ -33,7 +31,7 @@ def bench(model: str, folder: Path) -> Iterator[tuple[Callable[[], Robot], Bench
         yield (
             lambda: UrRobot("arm", model, address=running.address),
             Bench(
-                move_ramp_rad_s2=STOPJ_RAD_S2,
+                move_ramp_rad_s2=Options(running.address).stop_rad_s2,
                 trajectory_ramp_rad_s2=STOPL_RAD_S2,
                 stop_seen=lambda asked: first_stop(running, asked),
                 fault=lambda robot: running.side("fault", kind="protective_stop"),
