@@ -58,6 +58,7 @@ class WireEnding(Ending):
         loaded: For those: the spec has a load.
         arguments: For the mock.
         standing_s: In place of `stop_within_s` where the arm stands when it happens.
+        standing: Whether it is tried where the arm stands, too.
         counts: What the recording of a run that goes on has to count, exactly.
     """
 
@@ -67,6 +68,7 @@ class WireEnding(Ending):
     loaded: bool = False
     arguments: tuple[str, ...] = ()
     standing_s: float | None = None
+    standing: bool = True
     counts: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -112,17 +114,19 @@ FAULTS: Mapping[str, WireEnding] = {
         why=SILENCE + "; where the arm stands, the stale interlock's 0.5 s, which is what ends the "
         "run",
     ),
-    "garbage": _fails("garbage", why="it also aborts the process in which ur-rtde is"),
-    "wrong length": _fails("wrong_length"),
+    "garbage": _fails(
+        "garbage", standing=False, why="it also aborts the process in which ur-rtde is"
+    ),
+    "wrong length": _fails("wrong_length", standing=False),
     "protective stop": _fails("protective_stop"),
     "emergency stop": _fails("emergency_stop"),
-    "safeguard stop": _fails("safeguard_stop"),
-    "safety fault": _fails("safety_fault"),
-    "joint too hot": _fails("overheat", why="the controller stops at 85 °C"),
+    "safeguard stop": _fails("safeguard_stop", standing=False),
+    "safety fault": _fails("safety_fault", standing=False),
+    "joint too hot": _fails("overheat", standing=False, why="the controller stops at 85 °C"),
     "controller reboots": _fails(
         "reboot", by="controller", why="its brakes stop the arm; no command arrives"
     ),
-    "jitter": _goes_on("jitter by_s=0.04", "0 to 40 ms late, in order: nothing is lost"),
+    "jitter": _goes_on("jitter by_s=0.03", "0 to 30 ms late, in order: nothing is lost"),
     "lost package": _goes_on("drop", "counted", gaps=1, missing=1),
     "doubled package": _goes_on("duplicate", "counted", duplicates=1),
     "dashboard hangs": _goes_on("dashboard_hang for_s=5", "nothing is asked of it meanwhile"),
@@ -174,10 +178,11 @@ class Case:
 
 
 def steps_of(ending: WireEnding) -> tuple[str, ...]:
-    """Where a fault strikes: what goes on is tried where most is at stake, while the arm moves."""
+    """Where a fault strikes; while the arm moves there is most at stake."""
     if ending.before:
         return PROGRAMS
-    return MOVING if ending.stop_within_s is None else tuple(STEPS)
+    stands = ending.standing and ending.stop_within_s is not None
+    return tuple(STEPS) if stands else MOVING
 
 
 def cases() -> Iterator[Case]:
