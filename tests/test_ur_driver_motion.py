@@ -377,6 +377,14 @@ def test_a_program_that_does_not_play_for_one_tick_ends_the_session(fake, how):
     assert how == "blink_move" or fake.desk.wait(29999, b"stop\n")
 
 
+def test_rows_from_before_the_upload_that_are_late_end_nothing(fake):
+    """`ur-rtde` holds the interpreter while it uploads: what came meanwhile is heard later."""
+    process = fake("late_rows")
+    process.connect()
+    move_to_the_end(process, move())
+    assert fake.desk.said[30003] == b""
+
+
 def test_a_program_that_is_held_paused_is_ended_with_the_process(fake):
     """It would go on with its old move as soon as a protective stop is unlocked."""
     process = fake("pause_at_end")

@@ -486,6 +486,17 @@ def test_all_of_a_dwell_is_kept_and_little_of_what_an_arm_does_that_was_stopped(
     assert receiver.kept[-1] == (None, False)
 
 
+def test_rows_from_before_a_hold_was_started_are_not_its_own(monkeypatch):
+    """They may be seconds old, and from when the arm was braking."""
+    rows = raw_rows(500)
+    robot = connected_to(rows, monkeypatch)
+    robot._motion.look = lambda: np.zeros(1, PROGRESS)
+    robot._controller.receiver.newest = rows[400:401]
+    robot.prepare(segment([[0.0] * 6], kind="hold"))
+    robot.start()
+    assert int((robot.read()["segment"] >= 0).sum()) == 99
+
+
 def test_after_a_motion_nobody_has_to_read_for_ever(monkeypatch):
     robot = connected_to(raw_rows(5), monkeypatch)
     robot._motion.look = lambda: np.zeros(1, PROGRESS)

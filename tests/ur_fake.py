@@ -115,6 +115,8 @@ class RTDEControlInterface:
         if how("local"):
             raise RuntimeError("ur_rtde: Please enable remote control on the robot!")
         WORLD.playing = True
+        if how("late_rows"):
+            WORLD.blinks = 40
 
     def isProgramRunning(self):  # noqa: N802
         return WORLD.playing

@@ -7,14 +7,13 @@ at rest, and closed.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotTimeout
+from hil.errors import CommandRefused, HilError, RobotConnectionError
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status
 from hil.typing import StructArray
@@ -23,11 +22,11 @@ from hil_drivers.ur.direct_stop import end_program, stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of
 from hil_drivers.ur.mover import Mover
 from hil_drivers.ur.options import options_of
-from hil_drivers.ur.phases import PLAYING, STOPPED, Phase
+from hil_drivers.ur.phases import STOPPED, Phase
+from hil_drivers.ur.playing import state_of, wait_until_playing
 
 RECEIVER = "hil_drivers.ur.receiver:Receiver"
 REST_S = 3.0
-LAST_ROW_S = 0.2
 
 PROGRESS = np.dtype(
     [("device_time", "<f8"), ("begun", "<f8"), ("qd", "<f8", (6,)), ("status", "<i4")]
@@ -85,6 +84,7 @@ class UrMotion:
         Raises:
             RobotConnectionError: Nobody is there, or somebody else owns the inputs.
             CommandRefused: The watchdog could not be armed.
+        RobotFault: The program does not play.
         """
         if self._mover is not None:
             return
@@ -97,8 +97,7 @@ class UrMotion:
             control = Control(self._options.address, rate, series, library=self._library)
             try:
                 control.arm_watchdog(self._options.watchdog_hz)
-                # What came while the program was uploaded is old news.
-                receiver.take(1.0)
+                wait_until_playing(receiver)
                 mover = Mover(control, receiver, self._options, rate)
             except BaseException:
                 self._end_program(control, receiver)
@@ -178,7 +177,7 @@ class UrMotion:
         try:
             control.end()
         finally:
-            if _state(receiver) != STOPPED:
+            if state_of(receiver) != STOPPED:
                 end_program(self._options.address)
 
     def _come_to_rest(self, mover: Mover) -> None:
@@ -196,12 +195,3 @@ class UrMotion:
                 f"{self._name} is not connected", hint="call connect() first"
             )
         return self._mover
-
-
-def _state(receiver: Any) -> int:
-    """RTDE `runtime_state` by now; of a program that plays when nobody can tell."""
-    with contextlib.suppress(HilError):
-        with contextlib.suppress(RobotTimeout):
-            receiver.take(0.0)
-        return int(receiver.take(LAST_ROW_S)[-1]["runtime_state"])
-    return PLAYING

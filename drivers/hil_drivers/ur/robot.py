@@ -194,8 +194,9 @@ class UrRobot:
             raise CommandRefused("a segment is still running", hint="read until it is over")
         self._controller.receiver.keep(None)  # a dwell is measured as much as a motion
         if segment.kind == "hold":
-            newest = -np.inf if self._newest is None else float(self._newest["timestamp"][-1])
-            self._watch.begun(segment.index, newest, moves=False)
+            # What waits to be read was before it, and may be seconds old.
+            now = float(self._controller.row["timestamp"])
+            self._watch.begun(segment.index, now, moves=False)
             return
         self._watch.begun(segment.index, self._motion.start(), moves=True)
 
@@ -319,5 +320,6 @@ class UrRobot:
 
     def _let_go(self) -> None:
         self._connected = self._listening = False
+        self._prepared = self._newest = None
         self._motion.close()
         self._controller.close()
