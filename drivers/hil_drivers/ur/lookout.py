@@ -97,7 +97,7 @@ class Lookout(threading.Thread):
     def _see(self, rows: StructArray) -> None:
         course = self._course
         if not self._connected():
-            return self._lost("ur-rtde's own connection has ended")
+            return self._cut_off()
         # A state that is repeated is no news, so a controller that hangs is silent.
         course.newest, course.heard = rows[-1], time.monotonic() - self._ticks.age_s
         ended = rows["runtime_state"] != PLAYING
@@ -134,7 +134,7 @@ class Lookout(threading.Thread):
         course = self._course
         for_s = time.monotonic() - course.heard
         if not self._connected():
-            return self._lost("ur-rtde's own connection has ended")
+            return self._cut_off()
         if self._ticks.age_s > SILENT_S:
             return self._lost(f"the controller has not said anything for {for_s:.1f} s")
         allowed_s = FRESH_S if course.asked.is_set() else self._options.late_s
@@ -165,6 +165,16 @@ class Lookout(threading.Thread):
             paused=int(row["runtime_state"]) != STOPPED,
         )
 
+    def _cut_off(self) -> None:
+        """The program is not led any more; one that was uploaded anew has no watchdog."""
+        self.go(
+            RobotConnectionError(
+                "connection lost: ur-rtde's own has ended",
+                hint="check the network, then connect again",
+            ),
+            paused=True,
+        )
+
     def _lost(self, why: str) -> None:
         self.go(
             RobotConnectionError(
@@ -177,7 +187,7 @@ class Lookout(threading.Thread):
 
         Args:
             error: Why; the last word of this process.
-            paused: Whether the program may be let go on by somebody, and must be ended.
+            paused: Whether the program may go on without us, and must be ended.
         """
         with self._going:
             if self.ending.is_set():
