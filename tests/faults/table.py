@@ -76,7 +76,7 @@ def wire_table(rows: Sequence[Row]) -> str:
             _wire_allowed(ending),
             _ms(_worst(list(mine.values()), "rest_s"), "—"),
             _ms(_worst(list(mine.values()), "lost_s"), "—"),
-            f"{_worst(list(mine.values()), 'ended_s'):.1f} s",
+            "—" if ending.before else f"{_worst(list(mine.values()), 'ended_s'):.1f} s",
         ]
         lines.append(
             f"| {fault} | {_outcomes(list(mine.values()))} | {ending.exit_code} | "
