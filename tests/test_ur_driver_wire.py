@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -259,10 +260,23 @@ def test_a_motion_process_that_is_killed_does_not_keep_the_arm_from_being_stoppe
         follow(robot, move(robot, 0.1))
 
 
+def hang(pid):
+    """On a busy computer the signal takes some milliseconds until all threads have heard of it."""
+    os.kill(pid, signal.SIGSTOP)
+    until = time.monotonic() + 5.0
+    states = Path(f"/proc/{pid}/task")
+    while time.monotonic() < until:
+        said = [(task / "stat").read_text().rpartition(")")[2] for task in states.iterdir()]
+        if all(state.split()[0] == "T" for state in said):
+            return
+        time.sleep(0.001)
+    raise AssertionError("it goes on")
+
+
 def test_a_motion_process_that_hangs_does_not_either(tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, move(robot, 0.4))
-        os.kill(robot._motion.pid, signal.SIGSTOP)
+        hang(robot._motion.pid)
         try:
             asked = time.monotonic()
             robot.stop()
