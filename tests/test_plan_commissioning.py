@@ -132,8 +132,13 @@ def test_it_says_itself():
     assert Commissioning(0.1, first=10).to_dict() == {
         "speed": 0.1,
         "first": 10,
-        "text": "at 0.1 of the speed, only the first 10 measured",
+        "text": "at 10 % of the speed, only the first 10 measured",
     }
+
+
+def test_it_knows_how_much_there_is_in_all():
+    assert str(Commissioning(first=2).within(dwells(3))) == "only the first 2 of 3 measured"
+    assert str(Commissioning(first=9).within(dwells(3))) == "only the first 3 of 3 measured"
 
 
 def hil(*arguments):
@@ -148,8 +153,16 @@ def test_a_commissioning_run_says_so_and_is_not_judged(tmp_path):
     said = json.loads(done.stdout)
     assert (said["outcome"], said["verdict"]) == ("completed", "not judged")
     start = json.loads((Path(said["run"]) / "start.json").read_text())
-    assert start["commissioning"]["text"] == "at 0.5 of the speed, only the first 2 measured"
-    assert "only the first 2 measured" in Path(said["report"]).read_text()
+    part = "at 50 % of the speed, only the first 2 of 12 measured"
+    assert start["commissioning"]["text"] == part
+    assert part in Path(said["report"]).read_text()
+    shown = " ".join(hil("show", said["run"]).stdout.split())
+    assert (
+        f"It is of a commissioning run, {part}: such runs are neither fitted nor judged." in shown
+    )
+    spec = Path("experiments/ci_dwell_12.yaml").resolve()
+    assert shown.endswith(f"next: hil run {spec} --speed 50%")
+    assert "hil fit" not in shown
     rows = read_topic(Path(said["run"]) / "recording" / "00.mcap")
     assert np.abs(rows["qd_target"]).max() <= np.radians(60) * 0.5 + 1e-6
     again = hil("resume", said["run"])

@@ -45,6 +45,7 @@ def write_beginning(
             "experiment": experiment.spec.name,
             "plan_hash": plan.hash,
             "spec_hash": spec_hash(experiment.spec),
+            **({"spec": _whole(experiment.spec_source)} if experiment.spec_source else {}),
             "station": _whole(experiment.station_source),
             "robot_name": experiment.spec.robot,
             "robot": describe_robot(robot, experiment.robot),
@@ -118,9 +119,9 @@ def open_recorder(
     )
 
 
-def _whole(station: str) -> str:
-    """A station's file as anybody finds it: resuming starts somewhere else, perhaps."""
-    return str(Path(station).resolve()) if Path(station).is_file() else station
+def _whole(source: str) -> str:
+    """A file as anybody finds it: whoever goes on starts somewhere else, perhaps."""
+    return str(Path(source).resolve()) if Path(source).is_file() else source
 
 
 def _media_type(name: str) -> str:

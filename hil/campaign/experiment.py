@@ -31,6 +31,7 @@ class Experiment:
         folder: Folder of the spec.
         station_source: Path of the station file, or that it is the built-in mock bench.
         commissioning: What of the plan is executed, and how fast; None for all of it.
+        spec_source: Path of the spec file; empty when there is none.
     """
 
     spec: ExperimentSpec
@@ -41,6 +42,7 @@ class Experiment:
     station_source: str
     folder: Path
     commissioning: Commissioning | None = None
+    spec_source: str = ""
 
     @property
     def title(self) -> str:
@@ -69,6 +71,7 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
         station_text=text or f"# {BUILT_IN}\n" + station.model_dump_json(indent=1) + "\n",
         station_source=source,
         folder=spec_path.resolve().parent,
+        spec_source=str(spec_path),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
 from hil import plugins
@@ -37,8 +38,9 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         require_usable(experiment, robot)
         attendance.stage("planning")
         plan = plan_for(experiment, robot)
-        if experiment.commissioning is not None:
-            plan = experiment.commissioning.of(plan)
+        if (part := experiment.commissioning) is not None:
+            experiment = replace(experiment, commissioning=part.within(plan))
+            plan = part.of(plan)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
         with attendance.signals.guard():

@@ -43,7 +43,7 @@ SpeedOption = Annotated[
     typer.Option(
         "--speed",
         metavar="SHARE",
-        help="Commissioning: the same plan slower, such as 10%; recorded, and not judged.",
+        help="Commissioning: the same plan slower, such as 10%; neither fitted nor judged.",
     ),
 ]
 FirstOption = Annotated[

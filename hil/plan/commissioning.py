@@ -24,17 +24,29 @@ class Commissioning:
             stands still as long as before.
         first: So many poses or trajectories are measured; None for all of them.
         first_s: Measurements that are over within this estimated time; None for all [s].
+        whole: Poses or trajectories of the whole plan; None when it is not known yet.
     """
 
     speed: float = 1.0
     first: int | None = None
     first_s: float | None = None
+    whole: int | None = None
 
     def __str__(self) -> str:
-        said = [f"at {self.speed:.4g} of the speed"] if self.speed < 1.0 else []
-        said += [] if self.first is None else [f"only the first {self.first} measured"]
+        said = [f"at {100 * self.speed:.4g} % of the speed"] if self.speed < 1.0 else []
+        said += [] if self.first is None else [f"only the first {self._counted} measured"]
         said += [] if self.first_s is None else [f"only the first {self.first_s:g} s"]
         return ", ".join(said)
+
+    @property
+    def _counted(self) -> str:
+        if self.first is None or self.whole is None:
+            return str(self.first)
+        return f"{min(self.first, self.whole)} of {self.whole}"
+
+    def within(self, plan: Plan) -> Commissioning:
+        """The same, knowing how much there is in the whole plan."""
+        return replace(self, whole=len({_place(s) for s in plan if s.kind in MEASURED}))
 
     def to_dict(self) -> dict[str, Any]:
         """For the start document; `text` says it to people."""
@@ -65,7 +77,7 @@ class Commissioning:
         for step in plan.steps:
             passed_s += plan.step_duration_s(step)
             if step.kind in MEASURED:
-                seen.add((step.load, step.pose, step.trajectory))
+                seen.add(_place(step))
             if self.first is not None and len(seen) > self.first:
                 return end
             if self.first_s is not None and passed_s > self.first_s:
@@ -109,6 +121,11 @@ def _number(text: str) -> float:
     except ValueError:
         return -1.0
     return number if math.isfinite(number) else -1.0
+
+
+def _place(step: Step) -> tuple[int, int, int]:
+    """What is measured: a dwell from either side is one and the same pose."""
+    return step.load, step.pose, step.trajectory
 
 
 def _slower(step: Step, share: float) -> Step:

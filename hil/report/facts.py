@@ -158,6 +158,11 @@ class RunFacts:
         """What the spec asks to be fitted."""
         return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
 
+    @property
+    def commissioning(self) -> str:
+        """Which part of the program was to be run, and how fast, in words; empty for all of it."""
+        return str(as_object(self.start.get("commissioning")).get("text") or "")
+
     def events_of(self, kind: str) -> list[Document]:
         """The events of one kind."""
         return [event for event in self.events if event.get("kind") == kind]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from hil.report.blocks import Badge, Mark
+from hil.report.commissioning import next_commissioning
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
 from hil.report.fit_facts import FitFacts
@@ -52,6 +53,8 @@ def sentence_of(facts: RunFacts) -> str:
 def next_command(facts: RunFacts, run: str) -> str:
     """What to type next about the run at `run`; empty when nothing is left to do."""
     wanted = facts.estimators_wanted
+    if facts.commissioning:
+        return next_commissioning(facts)
     if facts.start.get("passive"):
         return "" if facts.fits else f"hil fit {run} --estimator ESTIMATOR"
     if facts.status in RESUMABLE and facts.whole:
@@ -167,6 +170,11 @@ def _models(facts: RunFacts) -> str:
 
 def _without_model(facts: RunFacts) -> str:
     done, wanted = "The recording is complete.", facts.estimators_wanted
+    if facts.commissioning:
+        return (
+            f"{done} It is of a commissioning run, {facts.commissioning}: such runs are neither "
+            "fitted nor judged."
+        )
     if facts.fits:
         names = listed([fit.label for fit in facts.fits])
         return f"{done} {names} was fitted, but not judged on held-out data."

@@ -97,6 +97,7 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("started", when(start.get("started"))),
         ("robot", facts.robot_title),
         ("operator", str(start.get("operator") or "")),
+        ("part", facts.commissioning),
         ("program", _program(facts)),
         ("measured", facts.measured),
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
