@@ -51,16 +51,24 @@ def load(spec: AnyPath, station: AnyPath | None = None) -> Experiment:
     return load_experiment(Path(spec), Path(station) if station else None)
 
 
-def plan(experiment: Experiment) -> Plan:
-    """What the robot would do, from where it stands now; nothing moves.
+def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
+    """What the robot would do; nothing moves.
+
+    A robot on a virtual clock is asked where it stands. One in wall time is not connected to: its
+    plan begins in the roomiest pose of its range.
+
+    Args:
+        experiment: From `load`.
+        connect: Plan from where a robot in wall time stands now, too.
 
     Raises:
         PlanError: No safe plan follows from the spec.
+        RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.campaign.robots import connected, plan_for
+    from hil.campaign.robots import planned
 
-    with connected(experiment.spec.robot, experiment.robot) as robot:
-        return plan_for(experiment, robot)
+    with planned(experiment, connect=connect) as (_, made, _):
+        return made
 
 
 def run(

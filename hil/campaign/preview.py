@@ -6,18 +6,31 @@ from pathlib import Path
 
 from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
-from hil.campaign.robots import connected, plan_for
+from hil.campaign.robots import planned
 from hil.plan.plan import Plan
 from hil.plan.preview import PlanPreview, preview
 
+WITHOUT_THE_ROBOT = (
+    "planned without the robot, which was not connected to: the plan begins in the roomiest pose "
+    "of its range, and limits are the maker's; `hil run` plans from where the arm stands, and so "
+    "does `hil plan --connect`"
+)
 
-def preview_experiment(experiment: Experiment) -> tuple[Plan, PlanPreview]:
-    """The plan from where the robot stands now, and what it amounts to; nothing moves.
+
+def preview_experiment(
+    experiment: Experiment, *, connect: bool = False
+) -> tuple[Plan, PlanPreview]:
+    """The plan and what it amounts to; nothing moves.
+
+    Args:
+        experiment: What would be done, and where.
+        connect: See `hil.campaign.robots.planned`.
 
     Raises:
         PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
+        RobotError: The robot cannot be asked where it stands.
     """
-    with connected(experiment.spec.robot, experiment.robot) as robot:
-        plan = plan_for(experiment, robot)
+    with planned(experiment, connect=connect) as (robot, plan, from_where_it_stands):
         watching = interlocks_for(experiment, robot, plan, folder=Path(), behind_s=lambda: 0.0)
-    return plan, preview(plan, watching.describe())
+    unasked = () if from_where_it_stands else (WITHOUT_THE_ROBOT,)
+    return plan, preview(plan, watching.describe(), unasked)

@@ -96,15 +96,56 @@ def held(
         RobotConnectionError: Another process holds the robot, or it cannot be reached.
         PluginError, SpecError, RobotError: See `open_robot`.
     """
+    with (
+        opened(experiment.spec.robot, experiment.robot) as robot,
+        _held(experiment, robot, wait_s=wait_s, tell=tell) as lease,
+    ):
+        yield robot, lease
+
+
+@contextlib.contextmanager
+def planned(experiment: Experiment, *, connect: bool = False) -> Iterator[tuple[Robot, Plan, bool]]:
+    """The robot, the plan, and whether it begins where the robot stands now.
+
+    A robot in wall time is left alone unless it is to be connected to: plans are made at desks,
+    before the arm is switched on, and while others drive it. Its plan begins in the roomiest pose
+    of its range then, at the rate and within the limits that its driver knows by itself.
+
+    Args:
+        experiment: Says which robot of which station.
+        connect: Plan from where a robot in wall time stands now, too; it is leased meanwhile.
+
+    Raises:
+        RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
+        PlanError: No safe plan follows from the spec.
+    """
+    with opened(experiment.spec.robot, experiment.robot) as robot:
+        can = robot.capabilities
+        if can.clock == "wall" and not connect:
+            plan = build_plan(experiment.spec, experiment.robot, rate_hz=can.rate_hz)
+            yield robot, plan, False
+            return
+        with _held(experiment, robot):
+            yield robot, plan_for(experiment, robot), True
+
+
+@contextlib.contextmanager
+def _held(
+    experiment: Experiment,
+    robot: Robot,
+    *,
+    wait_s: float = 0.0,
+    tell: Callable[[str], object] = lambda text: None,
+) -> Iterator[Lease]:
+    """An open robot, leased, then connected; let go of in the opposite order."""
     name, station = experiment.spec.robot, experiment.station_source
     driver = experiment.robot.driver
-    with (
-        opened(name, experiment.robot) as robot,
-        leased(robot, name=name, driver=driver, station=station, wait_s=wait_s, tell=tell) as lease,
-    ):
+    with leased(
+        robot, name=name, driver=driver, station=station, wait_s=wait_s, tell=tell
+    ) as lease:
         try:
             robot.connect()
-            yield robot, lease
+            yield lease
         finally:
             close_robot(robot)  # while it is still ours: whoever waits for it connects at once
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,9 +13,11 @@ from hil.cli.output import (
     SpecPath,
     StationOption,
     duration,
+    fold,
     print_json,
     print_table,
     size,
+    width_of,
 )
 from hil.errors import SpecError
 
@@ -57,6 +60,14 @@ def plan(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Also write the plan itself (JSON).")
     ] = None,
+    connect: Annotated[
+        bool,
+        typer.Option(
+            "--connect",
+            help="Plan from where the robot stands now; without it only a robot on a virtual "
+            "clock is asked.",
+        ),
+    ] = False,
     json: JsonFlag = False,
 ) -> None:
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
@@ -69,7 +80,7 @@ def plan(
 
     experiment = api.load(spec, station)
     check_driver(experiment)
-    made, facts = preview_experiment(experiment)
+    made, facts = preview_experiment(experiment, connect=connect)
     shown = facts.to_dict()
     drawn = plan_picture(made, picture or Path(f"{experiment.spec.name}.plan.svg"))
     if out:
@@ -98,7 +109,7 @@ def plan(
         if one["action"] == "off":
             typer.echo(f"interlock {one['name']} is off: {one['why']}")
     for warning in shown["warnings"]:
-        typer.echo(f"warning: {warning}")
+        typer.echo(fold(f"warning: {warning}", width_of(sys.stdout)))
 
 
 def _require_svg(picture: Path | None) -> None:

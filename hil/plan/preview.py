@@ -64,9 +64,12 @@ class PlanPreview:
         }
 
 
-def preview(plan: Plan, interlocks: Iterable[Mapping[str, str]] = ()) -> PlanPreview:
-    """What `plan` amounts to, and what will watch over it."""
+def preview(
+    plan: Plan, interlocks: Iterable[Mapping[str, str]] = (), unasked: Iterable[str] = ()
+) -> PlanPreview:
+    """What `plan` amounts to, what will watch over it, and what nobody has asked the robot."""
     size = recording_bytes(plan)
+    worries = (*concerns(plan.condition_number, plan.duration_s, size), *_not_weighed(plan))
     return PlanPreview(
         waypoints=plan.waypoints,
         duration_s=plan.duration_s,
@@ -76,7 +79,7 @@ def preview(plan: Plan, interlocks: Iterable[Mapping[str, str]] = ()) -> PlanPre
         hash=plan.hash,
         steps=dict(Counter(step.kind for step in plan)),
         samples=_samples(plan),
-        warnings=(*concerns(plan.condition_number, plan.duration_s, size), *_not_weighed(plan)),
+        warnings=(*unasked, *worries),
         interlocks=tuple(interlocks),
     )
 

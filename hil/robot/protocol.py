@@ -108,7 +108,7 @@ class Robot(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """The controller's joint limits."""
+        """Joint limits: the maker's before `connect`, the controller's own after it."""
 
     def connect(self) -> None:
         """Open the connection and start receiving state. Raises `RobotConnectionError`."""
