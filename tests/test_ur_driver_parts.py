@@ -35,7 +35,7 @@ TICK_S = 0.008
 @pytest.mark.parametrize(
     ("options", "model", "said"),
     [
-        ({}, "ur5", "address"),
+        ({}, "ur5", "lacks its option address"),
         ({"address": "10.0.0.300"}, "ur5", "address is '10.0.0.300'"),
         ({"address": "10.0.0.3", "adress": 1}, "ur5", "no option adress"),
         ({"address": "10.0.0.3"}, "lab6", "moves no lab6"),
@@ -52,6 +52,12 @@ def test_options_that_cannot_be_are_refused_with_what_would_be_right(options, mo
     with pytest.raises(SpecError, match=said) as caught:
         UrRobot("arm", model, **options)
     assert caught.value.hint
+
+
+def test_a_slip_of_the_pen_is_told_with_what_was_meant():
+    with pytest.raises(SpecError) as caught:
+        UrRobot("arm", "ur5", adress="10.0.0.3")
+    assert caught.value.hint.startswith("did you mean 'address'? its options are")
 
 
 def test_one_arm_has_one_resource_however_its_address_is_written():
@@ -246,6 +252,23 @@ def test_faults_are_told_with_the_remedy(row, said, remedy):
     fault = fault_of(row, program=True)
     assert said in fault.message
     assert remedy in fault.hint
+
+
+def test_what_to_do_is_said_once():
+    for safety in (6, 7):
+        hint = fault_of(raw(safety=safety, mode=3), program=True).hint
+        assert hint.count("switch the arm on") == 1
+        assert hint.count("brakes") == 1
+        with pytest.raises(RobotFault) as caught:
+            require_ready("10.0.0.3", "ur5", Told(), (3, 15, 8, 0), raw(safety, 3))
+        assert caught.value.hint.count("brakes") == 1
+
+
+@pytest.mark.parametrize("safety", [3, 5, 12])
+def test_a_driver_does_not_know_whether_there_is_a_run_to_resume(safety):
+    hint = fault_of(raw(safety=safety), program=True).hint
+    assert hint.endswith("then connect again")
+    assert "resume" not in hint
 
 
 CB3, E = (3, 15, 8, 0), (5, 12, 2, 0)
@@ -569,6 +592,9 @@ def test_a_name_that_nobody_knows_is_told_with_what_to_do(monkeypatch):
         raise socket.gaierror(-2, "Name or service not known")
 
     monkeypatch.setattr("socket.getaddrinfo", unknown)
-    with pytest.raises(RobotConnectionError, match=r"leads nowhere.*not known") as caught:
+    with pytest.raises(
+        RobotConnectionError, match=r"'ur5\.lab\.example' leads to no address: Name"
+    ) as caught:
         found("ur5.lab.example")
+    assert "no address: Name or service not known" in caught.value.message
     assert "IP address" in caught.value.hint

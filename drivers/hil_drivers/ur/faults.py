@@ -15,26 +15,31 @@ SAFETY: dict[int, tuple[str, str]] = {
     3: (
         "a protective stop",
         "find out what the arm has touched or what overloaded it; 5 s after the stop, unlock it at "
-        "the teach pendant, then resume",
+        "the teach pendant, then connect again",
     ),
     4: (
         "recovery mode: a joint is outside its limits",
         "move it back inside by freedrive at the teach pendant",
     ),
-    5: ("a safeguard stop", "close the safeguard (gate, scanner), reset it, then resume"),
+    5: ("a safeguard stop", "close the safeguard (gate, scanner), reset it, then connect again"),
     6: (
         "an emergency stop of the system",
-        "remove the cause, release the button, switch the arm on at the teach pendant",
+        "remove the cause, release the button, switch the arm on and release its brakes, at the "
+        "teach pendant",
     ),
     7: (
         "an emergency stop",
-        "remove the cause, release the button, switch the arm on and release its brakes",
+        "remove the cause, release the button, switch the arm on and release its brakes, at the "
+        "teach pendant",
     ),
     8: ("a violation of a safety limit", "restart the safety system at the teach pendant"),
     9: ("a fault of the safety system", "restart the controller; see its log"),
     10: ("the safety system asks for the joints' identities", "confirm them at the teach pendant"),
     11: ("an undefined safety mode", "see the teach pendant"),
-    12: ("a safeguard stop in automatic mode", "close the safeguard and reset it, then resume"),
+    12: (
+        "a safeguard stop in automatic mode",
+        "close the safeguard, reset it, then connect again",
+    ),
     13: ("the three-position switch", "hold it in its middle position, or leave manual mode"),
 }
 """`safety_mode` → what it is, what to do. 1 is normal, 2 reduced."""
@@ -52,6 +57,9 @@ MODES: dict[int, tuple[str, str]] = {
 }
 """`robot_mode` → what it is, what to do. 7 is running."""
 
+EMERGENCY = (6, 7)
+"""Safety modes that switch the arm off: the remedy of the one is that of the other."""
+
 PLAYING, PAUSING, PAUSED = 2, 3, 4
 MOVES_RAD_S = 1e-3
 """A commanded speed from which on an arm counts as moving [rad/s]."""
@@ -61,14 +69,14 @@ FULL_SPEED = 0.99
 
 
 def complaints(row: np.void) -> list[tuple[str, str]]:
-    """What keeps an arm from moving, by one raw RTDE row; each with what to do."""
+    """What keeps an arm from moving, by one raw RTDE row; each with what to do, said once."""
     said = []
     safety, mode = _number(row, "safety_mode", 1), _number(row, "robot_mode", RUNNING)
     if safety not in HARMLESS:
         said.append(SAFETY.get(safety, (f"safety mode {safety}", "see the teach pendant")))
     if mode != RUNNING:
         what, remedy = MODES.get(mode, (f"in robot mode {mode}", "see the teach pendant"))
-        said.append((f"the arm is {what}", remedy))
+        said.append((f"the arm is {what}", "" if safety in EMERGENCY else remedy))
     return said
 
 
@@ -122,9 +130,7 @@ def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
     """
     at = f"at device time {float(row['timestamp']):.3f} s"
     if said := complaints(row):
-        return RobotFault(
-            f"{'; '.join(what for what, _ in said)} {at}", hint="; ".join(do for _, do in said)
-        )
+        return RobotFault(f"{'; '.join(what for what, _ in said)} {at}", hint=remedies(said))
     state = _number(row, "runtime_state", PLAYING)
     if program and state != PLAYING:
         return RobotFault(
@@ -132,6 +138,11 @@ def fault_of(row: np.void, *, program: bool) -> RobotFault | None:
             hint="was it stopped at the teach pendant, or replaced by another? connect again",
         )
     return None
+
+
+def remedies(said: list[tuple[str, str]]) -> str:
+    """What to do about everything that was said, nothing twice."""
+    return "; ".join(dict.fromkeys(do for _, do in said if do))
 
 
 def _has(row: np.void, name: str) -> bool:

@@ -35,9 +35,11 @@ def found(address: str, within_s: float = WITHIN_S) -> str:
     answer = answers[0] if answers else f"no answer within {within_s:g} s"
     if answers and isinstance(answer, str):
         return answer
+    why = (answer.strerror or answer) if isinstance(answer, OSError) else answer
     raise RobotConnectionError(
-        f"{address}: the name of the controller leads nowhere: {answer}",
-        hint="give its IP address in the station file, as its network settings show it",
+        f"the controller's host name {address!r} leads to no address: {why}",
+        hint=f"mend the name in the station file (`ping {address}` shows whether it is one), or "
+        "give the IP address there that the controller's network settings show",
     )
 
 

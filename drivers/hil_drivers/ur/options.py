@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from hil.arms import load_arm
 from hil.errors import SpecError
+from hil.suggest import closest
 
 SERIES_HZ = {"ur3": 125, "ur5": 125, "ur10": 125, "ur3e": 500, "ur5e": 500, "ur10e": 500}
 """Ticks per second of the controller that moves an arm: CB3 125, e-Series 500 [Hz]."""
@@ -94,7 +95,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
     if unknown := sorted(set(given) - set(known)):
         raise SpecError(
             f"the driver ur has no option {', '.join(unknown)}",
-            hint=f"its options are {', '.join(known)}",
+            hint=f"{_meant(unknown, known)}its options are {', '.join(known)}",
         )
     address = _address(given.get("address"))
     for name, (least, most) in RANGES.items():
@@ -116,6 +117,12 @@ def wrong_option(name: str, value: object, hint: str) -> SpecError:
     return SpecError(f"ur option {name} is {value!r}", hint=hint)
 
 
+def _meant(unknown: list[str], known: list[str]) -> str:
+    """What somebody may have wanted to type; empty when nobody can say."""
+    meant = [repr(like) for name in unknown if (like := closest(name, known))]
+    return f"did you mean {', '.join(meant)}? " if meant else ""
+
+
 def _address(value: Any) -> str:
     """One way of writing it: two stations that mean one arm must say the same."""
     text = value.strip().lower() if isinstance(value, str) else ""
@@ -125,6 +132,8 @@ def _address(value: Any) -> str:
         if _HOST.fullmatch(text) and not re.fullmatch(r"[0-9.]+", text):
             return text
     hint = "give the IP address of the controller, as its network settings show it"
+    if value is None:
+        raise SpecError("the driver ur lacks its option address", hint=hint)
     raise wrong_option("address", value, hint)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.errors import RobotConnectionError, RobotFault
 from hil_drivers.ur.dashboard import Dashboard
-from hil_drivers.ur.faults import complaints, occupied, speed_complaint
+from hil_drivers.ur.faults import complaints, occupied, remedies, speed_complaint
 from hil_drivers.ur.options import SERIES_HZ
 
 LEAST = {3: (3, 11), 5: (5, 6)}
@@ -118,7 +118,7 @@ def _too_old(version: tuple[int, ...]) -> list[tuple[str, str]]:
 def _error(kind: Any, address: str, reasons: list[tuple[str, str]]) -> Any:
     return kind(
         f"{address}: {'; '.join(what for what, _ in reasons)}",
-        hint="; ".join(dict.fromkeys(do for _, do in reasons)),
+        hint=remedies(reasons),
     )
 
 
