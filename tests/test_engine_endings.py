@@ -9,6 +9,7 @@ from kinematic_robot import KinematicRobot
 
 from hil.engine import TRANSITIONS, Outcome, RunState
 from hil.engine.freshness import Deadline
+from hil.engine.telling import under_way
 from hil.errors import (
     HilError,
     InterlockTripped,
@@ -19,6 +20,9 @@ from hil.errors import (
     StaleState,
     Stopped,
 )
+from hil.excite.motion import Hold
+from hil.payload import Payload
+from hil.plan.plan import LoadStep, Plan, Step
 from hil.robot import Status
 from hil.typing import StructArray
 
@@ -230,7 +234,7 @@ def test_a_stop_that_fails_does_not_hide_why_the_run_ended() -> None:
             raise RobotFault("protective stop")
 
     result = engine(Unstoppable(fault), ListSink()).run()
-    assert result.reason == "protective stop"
+    assert result.reason == "protective stop, in step 2 (move to pose 0)"
     assert any("the line is dead" in note for note in result.notes)
 
 
@@ -238,3 +242,28 @@ def test_every_state_but_the_last_can_go_to_stopping() -> None:
     for state, reachable in TRANSITIONS.items():
         if state not in (RunState.STOPPING, RunState.DONE):
             assert RunState.STOPPING in reachable
+
+
+def test_what_was_under_way_is_named_with_its_pose() -> None:
+    there = Hold((0.0,) * 6)
+    steps = (
+        Step(0, "payload"),
+        Step(1, "move", there),
+        Step(2, "dwell", there, pose=4),
+        Step(3, "move", there),
+        Step(4, "reference", there),
+        Step(5, "move", there),
+        Step(6, "trajectory", there, trajectory=3),
+        Step(-1, "move", there),
+    )
+    plan = Plan("p", "ur5", ("j",) * 6, 125.0, steps, (LoadStep(Payload()),))
+    assert [under_way(plan, step) for step in steps] == [
+        "in step 1 (payload)",
+        "in step 2 (move to pose 4)",
+        "in step 3 (dwell at pose 4)",
+        "in step 4 (move to the reference)",
+        "in step 5 (reference)",
+        "in step 6 (move)",
+        "in step 7 (trajectory 3)",
+        "in a step of the way back (move)",
+    ]

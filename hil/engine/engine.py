@@ -23,9 +23,18 @@ from hil.engine.requests import Requests
 from hil.engine.result import RunResult, result_of
 from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
-from hil.engine.telling import Health, Telling
+from hil.engine.telling import Health, Telling, under_way
 from hil.engine.watchdog import Watchdog
-from hil.errors import HilError, InterlockTripped, RobotError, RobotFault, RobotTimeout, Stopped
+from hil.errors import (
+    HilError,
+    InterlockTripped,
+    RobotConnectionError,
+    RobotError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+    Stopped,
+)
 from hil.plan.plan import Plan
 from hil.robot import Robot
 from hil.typing import StructArray
@@ -171,7 +180,13 @@ class Engine:
                     self._pausing.pause_if_asked()
                     self._sink.event("checkpoint", step=step.index)
                 self._telling.step(step)
-                self._steps.execute(step)
+                try:
+                    self._steps.execute(step)
+                except (RobotFault, RobotConnectionError, StaleState) as error:
+                    error.message += (
+                        f", {under_way(self._plan, step)}"  # no driver knows which step it is
+                    )
+                    raise
         self._telling.progress()
 
     def _enter(self, state: RunState, reason: str = "") -> None:

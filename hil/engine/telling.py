@@ -10,14 +10,36 @@ from hil.engine.observers import Observers
 from hil.engine.prompt import Reply
 from hil.engine.reading import Progress
 from hil.engine.states import RunState
-from hil.plan.plan import Plan, Step
+from hil.plan.plan import AT_REST, Plan, Step
 from hil.typing import StructArray
 
 EVERY_S = 0.2
 """Wall time between two progress events [s]."""
 
+WAYS = ("move", "warmup")
+"""Kinds of steps that only get somewhere."""
+
 Health = Callable[[], Mapping[str, Any]]
 """Gaps, duplicates, … of the recording so far, and how far it is behind; cheap."""
+
+
+def under_way(plan: Plan, step: Step) -> str:
+    """What was being done, such as `in step 37 (move to pose 18)`, counted as people are told."""
+    which = f"step {step.index + 1}" if step.index >= 0 else "a step of the way back"
+    return f"in {which} ({step.kind}{_of_what(plan, step)})"
+
+
+def _of_what(plan: Plan, step: Step) -> str:
+    """A way leads to the pose that is measured next; it has no pose of its own."""
+    if step.trajectory >= 0:
+        return f" {step.trajectory}"
+    if step.kind in AT_REST:
+        return f" at pose {step.pose}" if step.pose >= 0 else ""
+    after = plan.steps[plan.steps.index(step) + 1 :]
+    goal = next((s for s in after if s.kind not in WAYS), step)
+    if step.kind not in WAYS or goal.kind not in AT_REST:
+        return ""
+    return f" to pose {goal.pose}" if goal.pose >= 0 else f" to the {goal.kind}"
 
 
 class Telling:
