@@ -128,4 +128,9 @@ def test_a_second_process_is_told_to_look_there(station: Path) -> None:
     about: Any = {"name": "left", "driver": "mock", "station": str(station)}
     with leased(AddressedRobot(), **about), pytest.raises(RobotConnectionError) as caught:
         leased(AddressedRobot(), **about)
-    assert caught.value.hint == "who holds what: hil robots"
+    told, wait = caught.value.hint.split("; ")
+    assert told == f"who holds what: hil robots --station {station}"
+    assert "--wait" in wait
+    with leased(AddressedRobot(), **about), pytest.raises(RobotConnectionError) as caught:
+        leased(AddressedRobot(), **about, wait_s=0.05)
+    assert "--wait" not in caught.value.hint  # it was waited for already

@@ -183,9 +183,8 @@ class Engine:
                 try:
                     self._steps.execute(step)
                 except (RobotFault, RobotConnectionError, StaleState) as error:
-                    error.message += (
-                        f", {under_way(self._plan, step)}"  # no driver knows which step it is
-                    )
+                    # A driver does not know which step of the plan it executes.
+                    error.message += f", {under_way(self._plan, step)}"
                     raise
         self._telling.progress()
 

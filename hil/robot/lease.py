@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import os
 import re
+import shlex
 import stat
 import tempfile
 import time
@@ -144,12 +145,19 @@ def leased(
         held = f"robot {name} is held by {taken}"
         if time.monotonic() >= deadline:
             waited = f", still after {wait_s:g} s" if wait_s else ""
-            raise RobotConnectionError(held + waited, hint="who holds what: hil robots")
+            raise RobotConnectionError(held + waited, hint=_who_and_what(station, wait_s))
         if not told:
             tell(f"{held}; waiting up to {wait_s:g} s")
             told = True
         time.sleep(TRY_EVERY_S)
     return Lease(resource, taken)
+
+
+def _who_and_what(station: str, waited_s: float) -> str:
+    """What to do about a held robot; without its station `hil robots` lists the built-in bench."""
+    file = f" --station {shlex.quote(station)}" if Path(station).is_file() else ""
+    wait = "" if waited_s else "; wait until it is let go: hil run … --wait 600"
+    return f"who holds what: hil robots{file}{wait}"
 
 
 def held_leases() -> list[Holder]:
