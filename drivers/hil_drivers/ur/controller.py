@@ -16,6 +16,7 @@ from hil_drivers.ur.facts import limits_of
 from hil_drivers.ur.faults import PLAYING, occupied
 from hil_drivers.ur.host import found
 from hil_drivers.ur.options import Options
+from hil_drivers.ur.patience import once_listening
 from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.rows import program_state, require_source
 from hil_drivers.ur.session import Told, require_arm, require_ready, told_by_dashboard
@@ -106,8 +107,9 @@ class Controller:
             SpecError: It does not send what shall be the effort.
         """
         self._find()
-        self.told = told_by_dashboard(self.host)
+        self.told = once_listening(self.host, lambda: told_by_dashboard(self.host))
         self._open_receiver()
+        self._require_arm()
         self._ask_limits()
         row = self._row_once_idle()
         require_ready(self.host, self._model, self.told, self.receiver.version, row)
@@ -120,9 +122,10 @@ class Controller:
             SpecError: It does not send what shall be the effort.
         """
         self._find()
+        self._open_receiver()
         with contextlib.suppress(RobotConnectionError):  # RTDE alone will do for listening
             self.told = told_by_dashboard(self.host)
-        self._open_receiver()
+        self._require_arm()
 
     def forget_rows(self) -> None:
         """Let go of what came before our program played; from now on all is told."""
@@ -145,7 +148,9 @@ class Controller:
         return Receiver(host, self._options.frequency_hz)
 
     def _open_receiver(self) -> None:
-        self.receiver.open()
+        once_listening(self.host, self.receiver.open)
+
+    def _require_arm(self) -> None:
         require_source(self._options.torque_source, self.receiver.missing)
         require_arm(self.host, self._model, self.told, self.receiver.version)
 

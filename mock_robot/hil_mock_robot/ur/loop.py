@@ -138,7 +138,8 @@ class Loop:
         return self._troubles.unplugged or port in self._troubles.mute
 
     def _open(self, services: Iterable[Service]) -> None:
-        for service in services:
+        # RTDE last: whoever finds it open finds the others open, too.
+        for service in reversed(list(services)):
             self._listening[listen(self._address, service.port)] = service
 
     def _shut(self) -> None:
