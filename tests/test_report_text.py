@@ -64,6 +64,16 @@ def test_an_interrupted_run_is_called_interrupted(tmp_path):
     assert "Measured: 0 of 3 trajectories" in " ".join(lines)
 
 
+def test_late_samples_are_counted_and_explained(tmp_path):
+    run = write_run(tmp_path, fourier_plan())
+    assert "came late" not in " ".join(summary_lines(run.path))
+    stop = run.path / "stop.json"
+    stop.write_text(json.dumps(json.loads(stop.read_text()) | {"overruns": 571}))
+    text = " ".join(" ".join(summary_lines(run.path)).split())
+    said = "571 samples came late (more than 1.5 periods after the one before; none is lost)"
+    assert said in text
+
+
 def cut_off(tmp_path):
     """A run that was killed: its recording is torn, nothing says how it ended."""
     plan = dwell_plan()

@@ -93,6 +93,7 @@ def finish(
         "wall_s": result.wall_s,
         "exit_code": exit_code_of(result.error) if result.error else 0,
         "problems": list(notes),
+        **({"hint": result.error.hint} if result.error and result.error.hint else {}),
     }
     attempt.directory.write_stop(
         result.outcome.value, result.reason, document, attempt=attempt.number

@@ -8,7 +8,7 @@ from typing import Any
 from hil.report.blocks import Block, Cell, Column, Facts, Section, Table, cells, items
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
-from hil.report.words import duration, number
+from hil.report.words import duration, in_words, number
 
 MOST_EVENTS = 200
 ROUTINE = ("dwell", "checkpoint")
@@ -58,7 +58,7 @@ def provenance(facts: RunFacts) -> Section:
 
 def _event(event: Document, begin: float) -> tuple[Cell, ...]:
     after = duration(as_float(event.get("t")) - begin)
-    details = ", ".join(f"{k}: {v}" for k, v in event.items() if k not in GIVEN_ONCE)
+    details = ", ".join(f"{k}: {in_words(v)}" for k, v in event.items() if k not in GIVEN_ONCE)
     kind = str(event.get("kind"))
     return Cell(after), Cell(kind, "fail" if kind == "trip" else ""), Cell(details or "–")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -9,6 +11,8 @@ import numpy as np
 from hil.typing import FloatArray, IntArray
 
 Shown: TypeAlias = Literal["extremes", "mean", "upper"]
+
+Thin: TypeAlias = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 POINTS = 1200
 """Points of a line after decimation: more than a plot of this page has pixels."""
@@ -66,6 +70,25 @@ def summarised(
     if shown == "mean":
         return middle, np.add.reduceat(y, start) / width
     return middle, np.maximum.reduceat(y, start)
+
+
+def in_parts(
+    thin: Thin, x: FloatArray, y: FloatArray, begins: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """A line (N,), (N,) of several parts, each thinned by itself and NaN between them.
+
+    Args:
+        thin: Thins one part.
+        x: In order.
+        y: What is drawn over it.
+        begins: Rows at which the parts after the first begin.
+    """
+    parts = [thin(x[a:b], y[a:b]) for a, b in pairwise((0, *begins, len(x))) if b > a]
+    gap = np.full(1, np.nan)
+    apart = [piece for part in parts for piece in (part, (gap, gap))][:-1]
+    if not apart:
+        return x, y
+    return np.concatenate([a for a, _ in apart]), np.concatenate([b for _, b in apart])
 
 
 def thinned(n: int, points: int) -> IntArray:

@@ -63,7 +63,7 @@ def _angles(recording: Recording, names: Sequence[str]) -> Plots:
     panels = tuple(
         Panel(
             joint_title(j, name),
-            figures.over_time(recording.t, q[:, j], "position [°]", j),
+            figures.over_time(recording.t, q[:, j], "position [°]", j, recording.begins),
             f"Position of {name} over time, {q[:, j].min():.0f}° to {q[:, j].max():.0f}°.",
         )
         for j, name in enumerate(names)
@@ -82,7 +82,7 @@ def _pose_map(
     kept_away = {c.pose for data in held_out for c in data.conditions if c.kind == "dwell"}
     held = np.isin(poses, list(kept_away)) & ~unsettled
     groups = {
-        "trained on": np.flatnonzero(~held & ~unsettled),
+        "trained on" if facts.judged_fits else "measured": np.flatnonzero(~held & ~unsettled),
         "held out": np.flatnonzero(held),
         "not settled": np.flatnonzero(unsettled),
     }

@@ -77,6 +77,11 @@ class RunFacts:
         return str(self.plan.get("name") or self.spec.get("name") or self.path.name)
 
     @property
+    def run_name(self) -> str:
+        """Of the run directory: `hil` finds a run by it, wherever the page was sent to."""
+        return self.path.resolve().name
+
+    @property
     def robot(self) -> Document:
         """What `start.json` says about the robot."""
         return as_object(self.start.get("robot"))

@@ -8,14 +8,15 @@ figures are new functions; `traces` holds what they are made of.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from html import escape
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from hil.report import colours
-from hil.report.decimate import Shown, binned, decimated, summarised, thinned
-from hil.report.traces import Trace, axes, band, corner, line, markers, span
+from hil.report.decimate import Shown, binned, decimated, in_parts, summarised, thinned
+from hil.report.traces import Trace, attempts, axes, band, corner, line, markers, span
 from hil.typing import FloatArray, IntArray
 
 Figure: TypeAlias = dict[str, Any]
@@ -188,6 +189,7 @@ def joints_over_time(
     limit: float = float("nan"),
     marked: bool = False,
     shown: Shown = "extremes",
+    begins: Sequence[int] = (),
 ) -> Figure:
     """All joints (N, n) over time (N,) in one plot, lines differing in colour and dash.
 
@@ -199,18 +201,19 @@ def joints_over_time(
         limit: Drawn as a horizontal line; NaN for none.
         marked: Also draw the points (for few of them).
         shown: What is kept of many samples, see `decimate.summarised`.
+        begins: Rows at which the attempts after the first begin; the lines are broken there.
     """
     traces = []
     for j, name in enumerate(names):
         if np.isnan(values[:, j]).all():
             continue
-        x, y = summarised(t, values[:, j], shown)
+        x, y = in_parts(partial(summarised, shown=shown), t, values[:, j], begins)
         trace = line(x, y, name, colours.of_joint(j), dash=colours.dash_of_joint(j))
         if marked:
             trace["mode"] = "lines+markers"
             trace["marker"] = {"symbol": colours.symbol_of_joint(j), "size": 6}
         traces.append(trace)
-    layout = axes("time [s]", y_title, showlegend=True)
+    layout = axes("time [s]", y_title, showlegend=True) | attempts(t[list(begins)])
     if np.isfinite(limit):
         traces.append(
             line(t[[0, -1]], np.full(2, limit), "limit", colours.NEUTRAL, dash="dot", width=2.5)
@@ -218,10 +221,13 @@ def joints_over_time(
     return {"data": traces, "layout": layout}
 
 
-def over_time(t: FloatArray, value: FloatArray, y_title: str, j: int = 0) -> Figure:
-    """One signal (N,) over time in the colour of joint `j`."""
-    trace = line(*decimated(t, value), y_title, colours.of_joint(j), width=1.0)
-    return {"data": [trace], "layout": axes("time [s]", y_title)}
+def over_time(
+    t: FloatArray, value: FloatArray, y_title: str, j: int = 0, begins: Sequence[int] = ()
+) -> Figure:
+    """One signal (N,) over time in the colour of joint `j`, broken where attempts begin."""
+    x, y = in_parts(decimated, t, value, begins)
+    trace = line(x, y, y_title, colours.of_joint(j), width=1.0)
+    return {"data": [trace], "layout": axes("time [s]", y_title) | attempts(t[list(begins)])}
 
 
 def coverage(x: FloatArray, y: FloatArray, x_title: str, y_title: str, cells: int = 48) -> Figure:

@@ -13,7 +13,7 @@ from hil.report.documents import as_float
 from hil.report.facts import RunFacts
 from hil.report.recording import Drift, Recording
 from hil.report.weighing import weighings
-from hil.report.words import count, duration, joint_title, number
+from hil.report.words import LATE, count, duration, joint_title, number
 from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
@@ -37,19 +37,22 @@ def health(
 
 
 def _continuity(facts: RunFacts, recording: Recording) -> Facts:
-    counts, wall = recording.counts, as_float(facts.stop.get("wall_s"))
+    counts = recording.counts
+    # A stop document tells the wall time of its own attempt only.
+    wall = as_float(None if recording.begins else facts.stop.get("wall_s"))
     measured, nominal = number(recording.measured_rate_hz, 5), number(recording.rate_hz, 5)
     missing = f"{counts.missing} samples, {number(recording.gaps_percent, 2)} %"
     said = {
         "samples": count(counts.samples),
-        "recorded time": duration(float(recording.t[-1])),
+        "recorded time": duration(recording.recorded_s),
+        "attempts": len(recording.attempts) if recording.begins else None,
         "rate": f"{measured} Hz (nominal {nominal} Hz)",
         "gaps": f"{counts.gaps} ({missing})",
         "duplicates": counts.duplicates,
-        "overruns": counts.overruns,
+        "late samples": f"{counts.overruns} ({LATE})" if counts.overruns else 0,
         "dwells that did not settle": len(facts.unsettled) if facts.indices("dwell") else None,
         "wall time": duration(wall) if np.isfinite(wall) else None,
-        "speed": _speed(float(recording.t[-1]), wall),
+        "speed": _speed(recording.recorded_s, wall),
     }
     return Facts("Continuity", items(said))
 
@@ -98,15 +101,15 @@ def _over_rows(what: np.ufunc | object, values: FloatArray) -> FloatArray:
 def _panels(
     facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
 ) -> list[Panel]:
-    t, panels = recording.t, []
+    t, panels, begins = recording.t, [], recording.begins
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
         limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")
-        panels.append(_wide("Tracking error", t, error, names, "mrad", limit, "upper"))
+        panels.append(_wide("Tracking error", t, error, names, "mrad", limit, "upper", begins))
     heat = recording.rows["temperature"]
     if np.isfinite(heat).any():
         limit = facts.interlock_limit("temperature", "limit_c")
-        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit, "mean"))
+        panels.append(_wide("Joint temperature", t, heat, names, "°C", limit, "mean", begins))
     if drift is not None:
         panels += _drift(drift, names, facts.effort_unit)
     panels.append(_interval(recording))
@@ -121,12 +124,15 @@ def _wide(
     unit: str,
     limit: float,
     shown: Shown,
+    begins: Sequence[int],
 ) -> Panel:
     peak = _peak(values)
     # A limit far above the data would press them flat; then it is only said.
     drawn = limit if peak > NEAR_LIMIT * limit else float("nan")
     axis = f"{title.lower()} [{unit}]"
-    figure = figures.joints_over_time(t, values, names, axis, limit=drawn, shown=shown)
+    figure = figures.joints_over_time(
+        t, values, names, axis, limit=drawn, shown=shown, begins=begins
+    )
     alt = f"{title} of all joints over time; the largest value is {number(peak)} {unit}."
     said = f"{title}, limit {limit:g} {unit}" if np.isfinite(limit) else title
     return Panel(said, figure, alt, wide=True)
@@ -149,8 +155,9 @@ def _drift(drift: Drift, names: Sequence[str], unit: str) -> list[Panel]:
 
 
 def _interval(recording: Recording) -> Panel:
-    steps = 1e3 * np.diff(recording.t)
-    figure = figures.over_time(recording.t[1:], steps, "interval [ms]")
+    steps, begins = 1e3 * np.diff(recording.t), [row - 1 for row in recording.begins]
+    steps[begins] = np.nan  # a pause between attempts is no interval
+    figure = figures.over_time(recording.t[1:], steps, "interval [ms]", begins=begins)
     alt = f"Time between samples by the robot's clock, at most {number(_peak(steps))} ms."
     return Panel("Time between samples by the robot's clock", figure, alt, wide=True)
 

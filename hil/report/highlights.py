@@ -98,7 +98,7 @@ def fit_warnings(fits: Sequence[FitFacts]) -> list[str]:
 
 def _of_recording(recording: Recording) -> list[KeyFigure]:
     counts, missing = recording.counts, recording.gaps_percent
-    span = f"{duration(float(recording.t[-1]))} at {number(recording.rate_hz)} Hz"
+    span = f"{duration(recording.recorded_s)} at {number(recording.rate_hz)} Hz"
     mark: Mark = "fail" if missing > ALARMING_PERCENT else "warn" if missing > 0 else ""
     out = [
         KeyFigure("samples", count(counts.samples), span),

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from hil.errors import DataError
 from hil.record.continuity import Counts
+from hil.record.parts import attempt_of
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
@@ -26,7 +28,7 @@ class Recording:
     """All samples of a run, attempts behind each other.
 
     Attributes:
-        attempts: Records of `state_dtype(n)`, one array per file.
+        attempts: Records of `state_dtype(n)`, one array per attempt.
         rows: All of them in one array.
         t: (N,) seconds since the first sample of the run.
         counts: Samples, gaps, missing, duplicates and overruns, all attempts together.
@@ -38,6 +40,18 @@ class Recording:
     t: FloatArray
     counts: Counts
     rate_hz: float
+
+    @property
+    def begins(self) -> tuple[int, ...]:
+        """Rows at which the attempts after the first begin: nothing was recorded before them."""
+        ends = np.cumsum([len(rows) for rows in self.attempts])
+        return tuple(int(end) for end in ends[:-1])
+
+    @property
+    def recorded_s(self) -> float:
+        """Device time from the first to the last sample of every attempt, added up [s]."""
+        times = (self.t[first:last] for first, last in pairwise((0, *self.begins, len(self.t))))
+        return float(sum(t[-1] - t[0] for t in times))
 
     @property
     def measured_rate_hz(self) -> float:
@@ -79,8 +93,7 @@ def read_recording(facts: RunFacts, problems: list[str]) -> Recording | None:
 
     Torn files are read as far as they go; they and unreadable ones are added to `problems`.
     """
-    blocks = [_read(path, problems) for path in RunDirectory(facts.path).recordings]
-    kept = [block for block in blocks if block is not None and len(block)]
+    kept = list(_attempts(RunDirectory(facts.path).recordings, problems))
     if not kept:
         return None
     rate_hz = facts.rate_hz
@@ -140,6 +153,14 @@ def _stays(segment: IntArray, steps: IntArray) -> list[tuple[int, int]]:
     stops = np.concatenate((edges, [len(segment)]))
     wanted = np.isin(segment[starts], steps)
     return [(int(a), int(b)) for a, b in zip(starts[wanted], stops[wanted], strict=True)]
+
+
+def _attempts(paths: Sequence[Path], problems: list[str]) -> Iterator[StructArray]:
+    """The samples of every attempt that has any, the parts of a long one behind each other."""
+    for _, files in groupby(paths, attempt_of):
+        parts = [rows for file in files if (rows := _read(file, problems)) is not None]
+        if kept := [rows for rows in parts if len(rows)]:
+            yield kept[0] if len(kept) == 1 else np.concatenate(kept)
 
 
 def _read(path: Path, problems: list[str]) -> StructArray | None:

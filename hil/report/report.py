@@ -81,12 +81,12 @@ def run_page(path: Path) -> Page:
     held_out = _held_out(facts, recording, problems)
     shown = _shown(facts.judged_fits, held_out, problems)
     drift = drift_of(facts, recording) if recording else None
-    about = (path.resolve().name, facts.robot_title, when(facts.start.get("started")))
+    about = (facts.run_name, facts.robot_title, when(facts.start.get("started")))
     return Page(
         title=facts.name,
         subtitle=" · ".join(filter(None, about)),
         badge=badge_of(facts),
-        summary=" Next: ".join(filter(None, (sentence_of(facts), next_command(facts, "RUN")))),
+        summary=_summary(facts),
         key_figures=tuple(run_highlights(facts, recording, drift)),
         warnings=(*run_warnings(facts, recording), *problems),
         sections=(
@@ -119,6 +119,21 @@ def fit_page(folders: Sequence[Path], held_out: Mapping[str, Dataset]) -> Page:
         warnings=(*problems, *fit_warnings(fits)),
         sections=tuple(model_sections(fits, shown)),
         footer=_footer(folders[0]),
+    )
+
+
+def _summary(facts: RunFacts) -> str:
+    """What came of the run, what to do about its end, and what to type next."""
+    hint = str(facts.stop.get("hint") or "")
+    return " ".join(
+        filter(
+            None,
+            (
+                sentence_of(facts),
+                f"To do: {hint.rstrip('.')}." if hint else "",
+                f"Next: {command}" if (command := next_command(facts, facts.run_name)) else "",
+            ),
+        )
     )
 
 

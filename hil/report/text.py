@@ -20,7 +20,7 @@ from hil.report.judgement import (
     verdict_words,
 )
 from hil.report.weighing import weighing_warnings, weighings
-from hil.report.words import counted, criterion_text, duration, joint_title, number, when
+from hil.report.words import LATE, counted, criterion_text, duration, joint_title, number, when
 
 WIDTH = 80
 LABEL = 11
@@ -113,6 +113,8 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         twice = counted(recorded.get("duplicates", 0), "duplicate")
         samples = counted(recorded["samples"], "sample")
         out.insert(5, ("recorded", f"{samples} in {took}; {missing}, {twice}"))
+        if late := recorded.get("overruns"):
+            out.insert(6, ("late", f"{counted(late, 'sample')} came late ({LATE})"))
     return [(label, value) for label, value in out if value]
 
 

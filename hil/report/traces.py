@@ -70,6 +70,24 @@ def band(half: float) -> list[dict[str, Any]]:
     return [shape | look]
 
 
+def attempts(times: FloatArray) -> dict[str, Any]:
+    """Parts of a layout that mark where the attempts after the first begin; empty without any.
+
+    Args:
+        times: (A,) beginnings of the second attempt and those after it, on the x axis.
+    """
+    if not len(times):
+        return {}
+    dots = {"color": colours.NEUTRAL, "width": 1.5, "dash": "dot"}
+    mark = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": dots}
+    words = {"yref": "paper", "y": 1, "yanchor": "bottom", "showarrow": False}
+    at = [float(t) for t in times]
+    return {
+        "shapes": [{"x0": t, "x1": t} | mark for t in at],
+        "annotations": [{"x": t, "text": f"attempt {i}"} | words for i, t in enumerate(at, 2)],
+    }
+
+
 def corner(text: str) -> list[dict[str, Any]]:
     """A short text in the upper left corner."""
     place = {"xref": "paper", "yref": "paper", "x": 0.03, "y": 0.97}

@@ -11,6 +11,9 @@ from typing import Any
 UNKNOWN = "–"
 """What is shown in place of a number that is not known."""
 
+LATE = "more than 1.5 periods after the one before; none is lost"
+"""What a late sample is."""
+
 METRIC_WORDS = {
     "rmse_raw": "RMSE raw",
     "rmse_filtered": "RMSE filtered",
@@ -68,6 +71,21 @@ def listed(names: Sequence[str], most: int = 4) -> str:
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most} more"
+
+
+def in_words(value: Any) -> str:
+    """A value of a JSON document as people write it, such as `torque (stop, 26 N·m)`."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        named = str(value.get("name") or "")
+        rest = [f"{k} {in_words(v)}" for k, v in value.items() if k != "name" and v != ""]
+        return f"{named} ({', '.join(rest)})" if named else ", ".join(rest)
+    if isinstance(value, list):
+        # What has commas of its own is kept apart by semicolons.
+        apart = "; " if any(isinstance(item, Mapping | list) for item in value) else ", "
+        return apart.join(map(in_words, value)) or UNKNOWN
+    return UNKNOWN if value is None else str(value)
 
 
 def quantity(unit: str) -> str:
