@@ -80,7 +80,7 @@ def attempts(times: FloatArray) -> dict[str, Any]:
         return {}
     dots = {"color": colours.NEUTRAL, "width": 1.5, "dash": "dot"}
     mark = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": dots}
-    words = {"yref": "paper", "y": 1, "yanchor": "bottom", "showarrow": False}
+    words = {"yref": "paper", "y": 1, "yanchor": "top", "xanchor": "left", "showarrow": False}
     at = [float(t) for t in times]
     return {
         "shapes": [{"x0": t, "x1": t} | mark for t in at],
