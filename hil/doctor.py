@@ -114,4 +114,5 @@ def _station(path: Path) -> Iterator[Finding]:
     except HilError as error:
         yield Finding("station", str(error), "bad")
         return
-    yield Finding("station", f"{path}: robots {', '.join(station.robots)}")
+    named = ", ".join(station.robots)
+    yield Finding("station", f"{path}: the file is valid; its robots ({named}) were not asked")

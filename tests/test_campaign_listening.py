@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from hil.campaign import listening
 from hil.campaign.listened import Wanted
 from hil.campaign.listening import listen
+from hil.campaign.listening_notes import fit_notes
 from hil.cli.app import app
 from hil.data.dwells import dwells_of
 from hil.data.load import load_source
@@ -160,7 +161,7 @@ def test_dwells_and_moves_are_found_and_can_be_fitted_to(use, tmp_path):
     load = Payload(1.5, (0.0, 0.0, 0.05))
     found = recorded(tmp_path, until_program_stops=True, payload=load)
     assert found.steps == {"dwell": 4, "move": 3}
-    assert found.notes == ()
+    assert not any("payload" in note or "missing" in note for note in found.notes)
     dwells = load_source(found.run, kinds=("dwell",))
     assert [c.pose for c in dwells.conditions] == [0, 1, 2, 1]
     assert {c.payload.mass for c in dwells.conditions} == {1.5}
@@ -248,7 +249,27 @@ def test_the_command_prints_one_document(use, tmp_path):
     document = json.loads(result.stdout)
     assert document["found"] == {"dwell": 2, "move": 2}
     assert document["run"].endswith("teach")
-    assert document["notes"] == []
+    (note,) = document["notes"]
+    assert note.startswith("2 dwells are too few for static-wls, which needs 16: record longer")
+    shown = CliRunner().invoke(app, ["show", document["run"]]).stdout
+    assert f"next: hil fit {document['run']} --estimator static-wls" in " ".join(shown.split())
+
+
+def test_an_arm_that_was_not_running_is_told(use, tmp_path):
+    robot = use(Driven())
+    robot._rows["status"][:50] |= int(Status.MASKED)
+    notes = recorded(tmp_path, for_s=2.0).notes
+    assert any("50 of " in note and "of an arm that was not running" in note for note in notes)
+    robot = use(Driven())
+    assert "not running" not in " ".join(recorded(tmp_path, for_s=2.0).notes)
+
+
+def test_what_a_fit_needs_is_said_only_where_it_is_lacking():
+    ur5 = {"model": "ur5", "gravity_m_s2": [0.0, 0.0, -9.81]}
+    assert fit_notes({"dwell": 9}, ur5)
+    assert fit_notes({"dwell": 16}, ur5) == ()
+    assert fit_notes({"dwell": 9, "trajectory": 1}, ur5) == ()
+    assert fit_notes({}, {"model": "no arm of ours", "gravity_m_s2": [0, 0, -9.81]}) == ()
 
 
 @pytest.mark.parametrize(

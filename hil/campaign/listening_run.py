@@ -7,8 +7,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import open_recorder
+from hil.campaign.listening_notes import NOT_USABLE, fit_notes, unusable_notes
 from hil.campaign.sink import RunSink, counts_of
 from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder, found_plan
 from hil.engine.signals import SignalWatch
@@ -46,6 +49,7 @@ class ListeningRun:
         self._first = self._last = float("nan")
         self._began = False
         self._running_at = float("nan")
+        self._unusable = 0
 
     def run(self) -> Listened:
         """Record until the end; whatever ends it is written down."""
@@ -75,6 +79,7 @@ class ListeningRun:
             return
         self._first = float(rows["device_time"][0]) if math.isnan(self._first) else self._first
         self._last = float(rows["device_time"][-1])
+        self._unusable += int(np.count_nonzero(rows["status"] & NOT_USABLE))
         self._put(sink, self._finder.feed(rows))
         if isinstance(self._robot, HasTopics):
             for topic, further in self._robot.drain().items():
@@ -123,7 +128,11 @@ class ListeningRun:
         self._write_found(steps)
         counts = counts_of(recorder.counts[STATE_TOPIC]) if recorder else {}
         device_s = self._last - self._first if math.isfinite(self._last) else 0.0
-        notes = _notes(self._wanted, counts)
+        notes = (
+            *_notes(self._wanted, counts),
+            *unusable_notes(self._unusable, counts),
+            *fit_notes(found, self._directory.start["robot"]),
+        )
         document = {
             **counts,
             "steps_done": len(steps),

@@ -55,7 +55,11 @@ def plan(
     spec: SpecPath,
     station: StationOption = None,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="Where the picture of the motion goes.")
+        Path | None,
+        typer.Option(
+            "--picture",
+            help="Where the picture of the motion goes; by default NAME.plan.svg here.",
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Also write the plan itself (JSON).")

@@ -56,12 +56,19 @@ def next_command(facts: RunFacts, run: str) -> str:
     if facts.commissioning:
         return next_commissioning(facts)
     if facts.start.get("passive"):
-        return "" if facts.fits else f"hil fit {run} --estimator ESTIMATOR"
+        return "" if facts.fits else f"hil fit {run} --estimator {_fitting(facts)}"
     if facts.status in RESUMABLE and facts.whole:
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
         return f"hil fit {run} --estimator {wanted[0]}"
     return ""
+
+
+def _fitting(facts: RunFacts) -> str:
+    """The estimator for what was found in a recording without spec."""
+    found = as_object(facts.recorded.get("complete"))
+    standing = "dwell" in found and "trajectory" not in found
+    return "static-wls" if standing else "rigid-wls"
 
 
 def fit_sentence(fit: FitFacts) -> str:
