@@ -9,7 +9,9 @@ from ur_mock import loopback
 
 from hil_mock_robot.ur.faults import KINDS, OWN_DURATION, Fault, read_faults
 from hil_mock_robot.ur.pacing import LockStep
+from hil_mock_robot.ur.presses import PRESSES
 from hil_mock_robot.ur.side import SideService
+from hil_mock_robot.ur.telling import request_of
 from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import SAFETY_FAULT, TOLD
 
@@ -54,6 +56,20 @@ def test_every_request_and_event_is_there():
     assert asked == set(session._answers)
     journal = section("Journal")
     assert all(f"`{SAFETY_FAULT.get(event, event)}`" in journal for event in TOLD)
+
+
+def test_every_button_is_there_and_every_command_of_the_shell_is_one():
+    released = section("From a shell, and how stops are released")
+    told = re.search(r"^The buttons: (.*?)\.", released, re.M | re.S)
+    assert told
+    assert re.findall(r"`(\w+)`", told[1]) == list(PRESSES)
+    stops = re.findall(r"^\| `(\w+)`", released, re.M)
+    assert set(stops) <= set(KINDS)
+    pressed = set(re.findall(r"`pendant (\w+)`", released))
+    assert pressed <= set(PRESSES)
+    for line in re.findall(r"^hil mock ur tell (.*?)\s*(?:#.*)?$", released, re.M):
+        do, *more = line.split()
+        assert request_of(do, more)["do"] in ("fault", "state", "pendant", "clear")
 
 
 def test_the_file_is_one(tmp_path):

@@ -402,7 +402,7 @@ def test_a_wrong_file_of_faults_ends_it_in_words_before_it_listens(text, tmp_pat
     done = ended("--address", loopback(), "--faults", str(path))
     assert done.returncode == 2
     assert "faults.yaml" in done.stderr
-    assert "→" in done.stderr
+    assert "next: " in done.stderr
 
 
 def ended(*arguments):

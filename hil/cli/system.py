@@ -28,18 +28,27 @@ def mock(
     truth: Annotated[
         Path | None, typer.Option("--truth", help="Write every true parameter to this file.")
     ] = None,
+    help_: Annotated[
+        bool,
+        typer.Option("--help", "-h", help="Show this, or what the mock NAME is started with."),
+    ] = False,
     json: JsonFlag = False,
 ) -> None:
     """List mock robots, start one, or write the truth of one, for scoring what was identified.
 
-    `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur -- --help` tells more.
+    `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur --help` has the rest.
     """
     from hil import plugins as found
 
-    if name == "list":
+    chosen = None if name == "list" else found.load("hil.mocks", name)()
+    if help_ and not hasattr(chosen, "serve"):
+        typer.echo(context.get_help())
+        return
+    if chosen is None:
         _list_mocks(json)
         return
-    chosen = found.load("hil.mocks", name)()
+    if help_:
+        raise typer.Exit(chosen.serve([*context.args, "--help"]))
     same = ["--model", model, "--seed", str(seed), "--profile", profile]
     if hasattr(chosen, "serve") and truth is None:
         raise typer.Exit(chosen.serve([*same, *context.args]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import zlib
@@ -16,25 +17,47 @@ from hil_mock_robot.ur.body import Body
 from hil_mock_robot.ur.faults import read_faults
 from hil_mock_robot.ur.loop import Loop, Pacer
 from hil_mock_robot.ur.machine import Machine
-from hil_mock_robot.ur.options import factor_of, loopback_of, narrowed, parser_of, pose_of
+from hil_mock_robot.ur.options import (
+    OWN_COMMAND,
+    factor_of,
+    loopback_of,
+    narrowed,
+    parser_of,
+    pose_of,
+    serial_of,
+)
 from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.series import Series, series_of
 from hil_mock_robot.ur.services import services_of
 from hil_mock_robot.ur.side import SideService
+from hil_mock_robot.ur.telling import request_of, tell
 from hil_mock_robot.ur.troubles import Troubles
 from hil_mock_robot.ur.witness import Witness
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code."""
-    given = parser_of().parse_args(arguments)
+def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, seed: int = 1) -> int:
+    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+
+    Args:
+        arguments: Of the command line, by default this process's.
+        prog: What it was started as, for its help.
+        seed: Which individual when nobody says.
+    """
+    given = parser_of(prog, seed).parse_args(arguments)
     try:
-        return _run(given)
+        return _tell(given) if given.command == "tell" else _run(given)
     except HilError as error:
-        hint = f"\n→ {error.hint}" if error.hint else ""
-        print(f"{error.message}{hint}", file=sys.stderr)  # noqa: T201
+        hint = f"\n  next: {error.hint}" if error.hint else ""
+        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
         return int(error.exit_code)
+
+
+def _tell(given: argparse.Namespace) -> int:
+    request = request_of(given.request, given.more)
+    answer = tell(given.address, given.side_port, request)
+    print(json.dumps(answer), flush=True)  # noqa: T201
+    return 0
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -88,7 +111,8 @@ def machine_of(given: argparse.Namespace, series: Series) -> Machine:
     body = Body(truth, series.rate_hz, pose_of(given.start_q_deg), mounted=mounted)
     if given.joint_range_deg or given.joint_speed_deg_s is not None:
         body.arm = narrowed(body.arm, given.joint_range_deg, given.joint_speed_deg_s)
-    machine = Machine(series, body, serial=given.serial or _serial_of(given), powered=not given.off)
+    serial = serial_of(given.serial) or _made_serial(given)
+    machine = Machine(series, body, serial=serial, powered=not given.off)
     machine.modes.remote = not given.local
     return machine
 
@@ -105,7 +129,7 @@ def pacer_of(speed: str, series: Series) -> Pacer:
     return FreeRun() if speed == "free" else LockStep()
 
 
-def _serial_of(given: argparse.Namespace) -> str:
+def _made_serial(given: argparse.Namespace) -> str:
     """Digits as UR's serial numbers are: the year, the size of the arm, which one."""
     size = "".join(c for c in given.model if c.isdigit())
     individual = zlib.crc32(f"{given.model} {given.seed} {given.profile}".encode()) % 1_000_000

@@ -34,4 +34,4 @@ class UrMock:
         """
         from hil_mock_robot.ur.app import main
 
-        return main(arguments)
+        return main(arguments, prog="hil mock ur", seed=0)

@@ -14,24 +14,44 @@ from hil.arms import ArmDescription
 from hil.errors import SpecError
 from hil.typing import FloatArray
 from hil_mock_robot.ur.series import CB3, E_SERIES
+from hil_mock_robot.ur.telling import add_tell
 
 LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
+OWN_COMMAND = "python -m hil_mock_robot ur"
 UPRIGHT_DEG = (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)
 
 
-def parser_of() -> argparse.ArgumentParser:
-    """The command line of `hil mock ur` and `python -m hil_mock_robot ur`."""
+class _WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Defaults behind the options that have one worth telling."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        default = action.default
+        told = isinstance(default, str | int) and default is not False and default != ""
+        return super()._get_help_string(action) if told else action.help
+
+
+def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser:
+    """The command line of `hil mock ur` and `python -m hil_mock_robot ur`.
+
+    Args:
+        prog: What it was started as.
+        seed: Which individual, by default.
+    """
     parser = argparse.ArgumentParser(
-        prog="python -m hil_mock_robot ur",
-        description="A UR controller on loopback sockets, with a simulated arm behind it.",
+        prog=prog,
+        formatter_class=_WithDefaults,
+        description="A UR controller on loopback sockets, with a simulated arm behind it. It is "
+        "there when it says `ready`, until Ctrl-C.",
     )
     add = parser.add_argument
-    add("--address", default="127.0.0.1", help="loopback address; its ports cannot be chosen")
+    where = "loopback address; ports are a UR controller's and cannot be chosen, so a second mock "
+    add("--address", default="127.0.0.1", help=where + "takes another one, such as 127.0.0.2")
     add("--model", default="ur5", choices=CB3.arms + E_SERIES.arms, help="ur5: CB3, ur5e: e-Series")
-    add("--seed", type=int, default=1, help="which individual")
+    add("--seed", type=int, default=seed, help="which individual")
     add("--profile", default="full", choices=("full", "ideal"), help="of the physics")
     add("--speed", default="1", help="device seconds per second, `free`, or `lock-step`")
-    add("--start-q-deg", type=float, nargs=6, default=UPRIGHT_DEG, metavar="Q")
+    start = "where the arm stands at first, joint by joint; upright without"
+    add("--start-q-deg", type=float, nargs=6, default=UPRIGHT_DEG, metavar="Q", help=start)
     ranges = "joint range of the safety settings, for all joints; the arm's own without"
     add("--joint-range-deg", type=float, nargs=2, metavar=("LEAST", "MOST"), help=ranges)
     speed = "joint speed of the safety settings, for all joints; the arm's own without"
@@ -44,8 +64,24 @@ def parser_of() -> argparse.ArgumentParser:
     add("--side-port", type=int, default=30100, help="side channel for tests, 0 for none")
     add("--faults", type=Path, help="YAML file: what goes wrong, and when")
     add("--journal", type=Path, help="file for what it was told and what it did")
-    add("--truth", type=Path, help="write every true parameter to this file, for scoring")
+    truth = "write every true parameter to this file, for scoring"
+    add("--truth", type=Path, help=truth if prog == OWN_COMMAND else f"{truth}, and start nothing")
+    add_tell(parser)
     return parser
+
+
+def serial_of(given: str) -> str:
+    """A serial number that was asked for, if controllers have such ones.
+
+    Raises:
+        SpecError: `ur-rtde` and others read a number and refuse what is none.
+    """
+    if given and not (given.isascii() and given.isdigit()):
+        raise SpecError(
+            f"--serial {given!r}: a UR's serial number has digits only",
+            hint="such as --serial 2022050001",
+        )
+    return given
 
 
 def factor_of(speed: str) -> float | None:

@@ -14,6 +14,7 @@ from hil.errors import CommandRefused, HilError, SpecError
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.pacing import LockStep, RealTime
+from hil_mock_robot.ur.presses import pressed
 from hil_mock_robot.ur.side_requests import factor_in, payload_in, ticks_in, torque_in, truth_of
 from hil_mock_robot.ur.troubles import Troubles
 
@@ -92,6 +93,7 @@ class SideSession:
             "speed": self._speed,
             "push": self._push,
             "mount": self._mount,
+            "pendant": self._pendant,
         }
 
     def received(self, data: bytes) -> None:
@@ -160,15 +162,14 @@ class SideSession:
         return {}
 
     def _state(self, request: Request) -> Answer:
-        service = self._service
-        return {**truth_of(service.machine), "faults": [f.kind for f in service.troubles.lasting]}
+        faults = [fault.kind for fault in self._service.troubles.lasting]
+        return {**truth_of(self._service.machine), "faults": faults}
 
     def _step(self, request: Request) -> Answer | None:
         pacer = self._service.pacer
         if not isinstance(pacer, LockStep):
-            raise CommandRefused(
-                "step: this mock's time passes by itself", hint="start it with --speed lock-step"
-            )
+            hint = "start it with --speed lock-step"
+            raise CommandRefused("step: this mock's time passes by itself", hint=hint)
         self.left = ticks_in(request)
         pacer.allow(self.left)
         return None
@@ -187,6 +188,11 @@ class SideSession:
     def _mount(self, request: Request) -> Answer:
         self._service.machine.body.mount(payload_in(request))
         return {}
+
+    def _pendant(self, request: Request) -> Answer:
+        if self._service.troubles.dark:
+            raise CommandRefused("pendant: the controller is booting", hint="wait for its end")
+        return pressed(self._service.machine, request)
 
 
 def _size(line: bytes) -> int:

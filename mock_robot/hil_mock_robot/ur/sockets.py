@@ -10,6 +10,9 @@ from hil.errors import PluginError
 MOST_PENDING = 4_000_000
 """Bytes that wait for a client that does not read; the connection is closed beyond that."""
 
+RTDE_PORT = 30004
+"""Every mock has it, whatever else it listens on."""
+
 
 class TcpLink:
     """A non-blocking socket with a buffer; implements `Link`.
@@ -80,16 +83,37 @@ def listen(address: str, port: int) -> socket.socket:
     Raises:
         PluginError: It is taken.
     """
-    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((address, port))
+        listening = _bound(address, port)
     except OSError as error:
-        listening.close()
         raise PluginError(
-            f"cannot listen on {address}:{port}: {error.strerror}",
-            hint="another mock or simulator runs there: use another address, --address 127.0.0.2",
+            f"cannot listen on {address}:{port}: {error.strerror}", hint=_elsewhere(port)
         ) from error
     listening.listen()
     listening.setblocking(False)
     return listening
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((address, port))
+    except OSError:
+        bound.close()
+        raise
+    return bound
+
+
+def _elsewhere(port: int) -> str:
+    for last in range(2, 255):
+        try:
+            for each in {port, RTDE_PORT}:
+                _bound(f"127.0.0.{last}", each).close()
+        except OSError:
+            continue
+        return (
+            "another mock or simulator runs there: end it, or use an address that is free, "
+            f"--address 127.0.0.{last}, also in the station"
+        )
+    return "another mock or simulator runs there: end it"
