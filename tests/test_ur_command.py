@@ -194,7 +194,7 @@ def test_a_stop_is_caused_and_released_from_a_shell():
         until = time.monotonic() + 30
         while (state := mock.side("state"))["robot_mode"] != "RUNNING":
             assert time.monotonic() < until, state
-        assert state["safety_mode"] == "NORMAL"
+        assert (state["safety_mode"], state["faults"]) == ("NORMAL", [])
         assert tell(mock.address, 30100, {"do": "state"})["safety_mode"] == "NORMAL"
 
 

@@ -72,7 +72,7 @@ class Loop:
         self._ending = self._dark = False
         self._suffered: tuple[bool, frozenset[int], bool] = (False, frozenset(), False)
         self._woken, self._waker = socket.socketpair()
-        self._open([*self._services, *([side] if side is not None else [])])
+        self._open([*([side] if side is not None else []), *self._services])
 
     def run(self) -> None:
         """Until `end`."""
@@ -138,7 +138,7 @@ class Loop:
         return self._troubles.unplugged or port in self._troubles.mute
 
     def _open(self, services: Iterable[Service]) -> None:
-        # RTDE last: whoever finds it open finds the others open, too.
+        # RTDE last of the controller's: whoever finds it open finds the others open, too.
         for service in reversed(list(services)):
             self._listening[listen(self._address, service.port)] = service
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hil_mock_robot.ur.contracts import Motion
-from hil_mock_robot.ur.faults import OWNERS, Fault, fault_of
+from hil_mock_robot.ur.faults import KINDS, OWNERS, Fault, fault_of
 from hil_mock_robot.ur.line import COUNTED, LASTING
 from hil_mock_robot.ur.machine import Event, Machine
 from hil_mock_robot.ur.ownership import Ownership
@@ -57,8 +57,8 @@ class Troubles:
 
     @property
     def lasting(self) -> list[Fault]:
-        """What has begun and is not over."""
-        return self._schedule.lasting
+        """What has begun and is not over; a stop is a moment's matter, the modes tell of it."""
+        return [fault for fault in self._schedule.lasting if "for_s" in KINDS[fault.kind]]
 
     def add(self, given: object) -> Fault:
         """One more fault, from the side channel; without a time it begins at once.
