@@ -42,11 +42,11 @@ test-fast: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not wire and not matrix and not proof"
 
 wire: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "wire and not proof" || [ $$? -eq 5 ]
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not proof" || [ $$? -eq 5 ]
 
 matrix: $(VENV)/.dev ## the fault matrix: everything that may go wrong at every kind of step
 	$(BIN)/python -m pytest -n 3 -m matrix --ignore tests/test_fault_matrix_ur.py
-	$(BIN)/python -m pytest -n 2 -m matrix tests/test_fault_matrix_ur.py
+	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_ur.py
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python tests/faults/table.py

@@ -17,13 +17,17 @@ FILES = (
     "constraints.txt",
     "tests/test_proof.py",
     "tests/test_proof_recording.py",
+    "tests/test_proof_ur.py",
+    "tests/test_fault_matrix_ur.py",
+    "tests/test_campaign_weighing.py",
 )
 
 
 def inputs() -> list[Path]:
     """Everything in the folders of the code, and what the tests and their environment are."""
     found = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*")]
-    helpers = [path for path in (ROOT / "tests").glob("*.py") if not path.match("test_*")]
+    tests = [*(ROOT / "tests").glob("*.py"), *(ROOT / "tests" / "faults").glob("*.py")]
+    helpers = [path for path in tests if not path.match("test_*")]
     found += [*helpers, *(ROOT / name for name in FILES)]
     return sorted(path for path in found if path.is_file() and "__pycache__" not in path.parts)
 

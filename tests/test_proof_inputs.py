@@ -8,6 +8,7 @@ import proof_inputs
 import pytest
 
 ROOT = Path(__file__).parent.parent
+MARK = "mark." + "proof"
 
 
 @pytest.mark.parametrize(
@@ -35,8 +36,10 @@ def test_what_the_long_runs_depend_on_is_an_input(name: str) -> None:
 def test_neither_caches_nor_other_tests_are_inputs() -> None:
     names = [path.relative_to(ROOT).as_posix() for path in proof_inputs.inputs()]
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
-    proofs = ["tests/test_proof.py", "tests/test_proof_recording.py"]
-    assert [name for name in names if "/test_" in name] == proofs
+    proofs = {ROOT / name for name in proof_inputs.FILES if "/test_" in name}
+    assert {ROOT / name for name in names if "/test_" in name} == proofs
+    marked = {path for path in (ROOT / "tests").glob("test_*.py") if MARK in path.read_text("utf-8")}
+    assert marked <= proofs
 
 
 def test_a_changed_input_changes_the_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

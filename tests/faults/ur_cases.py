@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -183,10 +183,3 @@ def steps_of(ending: WireEnding) -> tuple[str, ...]:
         return PROGRAMS
     stands = ending.standing and ending.stop_within_s is not None
     return tuple(STEPS) if stands else MOVING
-
-
-def cases() -> Iterator[Case]:
-    """All fields."""
-    for fault, ending in FAULTS.items():
-        for step in steps_of(ending):
-            yield Case(step, fault)
