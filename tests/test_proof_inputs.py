@@ -38,7 +38,9 @@ def test_neither_caches_nor_other_tests_are_inputs() -> None:
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
     proofs = {ROOT / name for name in proof_inputs.FILES if "/test_" in name}
     assert {ROOT / name for name in names if "/test_" in name} == proofs
-    marked = {path for path in (ROOT / "tests").glob("test_*.py") if MARK in path.read_text("utf-8")}
+    marked = {
+        path for path in (ROOT / "tests").glob("test_*.py") if MARK in path.read_text("utf-8")
+    }
     assert marked <= proofs
 
 
