@@ -44,8 +44,8 @@ test-fast: $(VENV)/.dev
 wire: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "wire and not proof" || [ $$? -eq 5 ]
 
-matrix: $(VENV)/.dev ## the fault matrix: everything that may go wrong at every kind of step
-	$(BIN)/python -m pytest -n 3 -m matrix --ignore tests/test_fault_matrix_ur.py
+matrix: $(VENV)/.dev ## fault matrices: everything that may go wrong, at some of the kinds of step
+	$(BIN)/python -m pytest -n 3 -m "matrix and not proof" tests/test_fault_matrix.py
 	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_ur.py
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
@@ -68,7 +68,9 @@ walls: $(VENV)/.dev ## import contracts: what may not import what (docs/explanat
 	$(BIN)/lint-imports
 
 proof: $(VENV)/.dev ## the long must-show runs
-	$(BIN)/python -m pytest -m proof --timeout 1800 -s
+	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 -s
+	$(BIN)/python -m pytest -n 3 -m "proof and matrix" tests/test_fault_matrix.py
+	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/test_fault_matrix_ur.py
 	$(BIN)/python tests/proof_inputs.py --keep
 
 proof-if-changed: $(VENV)/.dev ## the same, unless they passed with just these inputs

@@ -18,8 +18,11 @@ FILES = (
     "tests/test_proof.py",
     "tests/test_proof_recording.py",
     "tests/test_proof_ur.py",
+    "tests/test_fault_matrix.py",
     "tests/test_fault_matrix_ur.py",
     "tests/test_campaign_weighing.py",
+    "tests/test_ur_driver_runs.py",
+    "tests/test_ur_record_wire.py",
 )
 
 

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from faults.cases import FAULTS, SPEED, Case, cases
+from faults.cases import FAULTS, SPEED, Case, at_once, cases
 from faults.field import run_field
 
 LOST_AT_MOST_S = 0.25
@@ -16,7 +16,13 @@ LOST_AT_MOST_S = 0.25
 pytestmark = pytest.mark.matrix
 
 
-@pytest.mark.parametrize("case", list(cases()), ids=str)
+FIELDS = [
+    pytest.param(case, marks=() if at_once(case) else (pytest.mark.proof,), id=str(case))
+    for case in cases()
+]
+
+
+@pytest.mark.parametrize("case", FIELDS)
 def test_field_of_the_fault_matrix(case: Case, tmp_path: Path) -> None:
     field = run_field(case, tmp_path)
     _keep(case, field.to_dict())

@@ -55,6 +55,7 @@ def test_the_spec_of_the_embedded_mock_passes_over_the_wire_without_a_gap(spec, 
     assert len(further) == len(rows)
 
 
+@pytest.mark.proof
 def test_a_commissioning_run_is_slow_and_short(tmp_path):
     with mock_ur("--speed", "4") as running:
         station = station_at(running.address, tmp_path)

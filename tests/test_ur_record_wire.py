@@ -233,6 +233,7 @@ def test_a_controller_that_is_switched_off_leaves_what_was_recorded(tmp_path):
     assert load_source(document["run"], kinds=("dwell",)).n_joints == 6
 
 
+@pytest.mark.proof
 def test_the_benchmark_loses_nothing_and_names_its_peer():
     document = benchmarking.measure("rtde", quick=True)
     figures, ratios = document["figures"], document["ratios"]

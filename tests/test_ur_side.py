@@ -350,7 +350,7 @@ def test_set_points_after_a_stop_from_elsewhere_are_a_new_start(tmp_path):
                 until(lambda: len(events(mock, "stop")) == 2)
         said = [(n["event"], n["by"], n["via"]) for n in events(mock, "start", "stop")]
     assert said[:2] == [("start", "servoj", "rtde"), ("stop", "hil_stop", "script")]
-    assert said[-1] == ("stop", "stop", "dashboard")
+    assert ("stop", "stop", "dashboard") in said[2:]  # ur-rtde may command once more after it
 
 
 def test_clients_come_and_go_in_the_journal(tmp_path):
