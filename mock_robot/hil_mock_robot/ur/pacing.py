@@ -11,6 +11,11 @@ Catching up lets device time race: half a second late at ten times the speed wer
 pass at once, in which no client can kick a watchdog or lead an arm.
 """
 
+CLOSEST = 0.5
+"""Share of the time between ticks that passes at least after each. A tick that is late is caught up
+at twice the pace, not at once: some clients, such as UR's own without `--buffered`, drop all but
+the newest of the packages that they find waiting."""
+
 
 class RealTime:
     """Ticks on an absolute schedule, so that lateness does not add up.
@@ -26,7 +31,7 @@ class RealTime:
 
     def __init__(self, tick_s: float, factor: float = 1.0) -> None:
         self._tick_s = tick_s
-        self._due = time.monotonic()
+        self._due = self._not_before = time.monotonic()
         self.slips = 0
         self.change(factor)
 
@@ -37,12 +42,13 @@ class RealTime:
 
     def wait_s(self) -> float | None:
         """See `Pacer`."""
-        return max(0.0, self._due - time.monotonic())
+        return max(0.0, max(self._due, self._not_before) - time.monotonic())
 
     def ticked(self) -> None:
         """See `Pacer`."""
         self._due += self._spacing_s
         now = time.monotonic()
+        self._not_before = now + CLOSEST * self._spacing_s
         if now - self._due > SLIP_S:
             self._due = now
             self.slips += 1
