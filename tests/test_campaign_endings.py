@@ -124,7 +124,7 @@ def test_a_signal_while_planning_ends_the_command_and_says_so(
 
 def test_nobody_confirms_where_there_is_no_console(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", None)
-    assert operator.ask_operator("Mount 3 kg", lambda: None) == (False, "")
+    assert operator.ConsoleOperator()("Mount 3 kg", lambda: None) == (False, "")
 
 
 def test_while_the_operator_thinks_the_robot_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ def test_while_the_operator_thinks_the_robot_is_read(monkeypatch: pytest.MonkeyP
             os.write(write_end, b"yes\n")
 
     monkeypatch.setattr(sys, "stdin", Console())
-    assert operator.ask_operator("Mount 3 kg", meanwhile) == (True, "operator")
+    assert operator.ConsoleOperator()("Mount 3 kg", meanwhile) == (True, "operator")
     assert len(reads) == 3
 
 

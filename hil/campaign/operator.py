@@ -122,11 +122,6 @@ class ConsoleOperator:
         return self._answer
 
 
-def ask_operator(text: str, meanwhile: Callable[[], object]) -> Reply:
-    """Ask once on the console; see `ConsoleOperator`."""
-    return ConsoleOperator()(text, meanwhile)
-
-
 def mock_mounts(text: str, meanwhile: Callable[[], object]) -> Reply:
     """A robot on a virtual clock is a mock: it mounts the declared load when it is told to."""
     return Reply(yes=True, who="mock")

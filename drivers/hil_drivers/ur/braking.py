@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil_drivers.ur.options import RAMP_SLACK_S, Options
-from hil_drivers.ur.phases import STILL_RAD_S, still
+from hil_drivers.ur.phases import still
+from hil_drivers.ur.standing import STILL_RAD_S
 
 RAMP_GRACE_S = 0.3
 """Device time to be seen standing after the time of a ramp [s]."""

@@ -36,7 +36,6 @@ class Counts:
         duplicates: Data packages with the time stamp of the one before.
         texts: Text messages.
         others: Packages of other kinds, which a started controller has no reason to send.
-        reads: How often the socket gave something.
         deepest: Most rows that have waited to be taken.
     """
 
@@ -45,7 +44,6 @@ class Counts:
     duplicates: int = 0
     texts: int = 0
     others: int = 0
-    reads: int = 0
     deepest: int = 0
 
 
@@ -84,7 +82,6 @@ class Cutter:
         """
         if self.problem is not None:
             return b""
-        self.counts.reads += 1
         data = self._rest + data if self._rest else data
         runs, at = [], 0
         while len(data) - at >= SHORTEST and self.problem is None:

@@ -8,8 +8,6 @@ from hil.arms import load_arm
 from hil.robot import Capabilities, Limits
 from hil_drivers.ur.options import Options
 
-WITHOUT_GAINS = "current-as-torque", "target-moment"
-
 
 def capabilities_of(model: str, options: Options) -> Capabilities:
     """Names, rate and what `effort` is."""

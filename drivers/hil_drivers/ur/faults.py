@@ -9,7 +9,17 @@ import numpy as np
 
 from hil.errors import RobotFault
 from hil.typing import StructArray
-from hil_drivers.ur.rows import HARMLESS, RUNNING, STOPPED, STOPPING, integers
+from hil_drivers.ur.rows import (
+    HARMLESS,
+    PAUSED,
+    PAUSING,
+    PLAYING,
+    RUNNING,
+    STOPPED,
+    STOPPING,
+    integers,
+)
+from hil_drivers.ur.standing import STILL_RAD_S
 
 SAFETY: dict[int, tuple[str, str]] = {
     3: (
@@ -60,10 +70,6 @@ MODES: dict[int, tuple[str, str]] = {
 EMERGENCY = (6, 7)
 """Safety modes that switch the arm off: the remedy of the one is that of the other."""
 
-PLAYING, PAUSING, PAUSED = 2, 3, 4
-MOVES_RAD_S = 1e-3
-"""A commanded speed from which on an arm counts as moving [rad/s]."""
-
 RUNTIME = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
 FULL_SPEED = 0.99
 
@@ -98,7 +104,7 @@ def occupied(row: np.void) -> list[tuple[str, str]]:
         what = "a program is paused" if state in (PAUSING, PAUSED) else "a program is running"
         said.append((what, "stop it at the teach pendant, or whoever else drives the arm"))
     speed = float(np.abs(row["target_qd"]).max()) if _has(row, "target_qd") else 0.0
-    if speed > MOVES_RAD_S:
+    if speed > STILL_RAD_S:
         said.append((f"the arm is moving at {speed:.3f} rad/s", "wait until it stands still"))
     return said
 

@@ -11,9 +11,9 @@ from hil.payload import Payload
 from hil.robot import Finding
 from hil_drivers.ur.controller import INERTIA_SINCE, Controller
 from hil_drivers.ur.facts import limits_of
-from hil_drivers.ur.faults import MODES, PLAYING, RUNTIME, SAFETY, speed_complaint
+from hil_drivers.ur.faults import MODES, RUNTIME, SAFETY, speed_complaint
 from hil_drivers.ur.options import Options
-from hil_drivers.ur.rows import HARMLESS, RUNNING
+from hil_drivers.ur.rows import HARMLESS, PLAYING, RUNNING
 from hil_drivers.ur.session import LEAST, Told
 
 MODE_NAMES = {

@@ -15,7 +15,8 @@ from hil.typing import StructArray
 from hil_drivers.ur.course import Course
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.options import Options
-from hil_drivers.ur.phases import PLAYING, STOPPED, Phase
+from hil_drivers.ur.phases import Phase
+from hil_drivers.ur.rows import PLAYING, STOPPED
 
 LOOK_S = 0.02
 SILENT_S = 1.5

@@ -22,8 +22,9 @@ from hil_drivers.ur.direct_stop import end_program, stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of
 from hil_drivers.ur.mover import Mover
 from hil_drivers.ur.options import options_of
-from hil_drivers.ur.phases import STOPPED, Phase
+from hil_drivers.ur.phases import Phase
 from hil_drivers.ur.playing import state_of, wait_until_playing
+from hil_drivers.ur.rows import STOPPED
 
 RECEIVER = "hil_drivers.ur.receiver:Receiver"
 REST_S = 3.0

@@ -8,11 +8,8 @@ import numpy as np
 
 from hil.errors import RobotFault
 from hil.typing import FloatArray
+from hil_drivers.ur.standing import STILL_RAD_S
 
-STOPPED, PLAYING = 1, 2
-"""RTDE `runtime_state` where no program is left, and of one that runs."""
-
-STILL_RAD_S = 1e-3
 AT_GOAL_RAD, LED_TO_RAD = 5e-4, 0.01
 """Where a move has to end, and where leading has to begin and end at the latest [rad]."""
 

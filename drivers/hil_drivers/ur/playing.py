@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from hil.errors import HilError, RobotFault, RobotTimeout
-from hil_drivers.ur.phases import PLAYING
+from hil_drivers.ur.rows import PLAYING
 
 PLAYS_WITHIN_S = 5.0
 LAST_ROW_S = 0.2

@@ -45,8 +45,8 @@ RUNNING = 7
 HARMLESS = (1, 2)
 """`safety_mode` normal and reduced."""
 
-STOPPING, STOPPED = 0, 1
-"""`runtime_state` without a program; the others are playing, pausing, paused, resuming."""
+STOPPING, STOPPED, PLAYING, PAUSING, PAUSED = range(5)
+"""`runtime_state`: the first two without a program; 5 is resuming."""
 
 _STILL_RAD_S = 1e-6
 _ELSEWHERE = {"timestamp", *_RENAMED.values()}

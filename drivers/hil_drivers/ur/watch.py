@@ -9,10 +9,10 @@ import numpy as np
 from hil.errors import HilError, StaleState
 from hil.robot import Status
 from hil.typing import StructArray
-from hil_drivers.ur.faults import PAUSED, PAUSING, complaints, first_fault
+from hil_drivers.ur.faults import complaints, first_fault
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.phases import still
-from hil_drivers.ur.rows import program_running, program_state
+from hil_drivers.ur.rows import PAUSED, PAUSING, program_running, program_state
 from hil_drivers.ur.standing import Standing
 
 RAMP_GRACE_S = 0.5

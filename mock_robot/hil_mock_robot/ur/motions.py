@@ -7,6 +7,7 @@ when it is known where the arm stands.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -169,35 +170,19 @@ class MoveJ(MovePath):
         super().__init__(arm, None, [leg], tick_s)
 
 
-class MoveJPose(MovePath):
-    """URScript `movej` to a pose (6,): to the joint position nearest to the present one."""
-
-    def __init__(
-        self,
-        arm: ArmDescription,
-        tcp: Numbers,
-        pose: Numbers,
-        v: float,
-        a: float,
-        tick_s: float,
-        *,
-        time_s: float = 0.0,
-    ) -> None:
-        leg = Leg("j", np.array(pose, dtype=np.float64), v, a, time_s=time_s, is_pose=True)
-        super().__init__(arm, tcp, [leg], tick_s)
-
-
-class MoveL(MovePath):
-    """URScript `movel`: the tool moves on a straight line and turns about one axis.
+class _MoveToPose(MovePath):
+    """A single move to a pose.
 
     Args:
         arm: A UR arm.
         tcp: (6,) tool in the flange frame.
         pose: (6,) where to.
-        v, a: Of the tool [m/s, m/s²]; it turns with at most four times as many rad/s, rad/s².
+        v, a: Of the leading axis [rad/s, rad/s²], or of the tool [m/s, m/s²].
         tick_s: Device time of a tick.
         time_s: How long it takes, in place of `v` and `a`, unless 0 [s].
     """
+
+    kind: Literal["j", "l"] = "j"
 
     def __init__(
         self,
@@ -210,5 +195,18 @@ class MoveL(MovePath):
         *,
         time_s: float = 0.0,
     ) -> None:
-        leg = Leg("l", np.array(pose, dtype=np.float64), v, a, time_s=time_s, is_pose=True)
+        leg = Leg(self.kind, np.array(pose, dtype=np.float64), v, a, time_s=time_s, is_pose=True)
         super().__init__(arm, tcp, [leg], tick_s)
+
+
+class MoveJPose(_MoveToPose):
+    """URScript `movej` to a pose: to the joint position nearest to the present one."""
+
+
+class MoveL(_MoveToPose):
+    """URScript `movel`: the tool moves on a straight line and turns about one axis.
+
+    It turns with at most four times as many rad/s, rad/s² as `v` and `a` are.
+    """
+
+    kind: Literal["j", "l"] = "l"
