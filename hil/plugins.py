@@ -32,6 +32,7 @@ EXTRA_OF_MODULE = {
     "rtde_io": "ur",
     "can": "can",
     "canopen": "can",
+    "pyads": "ads",
     "torch": "learn",
     "distributed": "fleet",
     "rosbags": "bags",
