@@ -13,7 +13,8 @@ import pytest
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
 from hil.payload import Payload
 from hil.robot import Segment, Status, state_dtype
-from hil_drivers.ur.checks import require_executable, require_liftable
+from hil_drivers.checks import require_liftable
+from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.configuration import limits_in
 from hil_drivers.ur.controller import KEPT_S
 from hil_drivers.ur.facts import capabilities_of, limits_of

@@ -1,23 +1,15 @@
-"""What an arm is asked to do, looked at before anything moves."""
+"""What a UR arm is asked to do, looked at before anything moves."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from hil.errors import CommandRefused
-from hil.payload import Payload
 from hil.robot import Limits, Segment
 from hil.typing import FloatArray
+from hil_drivers import checks
 from hil_drivers.ur.options import MOST_ACCELERATION, MOST_SPEED
-
-AT_SET_POINT_RAD = 0.02
-SLACK_RAD = 1e-6
-REST_RAD_S = 0.01
-SPEED_SLACK = 1.001
 
 
 def require_executable(segment: Segment, limits: Limits, standing: FloatArray) -> None:
-    """Refuse what the arm cannot do, or would do with a jump.
+    """Refuse what the arm cannot do, or what `ur-rtde` would not let through.
 
     Args:
         segment: The next one.
@@ -25,61 +17,13 @@ def require_executable(segment: Segment, limits: Limits, standing: FloatArray) -
         standing: (6,) the set-point it holds [rad].
 
     Raises:
-        CommandRefused: It leaves the limits, begins elsewhere or moves at its ends.
+        CommandRefused: See `hil_drivers.checks`.
     """
+    checks.require_executable(segment, limits, standing)
     where = f"segment {segment.index} ({segment.kind})"
-    n = len(limits.q_min)
-    shapes = {np.shape(array) for array in (segment.q, segment.qd, segment.qdd)}
-    if shapes != {(len(segment.q), n)} or not len(segment.q):
-        raise _refused(f"{where} is for {segment.q.shape[-1]} joints, the arm has {n}")
-    numbers = (segment.q, segment.qd, segment.qdd, (segment.speed, segment.acceleration))
-    if not all(np.isfinite(array).all() for array in numbers):
-        raise _refused(f"{where} holds numbers that are none")
-    _require_within(where, segment, limits)
-    off = float(np.abs(segment.q[0] - standing).max())
-    if off > AT_SET_POINT_RAD:
-        raise _refused(f"{where} begins {off:.4f} rad from where the arm stands")
-    if segment.kind != "hold" and np.abs(segment.qd[[0, -1]]).max() > REST_RAD_S:
-        raise _refused(f"{where} does not begin and end at rest")
-
-
-def require_liftable(payload: Payload, limits: Limits) -> None:
-    """Refuse a load that the arm is not made for.
-
-    Raises:
-        CommandRefused: It is too heavy.
-    """
-    if payload.mass > limits.payload_max_kg:
-        raise CommandRefused(
-            f"a load of {payload.mass:g} kg is too heavy: the arm carries "
-            f"{limits.payload_max_kg:g} kg",
-            hint="mount a lighter one",
-        )
-
-
-def _require_within(where: str, segment: Segment, limits: Limits) -> None:
-    q = segment.q
-    if (q < limits.q_min - SLACK_RAD).any() or (q > limits.q_max + SLACK_RAD).any():
-        raise _refused(f"{where} leaves the arm's joint range")
-    _require_joints_within(where, "rad/s", segment.qd, limits.qd_max)
-    _require_joints_within(where, "rad/s²", segment.qdd, limits.qdd_max)
-    if not 0 <= segment.speed <= MOST_SPEED * SPEED_SLACK:
-        raise _refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
+    if not 0 <= segment.speed <= MOST_SPEED * checks.SPEED_SLACK:
+        raise checks.refused(f"{where} asks for {segment.speed:.3f} rad/s, at most {MOST_SPEED} go")
     if not 0 <= segment.acceleration <= MOST_ACCELERATION:
-        raise _refused(
+        raise checks.refused(
             f"{where} asks for {segment.acceleration:.1f} rad/s², at most {MOST_ACCELERATION} go"
         )
-
-
-def _require_joints_within(where: str, unit: str, asked: FloatArray, most: FloatArray) -> None:
-    highest = np.abs(asked).max(axis=0)
-    if (highest > most * SPEED_SLACK).any():
-        joint = int((highest - most).argmax())
-        raise _refused(
-            f"{where} moves joint {joint} at {highest[joint]:.3f} {unit}, {most[joint]:.3f} are "
-            "allowed"
-        )
-
-
-def _refused(why: str) -> CommandRefused:
-    return CommandRefused(why, hint="plan again for this arm, from where it stands")

@@ -19,7 +19,8 @@ from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
-from hil_drivers.ur.checks import require_executable, require_liftable
+from hil_drivers.checks import require_liftable
+from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.facts import capabilities_of
