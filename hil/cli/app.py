@@ -14,7 +14,19 @@ from typing import Annotated, Any
 import typer
 
 import hil
-from hil.cli import bench, data, listening, live, models, recover, running, runs, specs, system
+from hil.cli import (
+    bench,
+    data,
+    listening,
+    live,
+    models,
+    recover,
+    replaying,
+    running,
+    runs,
+    specs,
+    system,
+)
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
 from hil.errors import (
@@ -39,7 +51,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for group in (specs, running, listening, runs, live, recover, models, data, system, bench):
+GROUPS = (
+    specs, running, listening, runs, live, recover, replaying, models, data, system, bench,
+)  # fmt: skip
+for group in GROUPS:
     group.register(app)
 
 

@@ -1,0 +1,159 @@
+"""A run once more, from a log of its bus in place of its recording: `hil replay`.
+
+The log says what the wire carried; spec, plan and robot are the run's own. What comes out is a run
+directory like any other, which says what it was made from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil import plugins
+from hil.campaign.sink import counts_of
+from hil.errors import DataError, HilError, PluginError
+from hil.record.files import sha256_of
+from hil.record.lock import hold_run
+from hil.record.provenance import collect_provenance
+from hil.record.recorder import Recorder
+from hil.record.rundir import RunDirectory
+from hil.record.topic import STATE_TOPIC, state_topic
+from hil.record.writer import Attachment, McapWriter
+from hil.robot.logs import ReadsLogs, RecordedLog
+from hil.spec.load import load_station
+from hil.spec.station import StationRobot
+
+COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
+COPIED_FACTS = (
+    "experiment", "plan_hash", "spec_hash", "station", "robot_name", "robot", "loads", "seed",
+    "commissioning", "waivers",
+)  # fmt: skip
+"""What the start document of the new run has from the old one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What came of it.
+
+    Attributes:
+        run: The new run directory.
+        counts: Samples, gaps, … of its recording.
+        recorded: The same of the run that the log is of; empty where it has no stop document.
+    """
+
+    run: Path
+    counts: Mapping[str, int]
+    recorded: Mapping[str, int]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "run": str(self.run),
+            "counts": dict(self.counts),
+            "recorded": dict(self.recorded),
+        }
+
+
+def replay(source: Path, log: Path, runs: Path) -> Replayed:
+    """Make the recording of a run anew from a log of its bus.
+
+    Args:
+        source: Run directory.
+        log: What was logged on the bus while it ran.
+        runs: Where run directories are kept.
+
+    Raises:
+        DataError: The run or the log cannot be read, or do not belong together.
+        PluginError: The driver's wire does not tell everything.
+        RecordingError: The new run directory cannot be written.
+    """
+    run = RunDirectory.open(source)
+    if run.attempts > 1:
+        raise DataError(
+            f"{source} has {run.attempts} attempts, a log is of one",
+            hint="replay logs of runs that were not resumed",
+        )
+    opened = _opened(run, log)
+    directory = RunDirectory.create(runs, str(run.start["robot_name"]), _name(run))
+    with hold_run(directory.path):
+        _begin(directory, run, log)
+        counts = _record(directory, opened)
+        stop = run.stop or {}
+        kept = {key: stop[key] for key in ("complete", "unsettled", "steps_done") if key in stop}
+        directory.write_stop("completed", f"replayed from {log.name}", kept | counts)
+    recorded = {key: stop[key] for key in counts if isinstance(stop.get(key), int)}
+    return Replayed(directory.path, counts, recorded)
+
+
+def _name(run: RunDirectory) -> str:
+    return f"{run.start.get('experiment', 'run')}-replay"
+
+
+def _opened(run: RunDirectory, log: Path) -> RecordedLog:
+    entry = _entry(run)
+    driver = plugins.load("hil.drivers", entry.driver)
+    if not isinstance(driver, ReadsLogs):
+        raise PluginError(
+            f"a log of the driver {entry.driver!r}'s wire does not hold what a recording holds",
+            hint="hil recover mends torn recordings of any driver",
+        )
+    return driver.read_log(log, entry.model, entry.options, run.start["robot"])
+
+
+def _entry(run: RunDirectory) -> StationRobot:
+    name = str(run.start.get("robot_name", ""))
+    entry = load_station(run.path / "station.yaml").robots.get(name)
+    if entry is None:
+        raise DataError(f"{run.path / 'station.yaml'} has no robot {name!r}")
+    return entry
+
+
+def _begin(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
+    for name in COPIED_FILES:
+        if (run.path / name).exists():
+            directory.write_text(name, (run.path / name).read_text("utf-8"))
+    start = run.start
+    directory.write_start(
+        collect_provenance()
+        | {key: start[key] for key in COPIED_FACTS if key in start}
+        | {"replayed": {"of": start.get("uid"), "log": log.name, "sha256": sha256_of(log)}}
+    )
+
+
+def _record(directory: RunDirectory, log: RecordedLog) -> dict[str, int]:
+    recorder = _recorder(directory, log)
+    try:
+        for rows, further in log.blocks():
+            recorder.put(STATE_TOPIC, rows)
+            for topic, more in further.items():
+                recorder.put(topic, more)
+    except HilError:
+        recorder.close()
+        directory.write_stop("failed", "the log could not be read to its end")
+        raise
+    recorder.close()
+    return counts_of(recorder.counts[STATE_TOPIC])
+
+
+def _recorder(directory: RunDirectory, log: RecordedLog) -> Recorder:
+    start = directory.start
+    robot, names = start["robot"], ("spec.yaml", "station.yaml", "plan.json", "start.json")
+    unit = "A" if robot["effort_kind"] == "current" else "N·m"
+    joints = tuple(robot["joint_names"])
+    state = state_topic(len(joints), robot["rate_hz"], clock=robot["clock"], effort_unit=unit)
+    attachments = [
+        Attachment(name, f"application/{name.rpartition('.')[2]}", file.read_bytes())
+        for name in names
+        if (file := directory.path / name).exists()
+    ]
+    about = {"uid": str(start["uid"]), "name": str(start.get("experiment", "")), "attempt": "0"}
+    writer = McapWriter(
+        directory.part_path(0, 0),
+        [state, *log.topics],
+        metadata={"run": about | {"part": "0"}},
+        attachments=attachments,
+        joint_names=joints,
+    )
+    return Recorder(writer, on_backlog="wait")

@@ -1,0 +1,40 @@
+"""`hil replay`: a run once more, from a log of its bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hil.cli.output import JsonFlag, RunsOption, print_json
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(replay)
+
+
+def replay(
+    run: Annotated[str, typer.Argument(help="Run directory, number or name.", show_default=False)],
+    log: Annotated[
+        Path,
+        typer.Argument(help="Log of its bus, for CAN as candump -L writes it.", show_default=False),
+    ],
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Make the recording of a run anew from a log of its bus, in a run directory of its own."""
+    from hil.campaign.replaying import replay as replayed_from
+    from hil.record.catalogue import find_run
+
+    found = replayed_from(find_run(run, runs), log, runs)
+    if json:
+        print_json(found.to_dict())
+        return
+    typer.echo(f"{found.run}: replayed from {log}")
+    for name, count in found.counts.items():
+        recorded = found.recorded.get(name)
+        told = "" if recorded is None else f" (the run itself recorded {recorded})"
+        typer.echo(f"  {name}: {count}{told}")
+    typer.echo(f"  next: hil report {found.run}")
