@@ -39,7 +39,8 @@ class ReadsLogs(Protocol):
 
         Args:
             log: The file.
-            model, options: The station's, as for the driver itself.
+            model: The station's.
+            options: The station's, as for the driver itself.
             robot: `start.json: robot` of the run that the log is of: who answered, and what the
                 drives had told about themselves.
 
