@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 
+from hil_mock_robot.mishaps import Mishaps
 from hil_mock_robot.ur.contracts import Service, Session
-from hil_mock_robot.ur.mishaps import Mishaps
 from hil_mock_robot.ur.sockets import TcpLink
 from hil_mock_robot.ur.witness import Witness
 

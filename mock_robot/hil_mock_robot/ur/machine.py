@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from hil.typing import FloatArray
+from hil_mock_robot.mishaps import Mishaps
 from hil_mock_robot.ur.body import Body, Reading
 from hil_mock_robot.ur.cartesian import Cartesian
 from hil_mock_robot.ur.contracts import NOWHERE, Motion, Place, Program, Setpoint
 from hil_mock_robot.ur.heat import HeatGuard
 from hil_mock_robot.ur.limits import MotionImpossible, leaving, out_of
 from hil_mock_robot.ur.line import Line
-from hil_mock_robot.ur.mishaps import Mishaps
 from hil_mock_robot.ur.modes import Modes, RobotMode, RuntimeState
 from hil_mock_robot.ur.publishing import Publishing
 from hil_mock_robot.ur.series import Series
