@@ -129,8 +129,8 @@ class FaultList(Generic[F]):
 
     def _value(self, where: str, key: str, value: Any) -> Any:
         if key in self.words:
-            fits, words = self.words[key]
-            if not fits(value):
+            allowed, words = self.words[key]
+            if not allowed(value):
                 raise wrong(where, value, words)
             return value
         if key == "for_s" and value == math.inf:
