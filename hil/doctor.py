@@ -6,6 +6,7 @@ import importlib.metadata
 import importlib.util
 import os
 import shutil
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -62,7 +63,9 @@ def examine(station: Path | None = None) -> list[Finding]:
     Args:
         station: Also check this station file.
     """
-    checks: list[Callable[[], Iterator[Finding]]] = [_python, _extras, _plugins, _disk, _clock]
+    checks: list[Callable[[], Iterator[Finding]]] = [
+        _python, _extras, _plugins, _disk, _clock, _real_time, _can,
+    ]  # fmt: skip
     findings = [finding for check in checks for finding in check()]
     return findings + (list(_station(station)) if station else [])
 
@@ -104,6 +107,31 @@ def _disk() -> Iterator[Finding]:
 def _clock() -> Iterator[Finding]:
     resolution = time.get_clock_info("monotonic").resolution
     yield Finding("clock", f"monotonic, {resolution * 1e9:.0f} ns")
+
+
+def _real_time() -> Iterator[Finding]:
+    """Whether a driver that owns the clock of a bus may ask to be woken in time."""
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, *before)
+    except (AttributeError, OSError):
+        text = "not permitted: cycles of a CAN driver may come late while the computer is busy; "
+        yield Finding("real-time", f"{text}LimitRTPRIO=80, or ulimit -r 80, permits it", "note")
+        return
+    yield Finding("real-time", "SCHED_FIFO is permitted")
+
+
+def _can() -> Iterator[Finding]:
+    """Whether there are CAN interfaces of the kernel, as most adapters are."""
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW):
+            names = [name for _, name in socket.if_nameindex() if "can" in name]
+    except (AttributeError, OSError):
+        text = "this kernel has no CAN (AF_CAN): mock drives and adapters with a python-can driver"
+        yield Finding("can", f"{text} of their own work, SocketCAN does not", "note")
+        return
+    yield Finding("can", f"SocketCAN; interfaces: {', '.join(names) or 'none is up'}")
 
 
 def _station(path: Path) -> Iterator[Finding]:

@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 
 BUILT_IN = "built-in mock bench"
 
+MOCK_DRIVES = {
+    "bus": {"interface": "hil_unix", "channel": "can0", "bitrate": 1_000_000},
+    "nodes": [1, 2, 3, 4, 5, 6],
+    "payload_object": 0x2100,
+}
+"""Options of the driver `cia402` for what `hil mock can` starts: see lab6_can_mock.yaml."""
+
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
@@ -55,8 +62,8 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
     """Load a spec and the station it runs at.
 
     The station is, in this order: `station_path`, $HIL_STATION, `station.yaml` beside the spec,
-    or a bench with every built-in arm on the embedded mock. A real robot is never chosen by
-    default.
+    or a bench with every built-in arm on the embedded mock, and one on mock CAN drives. A real
+    robot is never chosen by default.
 
     Raises:
         SpecError: Either file has problems (all are listed), or the station lacks the robot.
@@ -92,11 +99,16 @@ def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str,
 
 
 def mock_bench() -> Station:
-    """A bench with every built-in arm on the embedded mock, seed 0."""
+    """A bench with every built-in arm on the embedded mock, seed 0, and `lab6_can`.
+
+    The latter meets the drives of `hil mock can` on a bus that no other computer can reach.
+    """
+    embedded = {name: StationRobot(driver="mock", model=name) for name in arms.arm_names()}
     return Station(
         hil_station=1,
         name="mock-bench",
-        robots={name: StationRobot(driver="mock", model=name) for name in arms.arm_names()},
+        robots=embedded
+        | {"lab6_can": StationRobot(driver="cia402", model="lab6", options=MOCK_DRIVES)},
     )
 
 
