@@ -1,0 +1,206 @@
+"""What one axis' raw integers mean: encoder, gear, rated values, signs, by device profile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Literal
+
+from hil.errors import SpecError
+
+TURN = 2.0 * math.pi
+WRAP = 1 << 32
+"""Positions have 32 bits; a counter that runs over goes on at the other end."""
+
+INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
+
+VelocityUnit = Literal["increments/s", "rpm", "0.001 rpm", "0.0001 rpm", "beckhoff"]
+TorqueOf = Literal["rated-torque", "rated-current"]
+CurrentIs = Literal["rms", "peak"]
+
+COUNTS_PER_REV_S: dict[str, float] = {
+    "rpm": 60.0,
+    "0.001 rpm": 60_000.0,
+    "0.0001 rpm": 600_000.0,
+    "beckhoff": 2**32 / 16_000,
+}
+"""What 606Ch and 60FFh read at one motor revolution per second; increments/s go by 608Fh.
+
+`beckhoff` is 2^32 / 16 000 ≈ 268 435 (EL72xx, EP7414; infosys.beckhoff.com "Scaling of actual
+values and setpoints"), `0.0001 rpm` the default of AX8000 (3005h:02)."""
+
+POSITION_BIT, VELOCITY_BIT, TORQUE_BIT = 0x80, 0x40, 0x20
+"""607Eh: the drive counts against its motor; CiA 402 leaves bit 5 to vendors."""
+
+
+@dataclass(frozen=True)
+class AxisProfile:
+    """How the numbers of one drive relate to its joint.
+
+    Attributes:
+        encoder_increments, encoder_revolutions: 608Fh: increments per so many motor revolutions.
+        gear_ratio: Motor revolutions per joint revolution.
+        rated_current_a: 6075h [A]; ‰ of it are the unit of 6078h.
+        rated_torque_nm: 6076h [N·m] at the motor.
+        polarity: 607Eh as the drive has it.
+        direction: −1 where the joint turns against the motor (mounted, belted or wired so).
+        offset_rad: Angle of the joint where the drive's position is 0 [rad].
+        centre_rad: Middle of the joint's range: of all angles that a wrapped position can mean,
+            the nearest to it is meant [rad].
+        position_unsigned: The drive counts from 0 to 2^32 − 1: targets beyond an end wrap, as its
+            own counter does; else they stop at the ends of 32 bits with sign.
+        velocity_unit: Of 606Ch and 60FFh.
+        torque_of: What 6071h, 6077h and 60B2h are ‰ of.
+        torque_constant_nm_a: Of the motor [N·m/A]; for `rated-current`.
+        rated_current_is: A `peak` value is divided by √2 before it meets the torque constant
+            (EL72xx with 2002h:54 = 0), an `rms` one is not (2002h:54 = 1).
+    """
+
+    encoder_increments: int
+    gear_ratio: float
+    rated_current_a: float
+    rated_torque_nm: float
+    encoder_revolutions: int = 1
+    polarity: int = 0
+    direction: int = 1
+    offset_rad: float = 0.0
+    centre_rad: float = 0.0
+    position_unsigned: bool = False
+    velocity_unit: VelocityUnit = "increments/s"
+    torque_of: TorqueOf = "rated-torque"
+    torque_constant_nm_a: float = 0.0
+    rated_current_is: CurrentIs = "rms"
+
+    @property
+    def increments_per_rev(self) -> float:
+        """Increments of one motor revolution."""
+        return self.encoder_increments / self.encoder_revolutions
+
+    @cached_property
+    def rad_per_increment(self) -> float:
+        """Joint angle of one increment, with the sign of position [rad]."""
+        return self._sign(POSITION_BIT) * TURN / (self.increments_per_rev * self.gear_ratio)
+
+    @cached_property
+    def rad_s_per_count(self) -> float:
+        """Joint velocity of one count of 606Ch, with its sign [rad/s]."""
+        counts = COUNTS_PER_REV_S.get(self.velocity_unit, self.increments_per_rev)
+        return self._sign(VELOCITY_BIT) * TURN / (counts * self.gear_ratio)
+
+    @cached_property
+    def nm_per_count(self) -> float:
+        """Joint torque of one count of 6077h, with its sign [N·m]; no losses in the gear."""
+        return self._sign(TORQUE_BIT) * self.motor_rated_nm * self.gear_ratio / 1000.0
+
+    @cached_property
+    def a_per_count(self) -> float:
+        """Motor current of one count of 6078h, with the sign of torque [A]."""
+        return self._sign(TORQUE_BIT) * self.rated_current_a / 1000.0
+
+    @property
+    def motor_rated_nm(self) -> float:
+        """Motor torque at 1000 ‰ [N·m]."""
+        if self.torque_of == "rated-torque":
+            return self.rated_torque_nm
+        return self.effective_rated_a * self.torque_constant_nm_a
+
+    @property
+    def effective_rated_a(self) -> float:
+        """Rated current as the torque constant takes it [A]."""
+        peak = self.rated_current_is == "peak"
+        return self.rated_current_a / math.sqrt(2.0) if peak else self.rated_current_a
+
+    @property
+    def drive_gain(self) -> float:
+        """Joint torque per ampere of `current` [N·m/A]."""
+        return self.motor_rated_nm * self.gear_ratio / self.rated_current_a
+
+    @cached_property
+    def _centre(self) -> int:
+        """Position in increments, unwrapped, in the middle of the joint's range."""
+        return round((self.centre_rad - self.offset_rad) / self.rad_per_increment)
+
+    def position(self, raw: int) -> float:
+        """Joint angle [rad] of 6064h, signed or unsigned: the one nearest to `centre_rad`."""
+        centre = self._centre
+        away = (raw - centre + (WRAP >> 1)) % WRAP - (WRAP >> 1)
+        return (centre + away) * self.rad_per_increment + self.offset_rad
+
+    def velocity(self, raw: int) -> float:
+        """Joint velocity [rad/s] of 606Ch."""
+        return raw * self.rad_s_per_count
+
+    def torque(self, raw: int) -> float:
+        """Joint torque [N·m] of 6077h, 6071h or 60B2h."""
+        return raw * self.nm_per_count
+
+    def current(self, raw: int) -> float:
+        """Motor current [A] of 6078h."""
+        return raw * self.a_per_count
+
+    def raw_position(self, q: float) -> int:
+        """607Ah for a joint angle [rad]: 32 bits with sign, as they go over the wire."""
+        counts = round((q - self.offset_rad) / self.rad_per_increment)
+        if self.position_unsigned:
+            return (counts + (WRAP >> 1)) % WRAP - (WRAP >> 1)
+        return within(counts, INT32)
+
+    def raw_velocity(self, qd: float) -> int:
+        """60FFh for a joint velocity [rad/s]; stops at the ends of 32 bits."""
+        return within(round(qd / self.rad_s_per_count), INT32)
+
+    def raw_torque(self, nm: float) -> int:
+        """6071h or 60B2h for a joint torque [N·m]; stops at the ends of 16 bits."""
+        return within(round(nm / self.nm_per_count), INT16)
+
+    def raw_current(self, amperes: float) -> int:
+        """6078h for a motor current [A]; stops at the ends of 16 bits."""
+        return within(round(amperes / self.a_per_count), INT16)
+
+    def _sign(self, bit: int) -> int:
+        return -self.direction if self.polarity & bit else self.direction
+
+
+PROFILES: dict[str, dict[str, Any]] = {
+    "generic": {},
+    "el72xx": {
+        "position_unsigned": True,
+        "velocity_unit": "beckhoff",
+        "torque_of": "rated-current",
+        "rated_current_is": "peak",
+    },
+}
+"""What a device profile says where the station's `axes` do not."""
+
+
+def within(value: int, ends: tuple[int, int]) -> int:
+    """`value`, not beyond either end."""
+    least, most = ends
+    return least if value < least else most if value > most else value
+
+
+def axis_profile(name: str, given: Mapping[str, Any], found: Mapping[str, Any]) -> AxisProfile:
+    """The profile of one axis.
+
+    Args:
+        name: A key of `PROFILES`.
+        given: Fields of `AxisProfile` as the station says them; they win.
+        found: Fields as the drive says them; the device profile wins.
+
+    Raises:
+        SpecError: Something is still missing.
+    """
+    merged = {**found, **PROFILES[name], **given}
+    needed = ["encoder_increments", "gear_ratio", "rated_current_a"]
+    current = merged.get("torque_of") == "rated-current"
+    needed.append("torque_constant_nm_a" if current else "rated_torque_nm")
+    merged.setdefault("rated_torque_nm", 0.0)
+    if missing := [field for field in needed if not merged.get(field)]:
+        raise SpecError(
+            f"profile {name}: neither the station nor the drive says {', '.join(missing)}",
+            hint=f"give axes.{missing[0]} in the station, from the drive's documentation",
+        )
+    known = {field.name for field in fields(AxisProfile)}
+    return AxisProfile(**{key: value for key, value in merged.items() if key in known})
