@@ -17,7 +17,7 @@ from hil.errors import HilError, RobotConnectionError
 from hil.payload import Payload
 from hil.robot.documents import payload_from, plain_options, segment_document, understood
 from hil.robot.driver_process import DriverProcess
-from hil.robot.facts import facts_from
+from hil.robot.facts import Facts, facts_from
 from hil.robot.findings import Finding
 from hil.robot.frames import Message, garbage
 from hil.robot.protocol import Capabilities, Identity, Limits, Segment
@@ -49,6 +49,8 @@ class RobotProcess:
         model: A built-in arm, or a path.
         options: The driver's own; what YAML can hold.
         gravity_m_s2: For drivers that simulate: gravity in the base frame.
+        known: What the driver would say before it is connected; its process is started by
+            `connect` then, not now.
 
     Raises:
         PluginError: There is no such driver, it does not load, or the system is not Linux.
@@ -69,9 +71,10 @@ class RobotProcess:
         options: Mapping[str, Any] | None = None,
         *,
         gravity_m_s2: Sequence[float] | None = None,
+        known: Facts | None = None,
     ) -> None:
         self._name = name
-        self._how = {
+        self._how: dict[str, Any] = {
             "driver": driver,
             "name": name,
             "model": model,
@@ -82,7 +85,10 @@ class RobotProcess:
         self._one_call = threading.Lock()
         self._identity: Identity | None = None
         self._process: DriverProcess | None = None
-        self._open()
+        if known is None:
+            self._open()
+        else:
+            self._remember(known)
 
     @property
     def process(self) -> DriverProcess | None:
@@ -171,8 +177,10 @@ class RobotProcess:
         self._process = process
 
     def _learn(self, document: Mapping[str, Any]) -> None:
+        self._remember(facts_from(document))
+
+    def _remember(self, facts: Facts) -> None:
         """Members that a structural check looks for exist only where the driver has them."""
-        facts = facts_from(document)
         self._capabilities, self._limits = facts.capabilities, facts.limits
         self._identity = facts.identity
         if facts.topics is not None:
