@@ -1,0 +1,71 @@
+"""NMT slave of CiA 301: boot-up, pre-operational, operational, stopped, and the two resets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+
+
+class State(IntEnum):
+    """As it is in a heartbeat."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+"""Commands."""
+
+TARGETS = {
+    START: State.OPERATIONAL,
+    STOP: State.STOPPED,
+    ENTER_PRE_OPERATIONAL: State.PRE_OPERATIONAL,
+}
+ALL_NODES = 0
+
+
+class NmtSlave:
+    """The state machine alone; what follows from it is told to who owns it.
+
+    Args:
+        node_id: Which commands are for it.
+        changed: Called with a new state.
+        reset: Called when the node has to start anew; True where its application has, too.
+
+    Attributes:
+        code: The state.
+    """
+
+    def __init__(
+        self, node_id: int, changed: Callable[[State], None], reset: Callable[[bool], None]
+    ) -> None:
+        self._node_id = node_id
+        self._changed, self._reset = changed, reset
+        self.code = State.INITIALISING
+
+    @property
+    def state(self) -> str:
+        """Name of the state, as other CANopen libraries spell it."""
+        return self.code.name.replace("PRE_", "PRE-")
+
+    def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
+        """An NMT command was on the bus: command, node."""
+        if len(data) == 2 and data[1] in (ALL_NODES, self._node_id):
+            self.command(data[0])
+
+    def command(self, code: int) -> None:
+        """Do as the NMT master says; what is unknown is passed over, and so is all while booting."""
+        if self.code is State.INITIALISING:
+            return
+        if code in (RESET_NODE, RESET_COMMUNICATION):
+            self._reset(code == RESET_NODE)
+        elif code in TARGETS:
+            self.enter(TARGETS[code])
+
+    def enter(self, state: State) -> None:
+        """Be in this state from now on."""
+        if state is not self.code:
+            self.code = state
+            self._changed(state)
