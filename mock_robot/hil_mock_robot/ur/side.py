@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from hil.errors import CommandRefused, HilError, SpecError
+from hil_mock_robot.side_requests import Request, payload_in, torque_in
 from hil_mock_robot.ur.contracts import Link
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.pacing import LockStep, RealTime
 from hil_mock_robot.ur.presses import pressed
-from hil_mock_robot.ur.side_requests import factor_in, payload_in, ticks_in, torque_in, truth_of
+from hil_mock_robot.ur.side_requests import factor_in, ticks_in, truth_of
 from hil_mock_robot.ur.troubles import Troubles
 
 LONGEST_LINE = 100_000
 MOST_WAITING = 1_000_000
 """Bytes of requests that wait for the end of a step; the client is hung up on beyond that."""
 LINE_BYTES = 100
+AXES = 6
 
-Request = Mapping[str, Any]
 Answer = dict[str, Any]
 
 
@@ -182,7 +183,7 @@ class SideSession:
         return {}
 
     def _push(self, request: Request) -> Answer:
-        self._service.machine.body.push(torque_in(request))
+        self._service.machine.body.push(torque_in(request, AXES))
         return {}
 
     def _mount(self, request: Request) -> Answer:

@@ -8,7 +8,8 @@ import socket
 from collections.abc import Sequence
 from typing import Any
 
-from hil.errors import CommandRefused, RobotConnectionError, SpecError
+from hil.errors import CommandRefused, RobotConnectionError
+from hil_mock_robot import side_requests
 
 ANSWER_S = 60.0
 """How long an answer may take: a long step of a mock in lock-step takes a while [s]."""
@@ -53,15 +54,7 @@ def request_of(do: str, more: Sequence[str]) -> dict[str, Any]:
     Raises:
         SpecError: A word has no key.
     """
-    request: dict[str, Any] = {"do": do}
-    for word in more:
-        key, equals, value = word.partition("=")
-        if not equals:
-            key, value = MAIN_KEYS.get(do, ""), word
-        if not key or key in request:
-            raise SpecError(f"tell {do}: {word!r} is no KEY=VALUE", hint="such as for_s=2")
-        request[key] = _value(value)
-    return request
+    return side_requests.request_of(do, more, MAIN_KEYS)
 
 
 def tell(address: str, port: int, request: dict[str, Any]) -> dict[str, Any]:
@@ -84,10 +77,3 @@ def tell(address: str, port: int, request: dict[str, Any]) -> dict[str, Any]:
     if "error" in answer:
         raise CommandRefused(answer["error"], hint=answer.get("hint", ""))
     return answer
-
-
-def _value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
