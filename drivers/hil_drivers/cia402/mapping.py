@@ -18,6 +18,9 @@ TPDO_COB_IDS = (0x180, 0x280, 0x380, 0x480)
 SYNC_COB_ID = 0x080
 MOST_BYTES = 8
 
+INCOMPLETE, LATE = 1, 2
+"""Flags of a cycle: an answer was missing, its bytes are of an earlier cycle; its SYNC was late."""
+
 
 @dataclass(frozen=True)
 class Pdo:
@@ -120,9 +123,10 @@ def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
     """What one cycle leaves behind, as it went over the wire.
 
     Fields: `cycle` (number of its SYNC, from 0), `host_time` (Unix time at which the SYNC was
-    sent), `segment` and `status` (what the master announced, see `marker`), `flags`, then the eight
-    bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as answered to
-    it, and `temperature` (n,) [°C], NaN where it was not asked for.
+    sent), `segment` and `status` (what the master announced, see `marker`), `fault_code` (of the
+    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `LATE`), then
+    the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
+    answered to it, and `temperature` (n,) [°C], the newest known, NaN before.
     """
     return np.dtype(
         [
@@ -131,6 +135,7 @@ def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
             ("temperature", "<f8", (n,)),
             ("segment", "<i4"),
             ("status", "<i4"),
+            ("fault_code", "<i4"),
             ("flags", "<i4"),
             ("rpdo", "u1", (len(mapping.rpdos), n, MOST_BYTES)),
             ("tpdo", "u1", (len(mapping.tpdos), n, MOST_BYTES)),
