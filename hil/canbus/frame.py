@@ -17,6 +17,12 @@ EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 ID_MASK = 0x1FFF_FFFF
 ERROR_BUS_OFF = 0x40
 """In the identifier of an error frame: the controller of this end is off the bus."""
+ERROR_CONTROLLER = 0x04
+"""In the identifier of an error frame: the second data byte says what the controller met."""
+TX_OVERFLOW = 0x02
+"""That byte: its transmit queue was full, a frame was dropped."""
+ERROR_RESTARTED = 0x100
+"""In the identifier of an error frame: the controller of this end is back on the bus."""
 
 
 class Frame(NamedTuple):

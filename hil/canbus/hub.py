@@ -1,0 +1,261 @@
+"""Hosts a CAN bus between processes: who connects gets all frames but its own, in one order.
+
+Single-threaded: its host calls `serve` whenever `fileno` is readable or `due_s` has come. It takes
+what participants send at once, so none is held up by another; who does not read is hung up on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+from hil.canbus.frame import (
+    ERROR,
+    ERROR_BUS_OFF,
+    ERROR_CONTROLLER,
+    ERROR_RESTARTED,
+    EXTENDED,
+    ID_MASK,
+    TX_OVERFLOW,
+    Frame,
+    pack_frame,
+    unpack_frame,
+)
+from hil.canbus.listening import Listener
+from hil.canbus.paths import socket_path
+from hil.canbus.peers import Peer
+from hil.canbus.wire_model import Wire
+
+_IN, _OUT = select.EPOLLIN, select.EPOLLOUT
+_BATCH = 32
+"""Frames taken from one participant before the others have their turn."""
+
+_OFF = pack_frame(ERROR | ERROR_BUS_OFF, bytes(8))
+_BACK = pack_frame(ERROR | ERROR_RESTARTED, bytes(8))
+_OVERFLOW = pack_frame(ERROR | ERROR_CONTROLLER, bytes([0, TX_OVERFLOW, 0, 0, 0, 0, 0, 0]))
+
+
+class LocalEnd:
+    """The host's own end of the bus, behind which as many nodes may be as it likes.
+
+    Attributes:
+        heard: Called with every frame that others send, while the hub serves.
+        dropped: Frames for which the transmit queue had no room.
+    """
+
+    def __init__(self, take: Callable[[LocalEnd, bytes], None]) -> None:
+        self._take = take
+        self.heard: Callable[[Frame], None] | None = None
+        self.dropped = 0
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Put a frame on the bus; who serves the hub may call it, from within `heard` too."""
+        self._take(self, pack_frame(can_id, data))
+
+
+class Hub:
+    """A bus.
+
+    Args:
+        channel: A name such as `can0`, or the absolute path of its socket.
+        bitrate: Model the wire: what it takes to send a frame, and who may send first [bit/s].
+            A frame that finds the transmit queue of its sender full is dropped, and the sender gets
+            an error frame. `None`: frames pass at once.
+        speed: Seconds of the bus in one second of the clock.
+        clock: [s].
+
+    Attributes:
+        path: Of the socket.
+        local: The host's own end.
+        wire: The model of the wire, `None` without one.
+
+    Raises:
+        PluginError: The channel is taken, or cannot be made.
+    """
+
+    def __init__(
+        self,
+        channel: str | os.PathLike[str],
+        *,
+        bitrate: float | None = None,
+        speed: float = 1.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.local = LocalEnd(self._take)
+        self._clock = clock
+        self.wire = None if bitrate is None else Wire(bitrate, speed=speed)
+        if self.wire:
+            self.wire.join(self.local, sorts=True)
+        self._listener = Listener(socket_path(channel))
+        self.path = self._listener.path
+        self._listens = self._listener.socket.fileno()
+        self._peers: dict[int, Peer] = {}
+        self._ring: tuple[Peer, ...] = ()
+        self._epoll = select.epoll()
+        self._epoll.register(self._listens, _IN)
+
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """All participants but the host, in the order in which they came."""
+        return self._ring
+
+    @property
+    def due_s(self) -> float | None:
+        """When to serve at the latest, by the clock; `None` when nothing is due."""
+        return self.wire.due_s if self.wire else None
+
+    def fileno(self) -> int:
+        """Readable when there is something to serve."""
+        return self._epoll.fileno()
+
+    def serve(self, timeout_s: float = 0.0) -> None:
+        """One round: newcomers, frames, those who are gone.
+
+        Args:
+            timeout_s: Wait so long for something to do.
+        """
+        for fd, events in self._ready(timeout_s):
+            if fd == self._listens:
+                self._accept()
+            elif (peer := self._peers.get(fd)) is not None:
+                self._attend(peer, events)
+        if self.wire:
+            for end, raw, _ in self.wire.passed(self._clock()):
+                self._pass_on(end, raw)
+
+    def bus_off(self, peer: Peer | None = None) -> None:
+        """Put a participant off the bus, as if its controller had seen too many errors.
+
+        Args:
+            peer: Which one, `None` for all there are; new connections are on the bus.
+        """
+        for each in self._ring if peer is None else (peer,):
+            if not each.off:
+                self._give(each, _OFF)
+                each.off = True
+                if self.wire and each in self._ring:
+                    self.wire.forget(each)
+
+    def recover(self, peer: Peer | None = None) -> None:
+        """Let it back on the bus, `None` for all."""
+        for each in self._ring if peer is None else (peer,):
+            if each.off:
+                each.off = False
+                self._give(each, _BACK)
+
+    def close(self) -> None:
+        """Hang up on everybody and let go of the channel. Idempotent."""
+        for peer in self._ring:
+            self._drop(peer)
+        self._epoll.close()
+        self._listener.close()
+
+    def __enter__(self) -> Hub:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _ready(self, timeout_s: float) -> list[tuple[int, int]]:
+        due_s = self.due_s
+        if due_s is not None:
+            timeout_s = min(timeout_s, max(due_s - self._clock(), 0.0))
+        if timeout_s > 0:  # `epoll` itself counts in milliseconds
+            select.select([self._epoll], [], [], timeout_s)
+        return self._epoll.poll(0)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            connection, _ = self._listener.socket.accept()
+            peer = Peer(connection)
+            self._peers[peer.fd] = peer
+            self._ring = (*self._ring, peer)
+            if self.wire:
+                self.wire.join(peer)
+            self._epoll.register(peer.fd, _IN)
+
+    def _attend(self, peer: Peer, events: int) -> None:
+        try:
+            if events & _OUT:
+                self._flush(peer)
+            if events & ~_OUT:
+                self._read(peer)
+        except OSError:
+            self._drop(peer)
+
+    def _flush(self, peer: Peer) -> None:
+        try:
+            if peer.flush():
+                self._epoll.modify(peer.fd, _IN)
+        except OSError:
+            self._give_up(peer)
+
+    def _read(self, peer: Peer) -> None:
+        frames: list[bytes] = []
+        try:
+            while len(frames) < _BATCH and (raw := peer.read()) is not None:
+                frames.append(raw)
+        finally:
+            self._accept()  # who was connected when these were sent is to get them
+            for raw in frames:
+                if not peer.off and _is_sendable(raw):
+                    self._take(peer, raw)
+
+    def _take(self, end: Peer | LocalEnd, raw: bytes) -> None:
+        if self.wire is None:
+            self._pass_on(end, raw)
+        elif not self.wire.offer(end, raw, self._clock()):
+            end.dropped += 1
+            if isinstance(end, Peer):
+                self._give(end, _OVERFLOW)
+
+    def _pass_on(self, sender: object, raw: bytes) -> None:
+        for peer in self._ring:
+            if peer is not sender:
+                self._give(peer, raw)
+        if sender is not self.local and self.local.heard is not None:
+            self.local.heard(unpack_frame(raw, time.time()))
+
+    def _give(self, peer: Peer, raw: bytes) -> None:
+        if peer.off or peer.deaf:
+            return
+        try:
+            waits = bool(peer.waiting)
+            if not peer.give(raw) and not waits:
+                self._epoll.modify(peer.fd, _IN | _OUT)
+        except OSError:
+            self._give_up(peer)
+
+    def _give_up(self, peer: Peer) -> None:
+        """It gets no more; what it has sent is read up to its end, which is seen there."""
+        peer.deaf = True
+        peer.waiting.clear()
+        self._epoll.modify(peer.fd, _IN)
+        with contextlib.suppress(OSError):
+            peer.socket.shutdown(socket.SHUT_RDWR)
+
+    def _drop(self, peer: Peer) -> None:
+        if self._peers.pop(peer.fd, None) is None:
+            return
+        self._ring = tuple(other for other in self._ring if other is not peer)
+        if self.wire:
+            self.wire.leave(peer)
+        self._epoll.unregister(peer.fd)
+        peer.socket.close()
+
+
+def _is_sendable(raw: bytes) -> bool:
+    """Data and remote frames that can be; nobody sends the errors of others' controllers."""
+    can_id = int.from_bytes(raw[:4], "little")
+    longest = ID_MASK if can_id & EXTENDED else 0x7FF
+    return not can_id & ERROR and raw[4] <= 8 and can_id & ID_MASK <= longest
