@@ -56,7 +56,7 @@ class NmtSlave:
             self.command(data[0])
 
     def command(self, code: int) -> None:
-        """Do as the NMT master says; what is unknown is passed over, and so is all while booting."""
+        """Do as the NMT master says; unknown commands are passed over, and all while booting."""
         if self.code is State.INITIALISING:
             return
         if code in (RESET_NODE, RESET_COMMUNICATION):
