@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-SIMULATED = ("hil_unix", "virtual")
-"""Interfaces of python-can on which time may run faster than on the wall."""
+from hil.arms import load_arm
+from hil_drivers.cia402 import option_checks as must
+from hil_drivers.cia402.axis_options import axes_of
+from hil_drivers.cia402.bus_load import require_room
+from hil_drivers.cia402.bus_options import SIMULATED, Bus, bus_of
+from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.option_checks import wrong_option
+from hil_drivers.cia402.profile import PROFILES
 
-
-@dataclass(frozen=True, slots=True)
-class Bus:
-    """Which bus.
-
-    Attributes:
-        interface: Of python-can.
-        channel: Of that interface: `can0`, a path, a number.
-        bitrate: Bits per second of classic CAN [bit/s].
-    """
-
-    interface: str = "socketcan"
-    channel: str = "can0"
-    bitrate: int = 1_000_000
+MASTER_ID = 127
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +48,7 @@ class Options:
     nodes: tuple[int, ...]
     rate_hz: float
     mapping: Literal["position", "all-modes", "minimal"]
-    master_id: int = 127
+    master_id: int = MASTER_ID
     trajectory_mode: Literal["csp", "csv", "cst"] = "csp"
     feed_forward: bool = False
     effort: Literal["torque", "current"] = "torque"
@@ -97,10 +90,117 @@ class Options:
         return f"can://{self.bus.interface}/{self.bus.channel}"
 
 
+RANGES: dict[str, must.Range] = {
+    "stop_rad_s2": (0.5, 100.0),
+    "following_error_deg": (0.05, 30.0),
+    "torque_limit_percent": (1.0, 1000.0),
+}
+"""Least and most of the options that are numbers."""
+
+WHOLE: dict[str, must.Range] = {
+    "master_id": (1, 127),
+    "payload_object": (0x2000, 0x5FFF),
+    "late_cycles": (1, 100),
+}
+"""The same of those that are whole numbers; 2000h to 5FFFh are the vendors' own objects."""
+
+CHOICES = {
+    "mapping": tuple(MAPPINGS),
+    "trajectory_mode": ("csp", "csv", "cst"),
+    "effort": ("torque", "current"),
+    "profile": tuple(PROFILES),
+}
+
+
 def options_of(given: Mapping[str, Any], model: str) -> Options:
-    """The options of a station's mapping, for a built-in arm.
+    """The options of a station's mapping, for a built-in arm; what is None is not given.
 
     Raises:
-        SpecError: One is missing, unknown, or cannot be.
+        SpecError: One is missing, unknown, or cannot be; or the bus has no room for it.
     """
-    raise NotImplementedError
+    must.require_known(given, [each.name for each in fields(Options)])
+    arm = load_arm(model)
+    n = arm.n_joints
+    told = {name: value for name, value in given.items() if value is not None}
+    taken = _one_by_one(told)
+    bus = bus_of(told.get("bus"))
+    nodes = told.get("nodes", list(range(1, n + 1)))
+    options = Options(
+        **{
+            **taken,
+            "bus": bus,
+            "nodes": must.nodes(nodes, n, taken.get("master_id", MASTER_ID)),
+            "rate_hz": 1000.0 / must.period_ms(told.get("rate_hz", arm.rate_hz)),
+            "pace": _pace(told.get("pace", 1), bus),
+            "mapping": taken.get("mapping") or _allowed(taken)[0],
+            "axes": axes_of(told.get("axes", {}), arm),
+            "eds": tuple(must.file("eds", each) for each in _listed("eds", told, n)),
+        }
+    )
+    _require_mapping(options, taken)
+    require_room(options.mapping, n, options.rate_hz, bus.bitrate, _allowed(taken))
+    return options
+
+
+def _one_by_one(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that stand for themselves."""
+    taken: dict[str, Any] = {}
+    for name, value in told.items():
+        if name in RANGES:
+            taken[name] = must.number(name, value, RANGES[name])
+        elif name in WHOLE:
+            taken[name] = must.number(name, value, WHOLE[name], whole=True)
+        elif name in CHOICES:
+            taken[name] = must.choice(name, value, CHOICES[name])
+        elif take := _TAKEN.get(name):
+            taken[name] = take(name, value)
+    return taken
+
+
+_TAKEN: dict[str, Callable[[str, Any], Any]] = {
+    "feed_forward": must.truth,
+    "urdf": must.file,
+    "candump": must.text,
+}
+
+
+def _pace(value: Any, bus: Bus) -> float:
+    """0 when free."""
+    if value == "free":
+        pace = 0.0
+    elif isinstance(value, str):
+        raise wrong_option("pace", value, "use 1, a factor, or free")
+    else:
+        pace = must.number("pace", value, (0.1, 1000.0))
+    if pace != 1.0 and bus.interface not in SIMULATED:
+        raise wrong_option(
+            "pace",
+            value,
+            f"the drives on {bus.interface} live in real time; only on "
+            f"{' and '.join(SIMULATED)} there may be others",
+        )
+    return pace
+
+
+def _allowed(taken: Mapping[str, Any]) -> list[str]:
+    """Mappings that carry what is asked for, best first."""
+    if taken.get("feed_forward") or taken.get("trajectory_mode", "csp") != "csp":
+        return ["all-modes"]
+    return ["position", "minimal", "all-modes"]
+
+
+def _require_mapping(options: Options, taken: Mapping[str, Any]) -> None:
+    if options.feed_forward and options.trajectory_mode != "csp":
+        raise wrong_option(
+            "feed_forward", True, f"60B2h adds to csp; {options.trajectory_mode} needs none of it"
+        )
+    allowed = _allowed(taken)
+    if options.mapping not in allowed:
+        need = (
+            "feed_forward" if options.feed_forward else f"trajectory_mode {options.trajectory_mode}"
+        )
+        raise wrong_option("mapping", options.mapping, f"{need} needs {', '.join(allowed)}")
+
+
+def _listed(name: str, told: Mapping[str, Any], n: int) -> Sequence[Any]:
+    return must.per_axis(name, told[name], n) if told.get(name) else ()

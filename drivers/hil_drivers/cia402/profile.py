@@ -118,13 +118,13 @@ class AxisProfile:
         return self.motor_rated_nm * self.gear_ratio / self.rated_current_a
 
     @cached_property
-    def _centre(self) -> int:
+    def centre_counts(self) -> int:
         """Position in increments, unwrapped, in the middle of the joint's range."""
         return round((self.centre_rad - self.offset_rad) / self.rad_per_increment)
 
     def position(self, raw: int) -> float:
         """Joint angle [rad] of 6064h, signed or unsigned: the one nearest to `centre_rad`."""
-        centre = self._centre
+        centre = self.centre_counts
         away = (raw - centre + (WRAP >> 1)) % WRAP - (WRAP >> 1)
         return (centre + away) * self.rad_per_increment + self.offset_rad
 
