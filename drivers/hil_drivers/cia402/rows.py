@@ -1,0 +1,197 @@
+"""Cycles as the base robot record, and as a topic with every integer that went over the wire.
+
+A row pairs what was measured at SYNC k with the set-point that was to be reached by then: drives
+apply at SYNC k−1 what was sent in cycle k−2, and are there at SYNC k (60C2h is one period).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as MappingOf
+from typing import Any, Literal
+
+import numpy as np
+
+from hil.record.topic import Topic
+from hil.robot import Status, state_dtype
+from hil.typing import BoolArray, FloatArray, IntArray, StructArray
+from hil_drivers.cia402.mapping import INCOMPLETE, Mapping
+from hil_drivers.cia402.objects import CSP, CST, Entry
+from hil_drivers.cia402.scaling import Scaling
+from hil_drivers.cia402.states import FOLLOWS_COMMAND, INTERNAL_LIMIT
+
+LATENCY = 2
+"""Cycles from sending a set-point to having reached it."""
+
+TOPIC = "/cia402/raw"
+
+_HISTORY = LATENCY + 1
+_ENABLED_MASK, _ENABLED = 0x6F, 0x27
+_FAULT_MASK, _FAULTY = 0x4F, (0x08, 0x0F)
+_FAULT_BITS = int(Status.FAULT | Status.MASKED)
+_SUSPECT = INTERNAL_LIMIT | FOLLOWS_COMMAND
+_HEAD = (("cycle", "<i4"), ("segment", "<i4"), ("status", "<i4"), ("fault_code", "<i4"))
+
+
+def raw_topic(mapping: Mapping, n: int, rate_hz: float) -> Topic:
+    """What the drives were told and have answered, integer by integer.
+
+    Commands are those sent in the cycle, `segment` and `status` what was announced with them.
+
+    Args:
+        mapping: What travels.
+        n: Number of axes.
+        rate_hz: Cycles per second of device time [Hz].
+    """
+    entries = sorted(_entries(mapping), key=lambda entry: -entry.size)
+    fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8"), *_HEAD, ("flags", "<i4")]
+    fields += [(entry.name, _numpy_code(mapping, entry), (n,)) for entry in entries]
+    units = {"device_time": "s", "host_time": "s (Unix time)"}
+    return Topic(
+        name=TOPIC,
+        dtype=np.dtype(fields),
+        rate_hz=rate_hz,
+        clock="controller",
+        units=units | {entry.name: entry.unit for entry in entries if entry.unit},
+        schema_name=f"hil/msg/Cia402Raw{n}",
+    )
+
+
+def raw_rows(cycles: StructArray, mapping: Mapping, topic: Topic, period_s: float) -> StructArray:
+    """Cycles as rows of `raw_topic`, one each."""
+    rows = topic.blank(len(cycles))
+    rows["device_time"], rows["host_time"] = cycles["cycle"] * period_s, cycles["host_time"]
+    for name in ("cycle", "segment", "status", "fault_code", "flags"):
+        rows[name] = cycles[name]
+    for name, values in told(cycles, mapping).items():
+        rows[name] = values
+    return rows
+
+
+def told(cycles: StructArray, mapping: Mapping) -> dict[str, IntArray]:
+    """Name of an object → (N, n) its raw values, for all that travel."""
+    values: dict[str, IntArray] = {}
+    for side, pdos in (("rpdo", mapping.rpdos), ("tpdo", mapping.tpdos)):
+        for at, pdo in enumerate(pdos):
+            records = np.ascontiguousarray(cycles[side][:, at]).view(pdo.dtype)[..., 0]
+            values |= {entry.name: records[entry.name] for entry in pdo.entries}
+    return values
+
+
+class StateRows:
+    """Turns cycles into state rows; blocks of any cut give the same rows.
+
+    It remembers the last cycles, because set-points of the base record are older than what was
+    measured; velocities and accelerations of set-points are differences of them, as drives make
+    them for themselves.
+
+    Args:
+        mapping: What travels.
+        scaling: What the integers mean.
+        period_s: Device time of a cycle [s].
+        effort: What `effort` is.
+    """
+
+    def __init__(
+        self,
+        mapping: Mapping,
+        scaling: Scaling,
+        period_s: float,
+        effort: Literal["torque", "current"] = "torque",
+    ) -> None:
+        self._mapping, self._scaling = mapping, scaling
+        self._period_s, self._effort = period_s, effort
+        self._before: StructArray | None = None
+
+    def rows(self, cycles: StructArray) -> StructArray:
+        """State rows of further cycles; those in which an answer was missing leave none."""
+        if not len(cycles):
+            return np.zeros(0, state_dtype(self._scaling.n))
+        before = np.repeat(cycles[:1], _HISTORY) if self._before is None else self._before
+        all_of_them = np.concatenate([before, cycles])
+        self._before = all_of_them[-_HISTORY:]
+        rows = self._measured(cycles)
+        self._commanded(rows, all_of_them)
+        complete = (cycles["flags"] & INCOMPLETE) == 0
+        return np.asarray(rows[complete])
+
+    def _measured(self, cycles: StructArray) -> StructArray:
+        """What belongs to the time of the SYNC itself."""
+        rows = np.zeros(len(cycles), state_dtype(self._scaling.n))
+        values, scaling = told(cycles, self._mapping), self._scaling
+        rows["device_time"] = cycles["cycle"] * self._period_s
+        rows["host_time"], rows["temperature"] = cycles["host_time"], cycles["temperature"]
+        rows["q"] = scaling.positions(values["position"])
+        rows["qd"] = _scaled(values, "velocity", scaling.rad_s_per_count)
+        per_count = {"torque": scaling.nm_per_count, "current": scaling.a_per_count}
+        rows["effort"] = _scaled(values, self._effort, per_count[self._effort])
+        rows["mode"] = _common(values["mode_display"]) if "mode_display" in values else CSP
+        rows["fault_code"] = cycles["fault_code"]
+        rows["status"] = _by_statusword(values["statusword"], _sure(rows["mode"]))
+        rows["status"] |= np.where(cycles["fault_code"] != 0, _FAULT_BITS, 0)
+        return rows
+
+    def _commanded(self, rows: StructArray, cycles: StructArray) -> None:
+        """What was sent `LATENCY` cycles before.
+
+        The set-point after it is known as well, because it has been sent since: differences are
+        central ones, without a delay of half a cycle.
+        """
+        n, scaling = len(rows), self._scaling
+        values = told(cycles, self._mapping)
+        target = values["target_position"]
+        after, now, before = target[2 : n + 2], target[1 : n + 1], target[:n]
+        up, down = scaling.steps(after, now), scaling.steps(now, before)
+        rows["q_target"] = scaling.positions(now)
+        rows["qd_target"] = (up + down) / (2 * self._period_s)
+        rows["qdd_target"] = (up - down) / self._period_s**2
+        rows["effort_target"] = self._effort_target(values, n, rows["mode"])
+        rows["segment"] = cycles["segment"][1 : n + 1]
+        announced = cycles["status"][1 : n + 1]
+        rows["status"] |= announced
+
+    def _effort_target(
+        self, values: MappingOf[str, IntArray], n: int, mode: IntArray
+    ) -> FloatArray:
+        """Torque that the drives were told; a current is never told."""
+        if self._effort == "current" or "target_torque" not in values:
+            return np.full((n, self._scaling.n), np.nan)
+        in_cst = (mode == CST)[:, None]
+        said = np.where(
+            in_cst, values["target_torque"][1 : n + 1], values["torque_offset"][1 : n + 1]
+        )
+        return np.asarray(said * self._scaling.nm_per_count)
+
+
+def _entries(mapping: Mapping) -> list[Entry]:
+    return [entry for pdo in mapping.pdos for entry in pdo.entries]
+
+
+def _numpy_code(mapping: Mapping, entry: Entry) -> str:
+    (pdo,) = (pdo for pdo in mapping.pdos if entry in pdo.entries)
+    return pdo.dtype[entry.name].str
+
+
+def _scaled(values: MappingOf[str, IntArray], name: str, unit: FloatArray) -> FloatArray:
+    """(N, n) in SI; one NaN where the mapping does not carry it."""
+    return np.asarray(values[name] * unit if name in values else np.nan)
+
+
+def _common(modes: IntArray) -> IntArray:
+    """(N,) the mode of all axes, 0 where they differ."""
+    same = (modes == modes[:, :1]).all(axis=1)
+    return np.asarray(np.where(same, modes[:, 0], 0))
+
+
+def _sure(mode: IntArray) -> BoolArray:
+    """(N,) whether the statusword's mode-specific bits mean what they mean in CSP, CSV and CST."""
+    return np.asarray((mode >= CSP) & (mode <= CST))
+
+
+def _by_statusword(statusword: IntArray, sure: BoolArray) -> IntArray:
+    """(N,) `FAULT` and `MASKED`, as the statuswords (N, n) of all axes tell."""
+    faulty = np.isin(statusword & _FAULT_MASK, _FAULTY).any(axis=1)
+    enabled = (statusword & _ENABLED_MASK) == _ENABLED
+    follows = (statusword & _SUSPECT) == FOLLOWS_COMMAND
+    usable = (enabled & follows).all(axis=1) & sure
+    masked = np.where(usable & ~faulty, 0, int(Status.MASKED))
+    return np.asarray(np.where(faulty, int(Status.FAULT), 0) | masked)
