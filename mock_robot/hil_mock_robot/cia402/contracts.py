@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
@@ -30,11 +31,15 @@ class Demand(NamedTuple):
         setpoints: (N, 3) position [rad], velocity [rad/s] and acceleration [rad/s²] of the joint.
         torque: Commanded joint torque [N·m] in place of following them; NaN to follow.
         braked: The holding brake is on: no current flows.
+        offset: Joint torque [N·m] that the drive adds to what following them takes.
+        limit: Most joint torque that the drive may give [N·m].
     """
 
     setpoints: FloatArray
     torque: float
     braked: bool
+    offset: float = 0.0
+    limit: float = math.inf
 
 
 class Measured(NamedTuple):
@@ -46,6 +51,7 @@ class Measured(NamedTuple):
         current: Motor current [A].
         celsius: Of the motor [°C].
         true_q, true_qd: Without noise, for those who judge.
+        limited: The drive gives all the torque that it may.
     """
 
     q: float
@@ -55,6 +61,7 @@ class Measured(NamedTuple):
     celsius: float
     true_q: float
     true_qd: float
+    limited: bool = False
 
 
 class Node(Protocol):
