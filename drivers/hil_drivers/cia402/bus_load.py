@@ -100,8 +100,8 @@ def require_room(
     if load.fits:
         return
     raise SpecError(
-        f"{n} axes at {rate_hz:g} Hz with mapping {name} do not fit into {bitrate / 1000:g} kbit/s: "
-        f"{_said(load)}",
+        f"{n} axes at {rate_hz:g} Hz with mapping {name} do not fit into {bitrate / 1000:g} "
+        f"kbit/s: {_said(load)}",
         hint=_what_fits(name, n, rate_hz, bitrate, allowed),
     )
 
