@@ -18,7 +18,7 @@ PROFILES = (
     AxisProfile(4096, 100.0, 5.0, 2.0),
     AxisProfile(1 << 20, 81.0, 3.0, 1.0, polarity=0xC0, offset_rad=0.3, direction=1),
 )
-SCALING = Scaling.of(PROFILES)
+SCALING = Scaling(PROFILES)
 
 
 def cycles_of(mapping=POSITION, count=20, **values):
@@ -68,7 +68,7 @@ def test_blocks_of_any_cut_give_the_same_rows(seed):
 def test_a_row_has_the_set_point_sent_two_cycles_before_it():
     target = np.arange(20)[:, None] * np.array([10, 1000])
     rows = rows_of(cycles_of(target_position=target))
-    assert rows["q_target"][2:] == pytest.approx(SCALING.positions(target)[:-2])
+    assert rows["q_target"][2:] == pytest.approx(SCALING.position(target)[:-2])
 
 
 def test_a_row_has_the_step_that_was_announced_with_its_set_point():
@@ -80,7 +80,7 @@ def test_a_row_has_the_step_that_was_announced_with_its_set_point():
 def test_velocity_and_acceleration_of_set_points_are_those_of_the_motion():
     t = np.arange(200) * PERIOD_S
     q = 0.3 * np.sin(2 * t)[:, None] * np.ones(N)
-    rows = rows_of(cycles_of(count=200, target_position=SCALING.raw_positions(q)))
+    rows = rows_of(cycles_of(count=200, target_position=SCALING.raw_position(q)))
     at = t[1:-3]  # of the row's set-point: the first three have no motion before them
     assert rows["qd_target"][3:-1, 1] == pytest.approx(0.6 * np.cos(2 * at), abs=1e-3)
     assert rows["qdd_target"][3:-1, 1] == pytest.approx(-1.2 * np.sin(2 * at), abs=1e-2)
@@ -135,22 +135,19 @@ def test_axes_in_different_modes_are_in_none():
     assert rows_of(cycles_of(mode_display=modes))["mode"].tolist() == [8] * 5 + [0] * 15
 
 
-@pytest.mark.parametrize(
-    ("effort", "unit"), [("torque", "nm_per_count"), ("current", "a_per_count")]
-)
-def test_effort_is_what_the_station_says(effort, unit):
+@pytest.mark.parametrize("effort", ["torque", "current"])
+def test_effort_is_what_the_station_says(effort):
     raw = {"torque": np.full((20, N), 120), "current": np.full((20, N), -70)}
     rows = rows_of(cycles_of(**raw), effort=effort)
-    assert rows["effort"] == pytest.approx(raw[effort] * getattr(SCALING, unit))
+    assert rows["effort"] == pytest.approx(getattr(SCALING, effort)(raw[effort]))
 
 
-def test_the_torque_that_was_commanded_is_the_offset_in_csp_and_the_target_in_cst():
-    both = {"torque_offset": np.full((20, N), 30), "target_torque": np.full((20, N), 90)}
-    for mode, said in ((8, 30), (10, 90)):
-        rows = rows_of(cycles_of(ALL_MODES, mode_display=mode, **both), ALL_MODES)
-        assert rows["effort_target"] == pytest.approx(
-            np.broadcast_to(said * SCALING.nm_per_count, (20, N))
-        )
+def test_a_torque_is_commanded_in_cst_alone():
+    said = np.full((20, N), 90)
+    in_cst = cycles_of(ALL_MODES, mode_display=10, target_torque=said)
+    in_csp = cycles_of(ALL_MODES, target_torque=said)
+    assert rows_of(in_cst, ALL_MODES)["effort_target"] == pytest.approx(SCALING.torque(said))
+    assert np.isnan(rows_of(in_csp, ALL_MODES)["effort_target"]).all()
 
 
 def test_what_the_mapping_does_not_carry_is_not_measured():
@@ -178,34 +175,3 @@ def test_raw_rows_hold_every_integer_that_went_over_the_wire(mapping):
 def test_rows_are_state_rows():
     assert rows_of(cycles_of()).dtype == state_dtype(N)
     assert rows_of(cycles_of(count=0)).dtype == state_dtype(N)
-
-
-def test_a_block_is_scaled_as_each_axis_profile_says():
-    random = np.random.default_rng(1)
-    raw = random.integers(-(2**31), 2**31, (50, N))
-    small = random.integers(-(2**15), 2**15, (50, N))
-    q = random.uniform(-3, 3, (50, N))
-    for at, profile in enumerate(PROFILES):
-        assert SCALING.positions(raw)[:, at] == pytest.approx(
-            [profile.position(int(r)) for r in raw[:, at]]
-        )
-        assert SCALING.raw_positions(q)[:, at].tolist() == [
-            profile.raw_position(x) for x in q[:, at]
-        ]
-        assert SCALING.raw_velocities(q)[:, at].tolist() == [
-            profile.raw_velocity(x) for x in q[:, at]
-        ]
-        assert SCALING.raw_torques(q)[:, at].tolist() == [profile.raw_torque(x) for x in q[:, at]]
-        assert (small * SCALING.nm_per_count)[:, at] == pytest.approx(
-            [profile.torque(int(r)) for r in small[:, at]]
-        )
-
-
-def test_a_counter_that_runs_over_moves_on():
-    unsigned = AxisProfile(1 << 20, 100.0, 1.0, 1.0, position_unsigned=True, centre_rad=0.0)
-    scaling = Scaling.of((unsigned, unsigned))
-    q = np.linspace(-0.01, 0.01, 41)[:, None] * np.ones(N)
-    raw = scaling.raw_positions(q)
-    as_sent = np.where(raw < 0, raw + 2**32, raw)
-    assert scaling.positions(as_sent) == pytest.approx(q, abs=1e-7)
-    assert scaling.steps(as_sent[1:], as_sent[:-1]) == pytest.approx(np.diff(q, axis=0), abs=2e-7)

@@ -6,6 +6,7 @@ apply at SYNC k−1 what was sent in cycle k−2, and are there at SYNC k (60C2h
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from collections.abc import Mapping as MappingOf
 from typing import Any, Literal
 
@@ -120,10 +121,10 @@ class StateRows:
         values, scaling = told(cycles, self._mapping), self._scaling
         rows["device_time"] = cycles["cycle"] * self._period_s
         rows["host_time"], rows["temperature"] = cycles["host_time"], cycles["temperature"]
-        rows["q"] = scaling.positions(values["position"])
-        rows["qd"] = _scaled(values, "velocity", scaling.rad_s_per_count)
-        per_count = {"torque": scaling.nm_per_count, "current": scaling.a_per_count}
-        rows["effort"] = _scaled(values, self._effort, per_count[self._effort])
+        rows["q"] = scaling.position(values["position"])
+        rows["qd"] = _scaled(values, "velocity", scaling.velocity)
+        in_si = scaling.current if self._effort == "current" else scaling.torque
+        rows["effort"] = _scaled(values, self._effort, in_si)
         rows["mode"] = _common(values["mode_display"]) if "mode_display" in values else CSP
         rows["fault_code"] = cycles["fault_code"]
         rows["status"] = _by_statusword(values["statusword"], _sure(rows["mode"]))
@@ -136,14 +137,13 @@ class StateRows:
         The set-point after it is known as well, because it has been sent since: differences are
         central ones, without a delay of half a cycle.
         """
-        n, scaling = len(rows), self._scaling
+        n = len(rows)
         values = told(cycles, self._mapping)
-        target = values["target_position"]
-        after, now, before = target[2 : n + 2], target[1 : n + 1], target[:n]
-        up, down = scaling.steps(after, now), scaling.steps(now, before)
-        rows["q_target"] = scaling.positions(now)
-        rows["qd_target"] = (up + down) / (2 * self._period_s)
-        rows["qdd_target"] = (up - down) / self._period_s**2
+        q = self._scaling.position(values["target_position"])
+        after, now, before = q[2 : n + 2], q[1 : n + 1], q[:n]
+        rows["q_target"] = now
+        rows["qd_target"] = (after - before) / (2 * self._period_s)
+        rows["qdd_target"] = (after - 2 * now + before) / self._period_s**2
         rows["effort_target"] = self._effort_target(values, n, rows["mode"])
         rows["segment"] = cycles["segment"][1 : n + 1]
         announced = cycles["status"][1 : n + 1]
@@ -152,14 +152,11 @@ class StateRows:
     def _effort_target(
         self, values: MappingOf[str, IntArray], n: int, mode: IntArray
     ) -> FloatArray:
-        """Torque that the drives were told; a current is never told."""
+        """Torque that the drives were told; in CSP and CSV they find theirs and do not tell it."""
         if self._effort == "current" or "target_torque" not in values:
             return np.full((n, self._scaling.n), np.nan)
-        in_cst = (mode == CST)[:, None]
-        said = np.where(
-            in_cst, values["target_torque"][1 : n + 1], values["torque_offset"][1 : n + 1]
-        )
-        return np.asarray(said * self._scaling.nm_per_count)
+        torque = self._scaling.torque(values["target_torque"][1 : n + 1])
+        return np.where((mode == CST)[:, None], torque, np.nan)
 
 
 def _entries(mapping: Mapping) -> list[Entry]:
@@ -171,9 +168,11 @@ def _numpy_code(mapping: Mapping, entry: Entry) -> str:
     return pdo.dtype[entry.name].str
 
 
-def _scaled(values: MappingOf[str, IntArray], name: str, unit: FloatArray) -> FloatArray:
+def _scaled(
+    values: MappingOf[str, IntArray], name: str, in_si: Callable[[IntArray], FloatArray]
+) -> FloatArray:
     """(N, n) in SI; one NaN where the mapping does not carry it."""
-    return np.asarray(values[name] * unit if name in values else np.nan)
+    return in_si(values[name]) if name in values else np.asarray(np.nan)
 
 
 def _common(modes: IntArray) -> IntArray:
