@@ -22,6 +22,7 @@ MOCK_DRIVES = {
     "bus": {"interface": "hil_unix", "channel": "can0", "bitrate": 1_000_000},
     "nodes": [1, 2, 3, 4, 5, 6],
     "payload_object": 0x2100,
+    "temperature_object": 0x2110,
 }
 """Options of the driver `cia402` for what `hil mock can` starts: see lab6_can_mock.yaml."""
 

@@ -40,6 +40,8 @@ class Options:
         following_error_deg: 6065h: how far a joint may lag before its drive faults [deg].
         torque_limit_percent: 6072h: of the rated torque; the drive's own when None.
         payload_object: Vendor object of node 1 where a payload is declared; none when 0.
+        temperature_object: Vendor object of every node: its motor's temperature, INTEGER16 in
+            0.1 °C; none when 0.
         candump: File to which all frames are logged; none when empty.
         late_cycles: Cycles that an axis may miss, or we may be late, before all axes stop.
     """
@@ -61,6 +63,7 @@ class Options:
     following_error_deg: float = 2.0
     torque_limit_percent: float | None = None
     payload_object: int = 0
+    temperature_object: int = 0
     candump: str = ""
     late_cycles: int = 3
 
@@ -100,6 +103,7 @@ RANGES: dict[str, must.Range] = {
 WHOLE: dict[str, must.Range] = {
     "master_id": (1, 127),
     "payload_object": (0x2000, 0x5FFF),
+    "temperature_object": (0x2000, 0x5FFF),
     "late_cycles": (1, 100),
 }
 """The same of those that are whole numbers; 2000h to 5FFFh are the vendors' own objects."""

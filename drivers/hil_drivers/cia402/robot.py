@@ -1,0 +1,81 @@
+"""An arm on CiA 402 drives as `hil` drives it: what is done on the bus is done by a process apart.
+
+That process owns the clock of the bus; it can neither be held up by what `hil` does meanwhile, nor
+hold `hil` up. When it does not stop the arm, this one tells the drives itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hil.errors import RobotConnectionError, RobotTimeout
+from hil.robot.facts import Facts
+from hil.robot.process import RobotProcess
+from hil_drivers.cia402.direct_stop import stop_directly
+from hil_drivers.cia402.facts import capabilities_of, limits_of
+from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.options import options_of
+from hil_drivers.cia402.rows import raw_topic
+
+DRIVER = "hil_drivers.cia402.axes_robot:AxesRobot"
+
+STOP_S = 0.06
+"""How long its process may take to say that the stop is on its way; then the drives are told
+directly [s]."""
+
+
+class Cia402Robot(RobotProcess):
+    """Implements `hil.robot.Robot` for six drives, or as many as the arm has joints.
+
+    Args:
+        name: The robot's name in its station.
+        model: A built-in arm.
+        options: See `hil_drivers.cia402.options.Options`.
+
+    Raises:
+        SpecError: An option is missing, unknown, or cannot be.
+    """
+
+    def __init__(self, name: str, model: str, **options: Any) -> None:
+        self._options = options_of(options, model)
+        can = capabilities_of(model, self._options)
+        mapping = MAPPINGS[self._options.mapping]
+        known = Facts(
+            capabilities=can,
+            limits=limits_of(model),
+            topics=(raw_topic(mapping, len(can.joint_names), can.rate_hz),),
+            resource=self._options.resource,
+            identity=None,
+            checks=True,
+        )
+        super().__init__(DRIVER, name, model, options, known=known)
+
+    def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
+        """Gravity in the base frame, for the torque model; before `connect`."""
+        self._how["gravity"] = list(gravity_m_s2)
+
+    def connect(self) -> None:
+        """See `hil.robot.Robot`; once connected, limits and gains are those of the drives."""
+        # Whoever may have to stop the arm within milliseconds cannot import this then.
+        import can  # noqa: F401
+
+        super().connect()
+
+    def stop(self) -> None:
+        """Bring the arm to rest: by its process, else by telling the drives directly.
+
+        Raises:
+            RobotConnectionError: Nobody could be told.
+        """
+        process = self.process
+        if process is None:
+            return
+        try:
+            process.stop(STOP_S)
+        except (RobotConnectionError, RobotTimeout) as error:
+            if not stop_directly(self._options):
+                raise RobotConnectionError(
+                    f"{self._name}: nobody can tell the drives to stop ({error.message}); they "
+                    "stop by themselves when the master's heartbeat is overdue, after 0.25 s",
+                    hint="see to the robot itself, by its emergency stop if need be",
+                ) from error
