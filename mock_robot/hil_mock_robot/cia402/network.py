@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any, Never
 
 from canopen.network import Network
 
 from hil_mock_robot.cia402.contracts import Send
 
-Heard = Callable[[int, bytes, float], None]
+Heard = Callable[[int, Any, float], None]
 
 
 class DeviceNetwork(Network):
@@ -19,9 +20,9 @@ class DeviceNetwork(Network):
     """
 
     def __init__(self, send: Send) -> None:
-        super().__init__()
         self._send = send
         self._listeners: dict[int, list[Heard]] = {}
+        super().__init__()
 
     def subscribe(self, can_id: int, callback: Heard) -> None:
         """Call this with every frame of that identifier."""
@@ -38,7 +39,7 @@ class DeviceNetwork(Network):
         """Put a frame on the bus at once."""
         self._send(can_id, bytes(data))
 
-    def send_periodic(self, *_: object, **__: object) -> None:
+    def send_periodic(self, can_id: int, data: bytes, period: float, remote: bool = False) -> Never:
         """Never: heartbeats and event timers go by the device's clock."""
         raise NotImplementedError("the mock node sends nothing by a timer of its own")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 
+from canopen import nmt
+
 
 class State(IntEnum):
     """As it is in a heartbeat."""
@@ -26,36 +28,35 @@ TARGETS = {
 ALL_NODES = 0
 
 
-class NmtSlave:
+class NmtSlave(nmt.NmtSlave):
     """The state machine alone; what follows from it is told to who owns it.
+
+    In place of `canopen`'s own, which knows neither resets nor a clock of the device's. The state
+    by name, and set by name, is the library's property `state`.
 
     Args:
         node_id: Which commands are for it.
         changed: Called with a new state.
         reset: Called when the node has to start anew; True where its application has, too.
-
-    Attributes:
-        code: The state.
     """
 
     def __init__(
         self, node_id: int, changed: Callable[[State], None], reset: Callable[[bool], None]
     ) -> None:
-        self._node_id = node_id
+        super().__init__(node_id, None)
         self._changed, self._reset = changed, reset
-        self.code = State.INITIALISING
 
     @property
-    def state(self) -> str:
-        """Name of the state, as other CANopen libraries spell it."""
-        return self.code.name.replace("PRE_", "PRE-")
+    def code(self) -> State:
+        """The state."""
+        return State(self._state)
 
     def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
         """An NMT command was on the bus: command, node."""
-        if len(data) == 2 and data[1] in (ALL_NODES, self._node_id):
-            self.command(data[0])
+        if len(data) == 2 and data[1] in (ALL_NODES, self.id):
+            self.send_command(data[0])
 
-    def command(self, code: int) -> None:
+    def send_command(self, code: int) -> None:
         """Do as the NMT master says; unknown commands are passed over, and all while booting."""
         if self.code is State.INITIALISING:
             return
@@ -64,8 +65,12 @@ class NmtSlave:
         elif code in TARGETS:
             self.enter(TARGETS[code])
 
+    def start(self) -> None:
+        """Switched on, or reset: it is initialising."""
+        self._state = int(State.INITIALISING)
+
     def enter(self, state: State) -> None:
         """Be in this state from now on."""
         if state is not self.code:
-            self.code = state
+            self._state = int(state)
             self._changed(state)
