@@ -89,7 +89,7 @@ class UnixBus(can.BusABC):
             try:
                 self.socket.send(raw, _NOW)
                 return
-            except BlockingIOError:
+            except (BlockingIOError, TimeoutError):
                 if not self._wait(select.POLLOUT, until_s - time.monotonic()):
                     raise can.CanOperationError(f"{self}: transmit queue full") from None
             except OSError as error:
@@ -119,7 +119,7 @@ class UnixBus(can.BusABC):
     def _read(self) -> bytes | None:
         try:
             return self.socket.recv(FRAME.size, _NOW)
-        except BlockingIOError:
+        except (BlockingIOError, TimeoutError):  # the latter where somebody has set a time-out
             return None
         except OSError as error:
             raise self._gone(error) from error
