@@ -1,0 +1,101 @@
+"""`python -m hil_mock_robot can`: the mock drives as a process."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from collections.abc import Sequence
+
+from hil.arms import load_arm
+from hil.errors import HilError, RecordingError
+from hil_mock_robot.cia402.assembly import Mock
+from hil_mock_robot.cia402.dictionary import registers_of
+from hil_mock_robot.cia402.eds import eds_of, object_dictionary
+from hil_mock_robot.cia402.ends import HOSTED, BusEnd, end_of, side_path
+from hil_mock_robot.cia402.faults import read_faults
+from hil_mock_robot.cia402.options import NO_SIDE, OWN_COMMAND, mounted_in, parser_of
+from hil_mock_robot.cia402.telling import MAIN_KEYS, tell
+from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.side_requests import request_of
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, seed: int = 1) -> int:
+    """Run until SIGINT, SIGTERM or SIGHUP; returns the exit code.
+
+    Args:
+        arguments: Of the command line, by default this process's.
+        prog: What it was started as, for its help.
+        seed: Which individual when nobody says.
+    """
+    given = parser_of(prog, seed).parse_args(arguments)
+    try:
+        if given.command == "tell":
+            return _tell(given)
+        return _write_eds(given) if given.eds else _run(given)
+    except HilError as error:
+        hint = f"\n  next: {error.hint}" if error.hint else ""
+        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
+        return int(error.exit_code)
+
+
+def _tell(given: argparse.Namespace) -> int:
+    path = given.side or side_path(given.interface, given.channel)
+    answer = tell(path, request_of(given.request, given.more, MAIN_KEYS))
+    print(json.dumps(answer), flush=True)  # noqa: T201
+    return 0
+
+
+def _write_eds(given: argparse.Namespace) -> int:
+    dictionary = object_dictionary(1, registers_of(load_arm(given.model), 0))
+    try:
+        given.eds.write_bytes(eds_of(dictionary))
+    except OSError as error:
+        raise RecordingError(
+            f"cannot write {given.eds}: {error.strerror}",
+            hint="give --eds a path in a folder that can be written",
+        ) from error
+    print(given.eds)  # noqa: T201
+    return 0
+
+
+def _run(given: argparse.Namespace) -> int:
+    end = end_of(given.interface, given.channel, given.bitrate)
+    try:
+        mock = _mock_of(given, end)
+    except BaseException:
+        end.close()
+        raise
+    mock.loop.mishaps.contained = True
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: mock.loop.end())
+    print(f"ready: {given.model} on {end.where}{_wire(given)}", flush=True)  # noqa: T201
+    mock.loop.run()
+    return 0
+
+
+def _mock_of(given: argparse.Namespace, end: BusEnd) -> Mock:
+    truth = draw_truth(given.model, given.seed, given.profile)
+    if given.truth:
+        truth.to_json(given.truth)
+    side = given.side or side_path(given.interface, given.channel)
+    return Mock(
+        truth,
+        end,
+        nodes=given.nodes,
+        start_q_deg=given.start_q_deg,
+        mounted=mounted_in(given.mounted_kg),
+        master_id=given.master_id,
+        patience_s=given.sync_patience_s,
+        faults=read_faults(given.faults) if given.faults else (),
+        journal=given.journal,
+        side=None if side == NO_SIDE else side,
+    )
+
+
+def _wire(given: argparse.Namespace) -> str:
+    if given.bitrate is None:
+        return ""
+    modelled = ", modelled" if given.interface == HOSTED else ""
+    return f", {given.bitrate / 1000:g} kbit/s{modelled}"

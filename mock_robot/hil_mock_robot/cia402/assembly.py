@@ -1,0 +1,89 @@
+"""Puts the parts of a mock together, from what was asked for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from hil.arms import load_arm
+from hil.payload import Payload
+from hil_mock_robot.cia402.body import Body
+from hil_mock_robot.cia402.clock import LEAST_PATIENCE_S, DeviceClock
+from hil_mock_robot.cia402.ends import BusEnd
+from hil_mock_robot.cia402.faults import Fault
+from hil_mock_robot.cia402.loop import Loop
+from hil_mock_robot.cia402.motion import MotionWatch
+from hil_mock_robot.cia402.options import MASTER_ID, nodes_of, pose_of
+from hil_mock_robot.cia402.side import Requests, SideChannel
+from hil_mock_robot.cia402.station import Station
+from hil_mock_robot.cia402.troubles import Troubles
+from hil_mock_robot.cia402.witness import Witness
+from hil_mock_robot.journal import Journal
+from hil_mock_robot.truth import Truth
+
+
+class Mock:
+    """Drives on a bus, with what goes wrong and who writes it down.
+
+    Args:
+        truth: What the arm is really like.
+        end: Of the bus.
+        nodes: Node id of each axis; 1, 2 … when empty.
+        start_q_deg: Where the arm stands at first; zeros when empty.
+        mounted: What really hangs at the flange; what is declared when None.
+        master_id: Node id under which the master announces what it does.
+        patience_s: Wall time without SYNC after which the drives go by their own timer.
+        faults: What is to go wrong.
+        journal: File for what happens.
+        side: Socket of the side channel.
+
+    Attributes:
+        station, troubles, requests, loop: Its parts.
+
+    Raises:
+        SpecError: An option or a fault cannot be.
+        RobotConnectionError: The journal cannot be written.
+        PluginError: The side channel cannot listen.
+    """
+
+    def __init__(
+        self,
+        truth: Truth,
+        end: BusEnd,
+        *,
+        nodes: Sequence[int] = (),
+        start_q_deg: Sequence[float] = (),
+        mounted: Payload | None = None,
+        master_id: int = MASTER_ID,
+        patience_s: float = LEAST_PATIENCE_S,
+        faults: Sequence[Fault] = (),
+        journal: Path | str | None = None,
+        side: Path | str | None = None,
+    ) -> None:
+        body = Body(truth, pose_of(start_q_deg, load_arm(truth.arm)), mounted=mounted)
+        clock = DeviceClock(time.monotonic(), patience_s)
+        ids = nodes_of(nodes, body.arm, master_id)
+        self.station = Station(body, ids, end.send, clock, master_id, mounted)
+        motions = MotionWatch(self.station)
+        witness = self._witness(motions, end, journal)
+        self.troubles = Troubles(self.station, motions, end, faults)
+        if witness is not None:
+            self.troubles.listeners.append(witness.struck)
+        # The motion is counted before faults that wait for it are looked at, and before the
+        # journal says how it ended.
+        self.station.passed += [motions.passed, self.troubles.passed]
+        if witness is not None:
+            self.station.passed.append(witness.passed)
+        self.requests = Requests(self.station, self.troubles)
+        channel = None if side is None else SideChannel(side, self.requests)
+        self.loop = Loop(end, self.station, channel, witness)
+
+    def _witness(
+        self, motions: MotionWatch, end: BusEnd, path: Path | str | None
+    ) -> Witness | None:
+        if path is None:
+            return None
+        journal = Journal(str(path), end.where)
+        journal.open()
+        return Witness(self.station, motions, journal)

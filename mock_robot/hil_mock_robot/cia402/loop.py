@@ -1,0 +1,122 @@
+"""One thread for everything: frames are served between the drives' steps, nothing needs a lock."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections import deque
+from collections.abc import Callable
+
+from hil_mock_robot.cia402.contracts import STEP_S
+from hil_mock_robot.cia402.ends import BusEnd
+from hil_mock_robot.cia402.side import SideChannel
+from hil_mock_robot.cia402.station import Station
+from hil_mock_robot.cia402.witness import Witness
+from hil_mock_robot.mishaps import Mishaps
+
+OWN_STEPS = 5
+"""Steps that the drives' own timer makes at once."""
+
+SIDE_S = 0.01
+"""Wall time between two looks at the side channel."""
+
+
+class Loop:
+    """Serves the bus and lets the drives' time pass.
+
+    Args:
+        end: Of the bus.
+        station: The drives.
+        side: The side channel, for those who want one.
+        witness: Writes down what happens.
+
+    Attributes:
+        mishaps: Mistakes of the mock itself.
+    """
+
+    def __init__(
+        self,
+        end: BusEnd,
+        station: Station,
+        side: SideChannel | None = None,
+        witness: Witness | None = None,
+    ) -> None:
+        self._end, self._station = end, station
+        self._side, self._witness = side, witness
+        self.mishaps = Mishaps()
+        if witness is not None:
+            self.mishaps.listeners.append(witness.stumbled)
+        self._asked: deque[Callable[[], None]] = deque()
+        self._ending = False
+        self._side_due_s = 0.0
+        self._woken, self._waker = socket.socketpair()
+        for each in (self._woken, self._waker):
+            each.setblocking(False)
+        end.heard = self._heard
+
+    def run(self) -> None:
+        """Until `end`."""
+        self._station.boot()
+        try:
+            while not self._ending:
+                self.turn()
+        finally:
+            self.close()
+
+    def end(self) -> None:
+        """Let `run` return; may be called by a signal handler or another thread."""
+        self._ending = True
+        self._wake()
+
+    def ask(self, action: Callable[[], None]) -> None:
+        """Do something between two turns; for other threads."""
+        self._asked.append(action)
+        self._wake()
+
+    def close(self) -> None:
+        """Leave the bus."""
+        if self._side is not None:
+            self._side.close()
+        self._end.close()
+        for each in (self._woken, self._waker):
+            each.close()
+        if self._witness is not None:
+            self._witness.close()
+
+    def turn(self) -> None:
+        """Hear what has come; let the drives' own timer go on where there is no SYNC."""
+        now_s = time.monotonic()
+        wait_s = min(self._station.clock.wait_s(now_s, OWN_STEPS), SIDE_S)
+        self._end.serve(wait_s, [self._woken])
+        now_s = time.monotonic()
+        clock = self._station.clock
+        if clock.wait_s(now_s, OWN_STEPS) <= STEP_S / 10:
+            self._lapse(now_s)
+        if self._asked or now_s >= self._side_due_s:
+            self._side_due_s = now_s + SIDE_S
+            self._beside()
+
+    def _heard(self, can_id: int, data: bytes, now_s: float) -> None:
+        try:
+            self._station.heard(can_id, data, now_s)
+        except Exception as error:
+            self.mishaps.met(error, f"frame {can_id:03X}#{data.hex()}")
+
+    def _lapse(self, now_s: float) -> None:
+        try:
+            self._station.lapsed(now_s)
+        except Exception as error:
+            self.mishaps.met(error, "the drives' own timer")
+
+    def _beside(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._woken.recv(64)
+        while self._asked:
+            self._asked.popleft()()
+        if self._side is not None:
+            self._side.serve()
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            self._waker.send(b"x")

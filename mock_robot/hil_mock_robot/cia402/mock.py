@@ -1,0 +1,38 @@
+"""The mock drives as the command line sees them (entry point group `hil.mocks`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hil_mock_robot.draw import draw_truth
+from hil_mock_robot.truth import Profile
+
+
+class CanMock:
+    """An arm on CiA 402 drives on a CAN bus, in a process of its own."""
+
+    name = "can"
+    model = "lab6"
+    description = "an arm on CiA 402 drives on a CAN bus (hil mock can; station: driver: cia402)"
+
+    def write_truth(
+        self, path: Path | str, model: str = "lab6", seed: int = 0, profile: Profile = "full"
+    ) -> Path:
+        """Write every parameter of a mock robot to a JSON file, for scoring.
+
+        Raises:
+            SpecError: There is no such arm or profile.
+            RecordingError: The file cannot be written.
+        """
+        return draw_truth(model, seed, profile).to_json(path)
+
+    def serve(self, arguments: Sequence[str]) -> int:
+        """Be those drives until SIGINT or SIGTERM; returns the exit code.
+
+        Args:
+            arguments: As of `python -m hil_mock_robot can`.
+        """
+        from hil_mock_robot.cia402.app import main
+
+        return main(arguments, prog="hil mock can", seed=0)

@@ -1,0 +1,151 @@
+"""Drives and the arm between them: what a frame, a SYNC and time do to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hil.payload import Payload
+from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.body import Body
+from hil_mock_robot.cia402.clock import DeviceClock
+from hil_mock_robot.cia402.contracts import Send
+from hil_mock_robot.cia402.dictionary import registers_of
+from hil_mock_robot.cia402.drive import joints_of
+from hil_mock_robot.cia402.marker import Marker
+from hil_mock_robot.cia402.objects import real
+from hil_mock_robot.cia402.unit import Unit
+
+SYNC = 0x080
+DEFAULT_PERIOD_S = 0.004
+PAYLOAD = (keys.PAYLOAD_MASS, keys.PAYLOAD_X, keys.PAYLOAD_Y, keys.PAYLOAD_Z)
+
+Event = Callable[[str, dict[str, int | float | str]], None]
+
+
+class Station:
+    """All axes of one arm on one bus; one thread, no socket, no clock of its own.
+
+    Args:
+        body: The arm.
+        nodes: Node id of each axis.
+        put: Puts a frame on the bus.
+        clock: Device time.
+        master_id: Node id under which the master announces what it does.
+        mounted: What really hangs at the flange; what is declared when None.
+
+    Attributes:
+        axes: The drives.
+        body, clock: As given.
+        marker: What the master has announced.
+        declared: The load that was written into the payload objects.
+        listeners: Told of what happens: a word, and what belongs to it.
+        passed: Called after each block of steps, with their number.
+    """
+
+    def __init__(
+        self,
+        body: Body,
+        nodes: Sequence[int],
+        put: Send,
+        clock: DeviceClock,
+        master_id: int = 127,
+        mounted: Payload | None = None,
+    ) -> None:
+        self.body, self.clock = body, clock
+        self.listeners: list[Event] = []
+        self.passed: list[Callable[[int], None]] = []
+        self.marker = Marker(master_id)
+        self.declared, self._mounted = Payload(), mounted
+        joints = joints_of(body.arm)
+        self.axes = tuple(
+            Unit(i, node, registers_of(body.arm, i), joints[i], put, self._told, self._written)
+            for i, node in enumerate(nodes)
+        )
+        self._period_s = DEFAULT_PERIOD_S
+        for axis, seen in zip(self.axes, body.seen, strict=True):
+            axis.drive.measured(seen)
+
+    def boot(self) -> None:
+        """Power on."""
+        for axis in self.axes:
+            axis.node.boot()
+
+    def heard(self, can_id: int, data: bytes, now_s: float) -> None:
+        """A frame is on the bus; nobody's here sent it."""
+        if can_id == SYNC:
+            self._synced(now_s)
+            return
+        if can_id == self.marker.can_id:
+            self.marker.heard(data)
+        for axis in self.axes:
+            if axis.line.sound or axis.line.passes(can_id, data):
+                axis.node.heard(can_id, data)
+
+    def lapsed(self, now_s: float) -> None:
+        """Wall time has passed: the drives' own timer, where SYNC stays away."""
+        was_synced = self.clock.synced
+        steps = self.clock.own(now_s)
+        if was_synced and not self.clock.synced:
+            self.tell("sync_lost")
+        if steps:
+            self._advance(steps, synced=False)
+
+    def mount(self, payload: Payload | None) -> None:
+        """Hang something to the flange, whatever is declared; None for what is declared."""
+        self._mounted = payload
+        self.body.mount(self.mounted)
+
+    @property
+    def mounted(self) -> Payload:
+        """What really hangs at the flange."""
+        return self.declared if self._mounted is None else self._mounted
+
+    def tell(self, event: str, **details: int | float | str) -> None:
+        """Let all who listen know."""
+        for listener in self.listeners:
+            listener(event, details)
+
+    def _synced(self, now_s: float) -> None:
+        if not self.clock.synced:
+            self.tell("sync", period_s=self._period_s)
+        steps = self.clock.sync(now_s, self._period_s)
+        for axis in self.axes:
+            if axis.synced:
+                axis.node.synced()
+        if steps:
+            self._advance(steps, synced=True)
+
+    def _advance(self, steps: int, *, synced: bool) -> None:
+        axes = self.axes
+        demands = [axis.drive.advance(steps, synced=synced and axis.synced) for axis in axes]
+        seen = self.body.advance(demands)
+        device_s = self.clock.device_s
+        for axis, measured in zip(axes, seen, strict=True):
+            axis.drive.measured(measured, steps)
+            axis.node.ticked(device_s)
+            axis.line.tick(steps)
+        if self.body.faults:
+            for number, code in self.body.faults.items():
+                axes[number].drive.fault(code)
+        for listener in self.passed:
+            listener(steps)
+
+    def _told(self, axis: int, what: str, code: int) -> None:
+        self.tell(what, axis=axis + 1, code=code)
+
+    def _written(self, axis: int, key: int) -> None:
+        if axis == 0:
+            self._period_s = self.axes[0].period_s or DEFAULT_PERIOD_S
+            if key in PAYLOAD:
+                self._declare()
+
+    def _declare(self) -> None:
+        values = [real(self.axes[0].registers[key]) for key in PAYLOAD]
+        if not np.isfinite(values).all():
+            return
+        mass, x, y, z = values
+        self.declared = Payload(max(0.0, mass), (x, y, z))
+        if self._mounted is None:
+            self.body.mount(self.declared)

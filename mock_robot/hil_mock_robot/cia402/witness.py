@@ -1,0 +1,115 @@
+"""The mock drives' journal: what they were told, what went wrong, when the arm rested.
+
+An independent witness of a run: it does not know what the master believes to have done.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from hil_mock_robot.cia402.contracts import STEP_S
+from hil_mock_robot.cia402.faults import Fault
+from hil_mock_robot.cia402.motion import MotionWatch
+from hil_mock_robot.cia402.states import FAULTED, State
+from hil_mock_robot.cia402.station import Station
+from hil_mock_robot.journal import Journal, Moment
+from hil_mock_robot.rest import RestWatch
+
+ENABLED = State.OPERATION_ENABLED
+HEXADECIMAL = ("emergency", "connection_lost")
+
+
+class Witness:
+    """Writes the journal.
+
+    Args:
+        station: What it looks at.
+        motions: Of the arm.
+        journal: Where it is written.
+    """
+
+    def __init__(self, station: Station, motions: MotionWatch, journal: Journal) -> None:
+        self._station, self._motions, self._journal = station, motions, journal
+        self._rest = RestWatch(journal)
+        self._states = [axis.drive.state for axis in station.axes]
+        station.listeners.append(self.happened)
+        motions.listeners.append(self.moved)
+
+    def happened(self, event: str, details: dict[str, int | float | str]) -> None:
+        """The drives tell something."""
+        told: dict[str, Any] = dict(details)
+        if event in HEXADECIMAL:
+            told["code"] = f"{int(details['code']):04X}"
+        self._note(event, **told)
+
+    def moved(self, begins: bool) -> None:
+        """A motion begins or ends."""
+        marker = self._station.marker
+        told = {"segment": marker.segment} if marker.known else {}
+        if begins:
+            self._rest.moved()
+            self._note("start", **told)
+        else:
+            self._note("motion_over", **told)
+            self._rest.stopped("motion_over", self._moment())
+
+    def struck(self, fault: Fault, begins: bool) -> None:
+        """A fault on request begins or is over."""
+        self._note("fault" if begins else "fault_over", kind=fault.kind, axis=fault.axis)
+
+    def stumbled(self, where: str, what: str) -> None:
+        """The mock itself has made a mistake, and goes on."""
+        self._note("mishap", where=where, what=what)
+
+    def passed(self, steps: int) -> None:
+        """Steps have passed: what did the drives do, and is the arm at rest?"""
+        states = [axis.drive.state for axis in self._station.axes]
+        if states != self._states:
+            before, self._states = self._states, states
+            self._changed(before, states)
+        if self._rest.waiting:
+            speeds = np.array([[seen.true_qd for seen in self._station.body.seen]])
+            now = np.array([self._station.clock.device_s])
+            self._rest.see(now, speeds, time.monotonic(), STEP_S)
+
+    def close(self) -> None:
+        """The last line."""
+        self._rest.finish()
+        self._note("closed", syncs=self._station.clock.syncs)
+        self._journal.close()
+
+    def _changed(self, before: list[State], after: list[State]) -> None:
+        changes: dict[tuple[str, str], list[int]] = {}
+        for i, (old, new) in enumerate(zip(before, after, strict=True)):
+            if told := _told(old, new):
+                changes.setdefault(told, []).append(i + 1)
+        for (event, by), axes in changes.items():
+            if event == "stop":
+                self._note(event, by=by, axes=axes, moving=self._motions.moving)
+                self._rest.stopped(by, self._moment())
+            else:
+                self._note(event, axes=axes)
+
+    def _note(self, event: str, **details: Any) -> None:
+        self._journal.note(event, self._moment(), **details)
+
+    def _moment(self) -> Moment:
+        return Moment(time.monotonic(), self._station.clock.device_s, self._station.body.fastest)
+
+
+def _told(old: State, new: State) -> tuple[str, str] | None:
+    """What a change of state is called, and what it was for; None where it is no news."""
+    if old is new:
+        return None
+    if new is ENABLED:
+        return "enable", ""
+    if new is State.QUICK_STOP_ACTIVE:
+        return "stop", "quick stop"
+    if new in FAULTED:
+        return None if old in FAULTED else ("stop", "fault")
+    if old is ENABLED:
+        return "stop", "disable"
+    return ("disable", "") if old is State.QUICK_STOP_ACTIVE else None
