@@ -25,6 +25,10 @@ PEAK_TO_RATED = 2.1
 """Joint torque limit of the arm to the motor's rated torque at the joint."""
 
 FOLLOWING_ERROR_RAD = np.radians(5.0)
+POSITION_WINDOW_RAD = np.radians(0.02)
+PROFILE_SHARE = 0.25
+"""Of the joint's speed and acceleration: what point-to-point moves begin with."""
+
 SERIALS = 402_000
 """Serial numbers count on from here."""
 
@@ -82,15 +86,19 @@ def _axis(arm: ArmDescription, joint: int) -> Registers:
     return {
         key(0x1018, 4): SERIALS + joint + 1,
         keys.FOLLOWING_ERROR_WINDOW: round(FOLLOWING_ERROR_RAD * scale),
+        keys.POSITION_WINDOW: round(POSITION_WINDOW_RAD * scale),
         keys.RATED_CURRENT: round(1000 * rated_a),
         keys.RATED_TORQUE: round(1000 * rated_nm),
         keys.POSITION_LIMIT_MIN: int(np.ceil(arm.q_min[joint] * scale)),
         keys.POSITION_LIMIT_MAX: int(np.floor(arm.q_max[joint] * scale)),
         keys.MAX_PROFILE_VELOCITY: round(speed * scale),
         keys.MAX_MOTOR_SPEED: round(speed * gear * 60 / (2 * np.pi)),
-        keys.PROFILE_DECELERATION: acceleration,
+        keys.PROFILE_VELOCITY: round(PROFILE_SHARE * speed * scale),
+        keys.PROFILE_ACCELERATION: round(PROFILE_SHARE * acceleration),
+        keys.PROFILE_DECELERATION: round(PROFILE_SHARE * acceleration),
         keys.QUICK_STOP_DECELERATION: acceleration,
         keys.GEAR_MOTOR: round(gear),
+        keys.HOMING_ACCELERATION: round(PROFILE_SHARE * acceleration),
         keys.MAX_ACCELERATION: acceleration,
         keys.MAX_DECELERATION: acceleration,
     }

@@ -6,12 +6,15 @@ from functools import partial
 
 from hil_mock_robot.cia402.objects import Group, Object, group
 
-CSP, CSV, CST = 8, 9, 10
-MODES = (0, CSP, CSV, CST)
+PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
+MODES = (0, PP, HM, CSP, CSV, CST)
 """Modes of operation that 6060h takes; 0 is none."""
 
-SUPPORTED_MODES = 1 << 7 | 1 << 8 | 1 << 9
-"""Bits of 6502h: cyclic synchronous position, velocity, torque."""
+SUPPORTED_MODES = 1 << 0 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 9
+"""Bits of 6502h: profile position, homing, cyclic synchronous position, velocity, torque."""
+
+HOMING_METHODS = (0, 35, 37)
+"""None; where it stands is home (35 is the older number of 37)."""
 
 OVERLOAD = 2100
 """Peak torque and current of the drives [‰ of rated]."""
@@ -22,7 +25,7 @@ _OF_TORQUE, _OF_CURRENT = "‰ of rated torque", "‰ of rated current"
 _measured = partial(Object, access="ro", mappable=True, kept=True)
 _target = partial(Object, mappable=True)
 _setting = partial(Object, locked=True)
-_motor = partial(Object, access="ro", per_axis=True)
+_scale = partial(Object, locked=True, low=1)
 _limit = partial(Object, per_axis=True, low=1)
 
 _PAYLOAD = group(
@@ -56,8 +59,8 @@ _ENCODER = group(
     0x608F,
     "Position encoder resolution",
     [
-        Object(0, 1, "Encoder increments", "u32", "ro", 1 << 20),
-        Object(0, 2, "Motor revolutions", "u32", "ro", 1),
+        _scale(0, 1, "Encoder increments", "u32", default=1 << 20),
+        _scale(0, 2, "Motor revolutions", "u32", default=1),
     ],
     array=True,
 )
@@ -65,8 +68,17 @@ _GEAR = group(
     0x6091,
     "Gear ratio",
     [
-        Object(0, 1, "Motor revolutions", "u32", "ro", 1, per_axis=True),
-        Object(0, 2, "Shaft revolutions", "u32", "ro", 1),
+        _scale(0, 1, "Motor revolutions", "u32", default=1, per_axis=True),
+        _scale(0, 2, "Shaft revolutions", "u32", default=1),
+    ],
+    array=True,
+)
+_HOMING_SPEEDS = group(
+    0x6099,
+    "Homing speeds",
+    [
+        Object(0, 1, "Speed during search for switch", "u32", unit=_VELOCITY),
+        Object(0, 2, "Speed during search for zero", "u32", unit=_VELOCITY),
     ],
     array=True,
 )
@@ -104,26 +116,34 @@ DRIVE: tuple[Object | Group, ...] = (
     _measured(0x6064, 0, "Position actual value", "i32", unit=_INCREMENTS),
     _limit(0x6065, 0, "Following error window", "u32", unit=_INCREMENTS),
     Object(0x6066, 0, "Following error time out", "u16", default=50, unit="ms"),
+    _limit(0x6067, 0, "Position window", "u32", unit=_INCREMENTS),
+    Object(0x6068, 0, "Position window time", "u16", default=10, unit="ms"),
     _measured(0x606B, 0, "Velocity demand value", "i32", unit=_VELOCITY),
     _measured(0x606C, 0, "Velocity actual value", "i32", unit=_VELOCITY),
     _target(0x6071, 0, "Target torque", "i16", unit=_OF_TORQUE),
     _target(0x6072, 0, "Max torque", "u16", default=OVERLOAD, high=OVERLOAD, unit=_OF_TORQUE),
     Object(0x6073, 0, "Max current", "u16", default=OVERLOAD, high=OVERLOAD, unit=_OF_CURRENT),
     _measured(0x6074, 0, "Torque demand", "i16", unit=_OF_TORQUE),
-    _motor(0x6075, 0, "Motor rated current", "u32", unit="mA"),
-    _motor(0x6076, 0, "Motor rated torque", "u32", unit="mN·m"),
+    _scale(0x6075, 0, "Motor rated current", "u32", per_axis=True, unit="mA"),
+    _scale(0x6076, 0, "Motor rated torque", "u32", per_axis=True, unit="mN·m"),
     _measured(0x6077, 0, "Torque actual value", "i16", unit=_OF_TORQUE),
     _measured(0x6078, 0, "Current actual value", "i16", unit=_OF_CURRENT),
     _measured(0x6079, 0, "DC link circuit voltage", "u32", default=325_000, unit="mV"),
     _target(0x607A, 0, "Target position", "i32", unit=_INCREMENTS),
+    Object(0x607C, 0, "Home offset", "i32", unit=_INCREMENTS),
     _POSITION_LIMITS,
-    Object(0x607E, 0, "Polarity", "u8", "ro", note="bit 7 position, bit 6 velocity"),
+    _setting(0x607E, 0, "Polarity", "u8", note="bit 7 position, bit 6 velocity, bit 5 torque"),
     _limit(0x607F, 0, "Max profile velocity", "u32", unit=_VELOCITY),
-    _motor(0x6080, 0, "Max motor speed", "u32", unit="1/min"),
+    _limit(0x6080, 0, "Max motor speed", "u32", unit="1/min"),
+    _limit(0x6081, 0, "Profile velocity", "u32", mappable=True, unit=_VELOCITY),
+    _limit(0x6083, 0, "Profile acceleration", "u32", unit=_ACCELERATION),
     _limit(0x6084, 0, "Profile deceleration", "u32", unit=_ACCELERATION),
     _limit(0x6085, 0, "Quick stop deceleration", "u32", unit=_ACCELERATION),
     _ENCODER,
     _GEAR,
+    Object(0x6098, 0, "Homing method", "i8", choices=HOMING_METHODS),
+    _HOMING_SPEEDS,
+    _limit(0x609A, 0, "Homing acceleration", "u32", unit=_ACCELERATION),
     Object(0x60A8, 0, "SI unit position", "u32", "const", 0x00B5_0000, note=_INCREMENTS),
     Object(0x60A9, 0, "SI unit velocity", "u32", "const", 0x00B5_0300, note=_VELOCITY),
     _target(0x60B0, 0, "Position offset", "i32", unit=_INCREMENTS),
