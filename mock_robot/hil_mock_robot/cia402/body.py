@@ -1,16 +1,31 @@
-"""The arm under the drives: demands of six axes in, what they measure out, at steps of 1 ms."""
+"""The arm under the drives: demands of its axes in, what they measure out, at steps of 1 ms."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+
+import numpy as np
 
 from hil.arms import ArmDescription
 from hil.payload import Payload
 from hil.typing import FloatArray
-from hil_mock_robot.cia402.contracts import Demand, Measured
+from hil_mock_robot.arm import SETTLING_S
+from hil_mock_robot.cia402.brake import Brake
+from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured
+from hil_mock_robot.cia402.plain_servo import PlainServoArm
 from hil_mock_robot.draw import published
 from hil_mock_robot.mounting import MOUNTS
+from hil_mock_robot.sensors import Sensors
+from hil_mock_robot.simulation import Samples, Setting
+from hil_mock_robot.step import FAULT_OVERLOAD, FAULT_RUNAWAY, OVERLOAD_S
 from hil_mock_robot.truth import Truth
+
+OVERCURRENT, TOO_FAR_AWAY = 0x2310, 0x8611
+"""EMCY codes of what goes wrong in the plant: continuous over-current, following error."""
+
+STILL_RAD_S = 1e-3
+"""On closed brakes an arm slower than this does not move any more."""
 
 
 class Body:
@@ -28,6 +43,7 @@ class Body:
         arm: What is published about it.
         seen: What the axes measured last, from the start on.
         faults: By axis, the EMCY codes that the last block of steps has brought.
+        mounted: What hangs at the flange.
     """
 
     def __init__(
@@ -41,26 +57,169 @@ class Body:
         temperature_c: float | None = None,
     ) -> None:
         self.arm: ArmDescription = published(truth.arm)
-        self.seen: list[Measured] = []
         self.faults: dict[int, int] = {}
-
-    def advance(self, demands: Sequence[Demand]) -> list[Measured]:
-        """Let the arm do what its axes demand, each for the same number of steps."""
-        raise NotImplementedError
-
-    def mount(self, payload: Payload) -> None:
-        """Hang something to the flange."""
-        raise NotImplementedError
-
-    def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
-        raise NotImplementedError
-
-    def heat(self, axis: int, celsius: float) -> None:
-        """Set the temperature of one motor [°C]."""
-        raise NotImplementedError
+        self.mounted = mounted or Payload()
+        self._sensors = Sensors(truth)
+        setting = Setting(1.0 / STEP_S, substep_hz, gravity, temperature_c)
+        self._plant = PlainServoArm(truth, setting, np.asarray(q, dtype=float))
+        self._plant.set_payloads(self.mounted, Payload())
+        self._plant.settle(SETTLING_S)
+        n = self.arm.n_joints
+        self._brakes = [Brake(float(limit)) for limit in self.arm.qdd_max]
+        self._gains: list[float] = self.arm.drive_gains.tolist()
+        self._efforts: list[float] = self.arm.effort_max.tolist()
+        self._offsets, self._limits, self._torques = [0.0] * n, self._efforts[:], [math.nan] * n
+        self._standing = False
+        self._close_all()
+        self.seen: list[Measured] = self._measure(self._plant.stand(1))
 
     @property
     def fastest(self) -> float:
         """Largest true joint speed [rad/s]."""
-        raise NotImplementedError
+        return 0.0 if self._standing else float(np.abs(self._plant.speed).max())
+
+    @property
+    def position(self) -> FloatArray:
+        """(n,) true joint position [rad]."""
+        return self._plant.position
+
+    def advance(self, demands: Sequence[Demand]) -> list[Measured]:
+        """Let the arm do what its axes demand, each for the same number of steps."""
+        self.faults = {}
+        rows = self._rows(demands)
+        samples = self._plant.stand(len(rows)) if self._stands() else self._run(rows)
+        self.seen = self._measure(samples)
+        return self.seen
+
+    def mount(self, payload: Payload) -> None:
+        """Hang something to the flange."""
+        self.mounted = payload
+        self._plant.set_payloads(payload, Payload())
+
+    def push(self, torque: FloatArray) -> None:
+        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""
+        self._plant.disturbances.push[:] = torque
+
+    def heat(self, axis: int, celsius: float) -> None:
+        """Set the temperature of one motor [°C]."""
+        self._plant.joints.states["celsius"][axis] = celsius
+
+    def _rows(self, demands: Sequence[Demand]) -> FloatArray:
+        """(N, 3, n) what the plant follows; brakes, torques and limits are set on the way."""
+        steps = len(demands[0].setpoints)
+        rows = np.empty((steps, 3, len(demands)))
+        for j, demand in enumerate(demands):
+            brake = self._brakes[j]
+            if demand.braked:
+                if not brake.closed:
+                    self._close(j)
+                rows[:, :, j] = brake.path(steps)
+                continue
+            if brake.closed:
+                brake.closed = self._standing = False
+            self._drive(j, demand)
+            rows[:, :, j] = demand.setpoints
+        return rows
+
+    def _drive(self, j: int, demand: Demand) -> None:
+        """Let a drive have its axis."""
+        plant = self._plant
+        limit = min(demand.limit, self._efforts[j])
+        if limit != self._limits[j]:
+            self._limits[j] = limit
+            plant.limit(j, limit)
+        torque, before = demand.torque, self._torques[j]
+        plant.disturbances.torque[j] = self._torques[j] = torque
+        if not math.isnan(torque):
+            return
+        if not math.isnan(before):  # what the motor gave is where the integrator begins
+            plant.load(j, before)
+            self._offsets[j] = demand.offset
+        elif demand.offset != self._offsets[j]:
+            plant.preload(j, demand.offset - self._offsets[j])
+            self._offsets[j] = demand.offset
+
+    def _close(self, j: int) -> None:
+        """The brake takes an axis from its drive."""
+        plant, followed = self._plant, math.isnan(self._torques[j])
+        if not followed:
+            plant.load(j, plant.bias(j))
+        held = float(plant.setpoint[0, j])
+        self._brakes[j].close(held, float(plant.position[j]), float(plant.speed[j]))
+        plant.disturbances.torque[j] = self._torques[j] = math.nan
+        self._offsets[j], self._limits[j] = 0.0, math.inf
+        plant.limit(j, math.inf)
+
+    def _close_all(self) -> None:
+        for j, brake in enumerate(self._brakes):
+            self._close(j)
+            brake.close(float(self._plant.position[j]), 0.0, 0.0)
+
+    def _stands(self) -> bool:
+        """Whether nothing moves any more, or ever, until a brake opens."""
+        if self._standing or not all(brake.rests for brake in self._brakes):
+            return self._standing
+        if self.fastest < STILL_RAD_S:
+            self._plant.engage_brakes()
+            self._close_all()
+            self._standing = True
+        return self._standing
+
+    def _run(self, rows: FloatArray) -> Samples:
+        """Follow rows (N, 3, n) to their end, whatever happens on the way."""
+        done, samples = 0, self._step(rows)
+        while samples.fault and samples.fault != FAULT_RUNAWAY:
+            done += len(samples)
+            self._blame(samples.fault, rows[done - 1, 0])
+            if done >= len(rows):
+                break
+            samples = self._step(rows[done:])
+        if samples.fault == FAULT_RUNAWAY:
+            return self._ran_away()
+        for j, torque in enumerate(self._torques):
+            if torque == torque:
+                self._plant.take(j)
+        return samples
+
+    def _step(self, rows: FloatArray) -> Samples:
+        return self._plant.advance(rows)
+
+    def _blame(self, fault: int, followed: FloatArray) -> None:
+        """Find the axis; `followed` (n,) is where the plant should be [rad]."""
+        overload = self._plant.joints.states["overload_s"]
+        if fault == FAULT_OVERLOAD:
+            for j in np.flatnonzero(overload > OVERLOAD_S):
+                overload[j] = 0.0
+                if self._limits[j] >= self._efforts[j]:
+                    self.faults[int(j)] = OVERCURRENT
+            return
+        away = np.abs(self._plant.position - followed)
+        away[[torque == torque for torque in self._torques]] = 0.0
+        self.faults[int(away.argmax())] = TOO_FAR_AWAY
+
+    def _ran_away(self) -> Samples:
+        """The simulation has gone wrong: the arm is back where it was, on its brakes."""
+        data = self._plant.plant.data
+        speed = np.nan_to_num(np.abs(data.qvel), nan=math.inf)
+        self.faults[int(speed.argmax())] = TOO_FAR_AWAY
+        data.qpos[:] = [seen.true_q for seen in self.seen]
+        self._plant.engage_brakes()
+        self._close_all()
+        return self._plant.stand(1)
+
+    def _measure(self, samples: Samples) -> list[Measured]:
+        """What the axes report at the end of a block; brakes need no current."""
+        last = samples.values[-1:]
+        q, qd, current, celsius = (last[:, channel] for channel in range(4))
+        seen = self._sensors.measure(q, qd, current, celsius)
+        over = self._plant.joints.states["overload_s"]
+        columns = [each[0].tolist() for each in (*seen, q, qd)] + [(over > 0.0).tolist()]
+        measured = []
+        for row in zip(self._brakes, self._gains, *columns, strict=True):
+            brake, gain, at, speed, amperes, warmth, true_q, true_qd, limited = row
+            if brake.closed:
+                amperes, limited = 0.0, False
+            measured.append(
+                Measured(at, speed, amperes * gain, amperes, warmth, true_q, true_qd, limited)
+            )
+        return measured
