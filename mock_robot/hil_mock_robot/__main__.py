@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import sys
+from importlib import import_module
+
+MOCKS = {
+    "ur": "hil_mock_robot.ur.app",
+    "can": "hil_mock_robot.cia402.app",
+    "plc": "hil_mock_robot.twincat.app",
+}
 
 
 def main() -> int:
     """Run the mock that the first argument names."""
-    if sys.argv[1:2] == ["ur"]:
-        from hil_mock_robot.ur.app import main as ur
-
-        return ur(sys.argv[2:])
-    print("usage: python -m hil_mock_robot ur [--help]", file=sys.stderr)  # noqa: T201
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name in MOCKS:
+        return int(import_module(MOCKS[name]).main(sys.argv[2:]))
+    print(f"usage: python -m hil_mock_robot {'|'.join(MOCKS)} [--help]", file=sys.stderr)  # noqa: T201
     return 2
 
 

@@ -1,0 +1,1 @@
+"""A mock PLC: what TwinCAT with the contract of `hil` answers over ADS."""

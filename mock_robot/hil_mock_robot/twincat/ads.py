@@ -1,0 +1,208 @@
+"""What the ADS server of a PLC answers: symbols by name, and bytes of its data.
+
+A handler as pyads' own test server has them. Its other half, `AdsTestServer`, is not used: it takes
+whatever one `recv` of 4096 bytes gives for one request, keeps all requests in memory, and a
+request it cannot serve ends the conversation (`links` cuts the stream instead).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from pyads import constants
+from pyads.testserver import AmsResponseData
+from pyads.testserver.handler import AbstractHandler
+
+from hil_mock_robot.twincat.memory import DATA, Memory, Symbol
+
+RUN, CONFIG = constants.ADSSTATE_RUN, constants.ADSSTATE_CONFIG
+NO_SERVICE, NO_GROUP, NO_OFFSET, WRONG_SIZE, NO_SYMBOL = 0x701, 0x702, 0x703, 0x705, 0x710
+"""ADS return codes."""
+
+NO_PORT = 6
+"""AMS error: nobody has opened the port that a request is for."""
+
+BIG_TYPE = 65
+"""ADS data type of what is no elementary type."""
+
+ELEMENTARY = {"UDINT": 19, "DINT": 3, "LREAL": 5, "ULINT": 21}
+SHORT = 256
+"""Commands and beats are shorter, set-points longer [bytes]."""
+
+_RESPONSE = 0x0001
+
+
+class Refused(Exception):
+    """A request that is answered with an ADS return code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"ADS return code {code:#x}")
+        self.code = code
+
+
+class PlcHandler(AbstractHandler):  # type: ignore[misc]
+    """Answers requests for one PLC.
+
+    Args:
+        memory: Of the PLC.
+        port: AMS port of its runtime.
+
+    Attributes:
+        state: ADS state it reports; other than RUN, its runtime is not there.
+        spoils: Whether what is written arrives with a bit that is wrong, where it is long.
+    """
+
+    def __init__(self, memory: Memory, port: int) -> None:
+        self._memory, self._port = memory, port
+        self.spoils = False
+        self._handles: dict[int, Symbol] = {}
+        self.state = RUN
+        self._services: dict[int, Callable[[bytes], bytes]] = {
+            constants.ADSCOMMAND_READDEVICEINFO: self._device,
+            constants.ADSCOMMAND_READSTATE: self._state,
+            constants.ADSCOMMAND_READ: self._read,
+            constants.ADSCOMMAND_WRITE: self._write,
+            constants.ADSCOMMAND_READWRITE: self._read_write,
+        }
+
+    def handle_request(self, request: Any) -> AmsResponseData:
+        """The answer to one request; see `pyads.testserver.handler.AbstractHandler`."""
+        header = request.ams_header
+        (flags,) = struct.unpack("<H", header.state_flags)
+        (command,) = struct.unpack("<H", header.command_id)
+        (port,) = struct.unpack("<H", header.target_port)
+        answered = struct.pack("<H", flags | _RESPONSE)
+        running = self.state == RUN or command == constants.ADSCOMMAND_READSTATE
+        if port != self._port or not running:
+            return AmsResponseData(answered, struct.pack("<I", NO_PORT), b"")
+        try:
+            service = self._services.get(command)
+            if service is None:
+                raise Refused(NO_SERVICE)
+            data = bytes(4) + service(header.data)
+        except Refused as refused:
+            data = struct.pack("<I", refused.code) + bytes(8 * (command in _WITH_LENGTH))
+        except (struct.error, UnicodeError):
+            data = struct.pack("<I", WRONG_SIZE) + bytes(8 * (command in _WITH_LENGTH))
+        return AmsResponseData(answered, bytes(4), data)
+
+    def _device(self, data: bytes) -> bytes:
+        return struct.pack("<BBH16s", 3, 1, 4024, b"hil mock plc")
+
+    def _state(self, data: bytes) -> bytes:
+        return struct.pack("<HH", self.state, 0)
+
+    def _read(self, data: bytes) -> bytes:
+        group, offset, size = struct.unpack_from("<III", data)
+        read = self._bytes(group, offset, size)
+        return struct.pack("<I", len(read)) + read
+
+    def _write(self, data: bytes) -> bytes:
+        group, offset, size = struct.unpack_from("<III", data)
+        self._put(group, offset, data[12 : 12 + size])
+        return b""
+
+    def _read_write(self, data: bytes) -> bytes:
+        group, offset, _, size = struct.unpack_from("<IIII", data)
+        given = data[16 : 16 + size]
+        if group == constants.ADSIGRP_SYM_HNDBYNAME:
+            read = struct.pack("<I", self._handle(given))
+        elif group == constants.ADSIGRP_SYM_INFOBYNAMEEX:
+            read = _entry(self._symbol(given))
+        elif group == constants.ADSIGRP_SUMUP_READ:
+            read = self._sum_read(offset, given)
+        elif group == constants.ADSIGRP_SUMUP_WRITE:
+            read = self._sum_write(offset, given)
+        else:
+            raise Refused(NO_GROUP)
+        return struct.pack("<I", len(read)) + read
+
+    def _sum_read(self, count: int, given: bytes) -> bytes:
+        codes, values = [], b""
+        for group, offset, size in struct.iter_unpack("<III", given[: 12 * count]):
+            code, value = 0, bytes(size)
+            try:
+                value = self._bytes(group, offset, size)
+            except Refused as refused:
+                code = refused.code
+            codes.append(code)
+            values += value
+        return struct.pack(f"<{count}I", *codes) + values
+
+    def _sum_write(self, count: int, given: bytes) -> bytes:
+        codes, at = [], 12 * count
+        for group, offset, size in struct.iter_unpack("<III", given[: 12 * count]):
+            code = 0
+            try:
+                self._put(group, offset, given[at : at + size])
+            except Refused as refused:
+                code = refused.code
+            codes.append(code)
+            at += size
+        return struct.pack(f"<{count}I", *codes)
+
+    def _bytes(self, group: int, offset: int, size: int) -> bytes:
+        start = self._place(group, offset, size)
+        return bytes(self._memory.bytes[start : start + size])
+
+    def _put(self, group: int, offset: int, value: bytes) -> None:
+        if group == constants.ADSIGRP_SYM_RELEASEHND:
+            self._handles.pop(struct.unpack("<I", value)[0], None)
+            return
+        start = self._place(group, offset, len(value))
+        self._memory.bytes[start : start + len(value)] = value
+        if self.spoils and len(value) > SHORT:
+            self._memory.bytes[start + len(value) // 2] ^= 1
+
+    def _place(self, group: int, offset: int, size: int) -> int:
+        if group == constants.ADSIGRP_SYM_VALBYHND:
+            if offset not in self._handles:
+                raise Refused(NO_SYMBOL)
+            symbol = self._handles[offset]
+            if size > symbol.size:
+                raise Refused(WRONG_SIZE)
+            return symbol.offset
+        if group != DATA:
+            raise Refused(NO_GROUP)
+        if not self._memory.holds(offset, size):
+            raise Refused(NO_OFFSET)
+        return offset
+
+    def _handle(self, name: bytes) -> int:
+        handle = 1 + max(self._handles, default=0)
+        self._handles[handle] = self._symbol(name)
+        return handle
+
+    def _symbol(self, name: bytes) -> Symbol:
+        symbol = self._memory.symbols.get(name.rstrip(b"\0").decode().lower())
+        if symbol is None:
+            raise Refused(NO_SYMBOL)
+        return symbol
+
+
+_WITH_LENGTH = frozenset({constants.ADSCOMMAND_READ, constants.ADSCOMMAND_READWRITE})
+"""Services whose answer has a length behind its return code."""
+
+
+def _entry(symbol: Symbol) -> bytes:
+    """A symbol entry: sizes, place, name, type and an empty comment."""
+    name, kind = symbol.name.encode(), symbol.type.encode()
+    texts = name + b"\0" + kind + b"\0\0"
+    head = struct.calcsize("<IIIIIIHHH")
+    return (
+        struct.pack(
+            "<IIIIIIHHH",
+            head + len(texts),
+            DATA,
+            symbol.offset,
+            symbol.size,
+            ELEMENTARY.get(symbol.type, BIG_TYPE),
+            0,
+            len(name),
+            len(kind),
+            0,
+        )
+        + texts
+    )

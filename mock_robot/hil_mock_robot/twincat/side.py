@@ -1,0 +1,49 @@
+"""Requests to a mock PLC that runs: lines of JSON at the end of a file.
+
+`echo '{"kind": "emergency_stop", "for_s": 1}' >> side` begins a fault, `{"clear": true}` ends all.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from hil.errors import SpecError
+from hil_mock_robot.twincat.faults import fault_of
+from hil_mock_robot.twincat.troubles import Troubles
+
+
+class SideFile:
+    """Reads what is appended to a file; lines that were there at the start count, too.
+
+    Args:
+        path: The file; it may not exist yet.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._read = path, 0
+
+    def look(self, troubles: Troubles) -> None:
+        """Do what was asked for since the last look."""
+        try:
+            if self._path.stat().st_size == self._read:
+                return
+            with self._path.open("rb") as file:
+                file.seek(self._read)
+                whole = file.read().rpartition(b"\n")[0]
+        except OSError:
+            return
+        self._read += len(whole) + 1 if whole else 0
+        for number, line in enumerate(whole.splitlines()):
+            self._do(f"{self._path}, line {number + 1} of the new ones", line, troubles)
+
+    def _do(self, where: str, line: bytes, troubles: Troubles) -> None:
+        try:
+            request = json.loads(line)
+            if request == {"clear": True}:
+                troubles.clear()
+            else:
+                troubles.add(fault_of(where, request))
+        except (ValueError, SpecError) as error:
+            print(f"{where}: {error}", file=sys.stderr, flush=True)  # noqa: T201
