@@ -140,6 +140,21 @@ def test_what_was_sent_before_hanging_up_arrives(bench: Bench, stack: ExitStack)
     assert len(bench.hub.peers) == 1
 
 
+def test_errors_of_the_host_are_the_hosts(bench: Bench, stack: ExitStack) -> None:
+    def broken(got: Frame) -> None:
+        raise OSError("disk full")
+
+    a, b = ends(bench, stack, 2)
+    bench.hub.local.heard = broken
+    a.send(frame(1, 1))
+    with pytest.raises(OSError, match="disk full"):
+        serve_until_idle(bench.hub)
+    bench.hub.local.heard = None
+    a.send(frame(1, 2))
+    serve_until_idle(bench.hub)
+    assert numbers(b, 2) == [1, 2]
+
+
 def test_a_slow_reader_holds_up_nobody_and_loses_nothing(bench: Bench, stack: ExitStack) -> None:
     a, quick, slow = ends(bench, stack, 3)
     for number in range(3000):
@@ -302,6 +317,22 @@ def test_the_hosts_own_queue_is_bounded_as_well(wired: tuple[Bench, Clock]) -> N
     for number in range(70):
         bench.hub.local.send(0x181, bytes([number]))
     assert bench.hub.local.dropped == 5
+
+
+def test_what_was_sent_before_hanging_up_passes_on_a_slow_wire_too(
+    wired: tuple[Bench, Clock], stack: ExitStack
+) -> None:
+    bench, clock = wired
+    a, b = ends(bench, stack, 2)
+    for number in range(70):  # more than its queue takes, and nobody left to tell
+        a.send(frame(1, number))
+    a.close()
+    for _ in range(5):
+        bench.hub.serve()
+    clock.now = 1.0
+    bench.hub.serve()
+    assert numbers(b, 65) == list(range(65))
+    assert len(bench.hub.peers) == 1
 
 
 def test_who_goes_off_the_bus_takes_along_what_it_has_not_sent(

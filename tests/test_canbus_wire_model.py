@@ -93,12 +93,14 @@ def test_a_full_queue_refuses_until_something_has_left_it() -> None:
     assert ids(wire, 1.0) == [0, 1, 2, 3, 7]
 
 
-def test_who_leaves_takes_along_what_it_has_not_sent() -> None:
+def test_what_was_sent_before_leaving_still_passes() -> None:
     wire = wire_of("a", "b")
     for end in ("a", "a", "b"):
         wire.offer(end, eight(ord(end)), 0.0)
     wire.leave("a")
-    assert ids(wire, 1.0) == [ord("a"), ord("b")]
+    assert ids(wire, 1.0) == [ord("a"), ord("a"), ord("b")]
+    wire.join("a")  # another one of that name starts anew
+    assert wire.waiting("a") == 0
 
 
 def test_who_forgets_can_send_again() -> None:

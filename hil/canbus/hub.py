@@ -6,10 +6,7 @@ what participants send at once, so none is held up by another; who does not read
 
 from __future__ import annotations
 
-import contextlib
 import os
-import select
-import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -27,11 +24,11 @@ from hil.canbus.frame import (
     unpack_frame,
 )
 from hil.canbus.listening import Listener
+from hil.canbus.participants import Participants
 from hil.canbus.paths import socket_path
 from hil.canbus.peers import Peer
 from hil.canbus.wire_model import Wire
 
-_IN, _OUT = select.EPOLLIN, select.EPOLLOUT
 _BATCH = 32
 """Frames taken from one participant before the others have their turn."""
 
@@ -93,16 +90,12 @@ class Hub:
             self.wire.join(self.local, sorts=True)
         self._listener = Listener(socket_path(channel))
         self.path = self._listener.path
-        self._listens = self._listener.socket.fileno()
-        self._peers: dict[int, Peer] = {}
-        self._ring: tuple[Peer, ...] = ()
-        self._epoll = select.epoll()
-        self._epoll.register(self._listens, _IN)
+        self._all = Participants(self._listener.socket)
 
     @property
     def peers(self) -> tuple[Peer, ...]:
         """All participants but the host, in the order in which they came."""
-        return self._ring
+        return self._all.ring
 
     @property
     def due_s(self) -> float | None:
@@ -111,19 +104,24 @@ class Hub:
 
     def fileno(self) -> int:
         """Readable when there is something to serve."""
-        return self._epoll.fileno()
+        return self._all.fileno()
 
     def serve(self, timeout_s: float = 0.0) -> None:
         """One round: newcomers, frames, those who are gone.
 
         Args:
             timeout_s: Wait so long for something to do.
+
+        Raises:
+            Exception: What `heard` of the host's end raises; frames of that round may be lost.
         """
-        for fd, events in self._ready(timeout_s):
-            if fd == self._listens:
-                self._accept()
-            elif (peer := self._peers.get(fd)) is not None:
-                self._attend(peer, events)
+        due_s = self.due_s
+        if due_s is not None:
+            timeout_s = min(timeout_s, due_s - self._clock())
+        ready = self._all.ready(timeout_s)
+        self._accept()
+        for peer in ready:
+            self._attend(peer)
         if self.wire:
             for end, raw, _ in self.wire.passed(self._clock()):
                 self._pass_on(end, raw)
@@ -134,25 +132,23 @@ class Hub:
         Args:
             peer: Which one, `None` for all there are; new connections are on the bus.
         """
-        for each in self._ring if peer is None else (peer,):
+        for each in self.peers if peer is None else (peer,):
             if not each.off:
-                self._give(each, _OFF)
+                self._all.give(each, _OFF)
                 each.off = True
-                if self.wire and each in self._ring:
+                if self.wire and each in self.peers:
                     self.wire.forget(each)
 
     def recover(self, peer: Peer | None = None) -> None:
         """Let it back on the bus, `None` for all."""
-        for each in self._ring if peer is None else (peer,):
+        for each in self.peers if peer is None else (peer,):
             if each.off:
                 each.off = False
-                self._give(each, _BACK)
+                self._all.give(each, _BACK)
 
     def close(self) -> None:
         """Hang up on everybody and let go of the channel. Idempotent."""
-        for peer in self._ring:
-            self._drop(peer)
-        self._epoll.close()
+        self._all.close()
         self._listener.close()
 
     def __enter__(self) -> Hub:
@@ -166,50 +162,21 @@ class Hub:
     ) -> None:
         self.close()
 
-    def _ready(self, timeout_s: float) -> list[tuple[int, int]]:
-        due_s = self.due_s
-        if due_s is not None:
-            timeout_s = min(timeout_s, max(due_s - self._clock(), 0.0))
-        if timeout_s > 0:  # `epoll` itself counts in milliseconds
-            select.select([self._epoll], [], [], timeout_s)
-        return self._epoll.poll(0)
-
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            connection, _ = self._listener.socket.accept()
-            peer = Peer(connection)
-            self._peers[peer.fd] = peer
-            self._ring = (*self._ring, peer)
+        while (peer := self._all.accept()) is not None:
             if self.wire:
                 self.wire.join(peer)
-            self._epoll.register(peer.fd, _IN)
 
-    def _attend(self, peer: Peer, events: int) -> None:
-        try:
-            if events & _OUT:
-                self._flush(peer)
-            if events & ~_OUT:
-                self._read(peer)
-        except OSError:
-            self._drop(peer)
-
-    def _flush(self, peer: Peer) -> None:
-        try:
-            if peer.flush():
-                self._epoll.modify(peer.fd, _IN)
-        except OSError:
-            self._give_up(peer)
-
-    def _read(self, peer: Peer) -> None:
-        frames: list[bytes] = []
-        try:
-            while len(frames) < _BATCH and (raw := peer.read()) is not None:
-                frames.append(raw)
-        finally:
-            self._accept()  # who was connected when these were sent is to get them
-            for raw in frames:
-                if not peer.off and _is_sendable(raw):
-                    self._take(peer, raw)
+    def _attend(self, peer: Peer) -> None:
+        frames, gone = peer.batch(_BATCH)
+        self._accept()  # who was connected when these were sent is to get them
+        if gone:
+            self._all.drop(peer)
+        for raw in frames:
+            if not peer.off and _is_sendable(raw):
+                self._take(peer, raw)
+        if gone and self.wire:
+            self.wire.leave(peer)
 
     def _take(self, end: Peer | LocalEnd, raw: bytes) -> None:
         if self.wire is None:
@@ -217,41 +184,14 @@ class Hub:
         elif not self.wire.offer(end, raw, self._clock()):
             end.dropped += 1
             if isinstance(end, Peer):
-                self._give(end, _OVERFLOW)
+                self._all.give(end, _OVERFLOW)
 
     def _pass_on(self, sender: object, raw: bytes) -> None:
-        for peer in self._ring:
+        for peer in self._all.ring:
             if peer is not sender:
-                self._give(peer, raw)
+                self._all.give(peer, raw)
         if sender is not self.local and self.local.heard is not None:
             self.local.heard(unpack_frame(raw, time.time()))
-
-    def _give(self, peer: Peer, raw: bytes) -> None:
-        if peer.off or peer.deaf:
-            return
-        try:
-            waits = bool(peer.waiting)
-            if not peer.give(raw) and not waits:
-                self._epoll.modify(peer.fd, _IN | _OUT)
-        except OSError:
-            self._give_up(peer)
-
-    def _give_up(self, peer: Peer) -> None:
-        """It gets no more; what it has sent is read up to its end, which is seen there."""
-        peer.deaf = True
-        peer.waiting.clear()
-        self._epoll.modify(peer.fd, _IN)
-        with contextlib.suppress(OSError):
-            peer.socket.shutdown(socket.SHUT_RDWR)
-
-    def _drop(self, peer: Peer) -> None:
-        if self._peers.pop(peer.fd, None) is None:
-            return
-        self._ring = tuple(other for other in self._ring if other is not peer)
-        if self.wire:
-            self.wire.leave(peer)
-        self._epoll.unregister(peer.fd)
-        peer.socket.close()
 
 
 def _is_sendable(raw: bytes) -> bool:

@@ -38,6 +38,16 @@ class Peer:
         self.waiting: deque[bytes] = deque()
         self.dropped = 0
 
+    def batch(self, most: int) -> tuple[list[bytes], bool]:
+        """The next frames it has sent, and whether that was all and it has gone."""
+        frames: list[bytes] = []
+        try:
+            while len(frames) < most and (raw := self.read()) is not None:
+                frames.append(raw)
+        except OSError:
+            return frames, True
+        return frames, False
+
     def read(self) -> bytes | None:
         """The next frame it has sent, `None` when there is none yet.
 

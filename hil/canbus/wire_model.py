@@ -53,6 +53,7 @@ class Wire:
         self._bit_s = 1.0 / (bitrate * speed)
         self._depth = depth
         self._queues: dict[Hashable, _Queue] = {}
+        self._leaving: set[Hashable] = set()
         self._passing: Passed | None = None
         self._passed: list[Passed] = []
         self.busy_s = 0.0
@@ -69,8 +70,9 @@ class Wire:
         self._queues[end] = _Sorted() if sorts else _InOrder()
 
     def leave(self, end: Hashable) -> None:
-        """It goes, and what it still wanted to send with it; what is on the wire passes."""
-        self._queues.pop(end, None)
+        """It goes; what it has handed to its controller before still passes."""
+        self._leaving.add(end)
+        self._tidy(end)
 
     def forget(self, end: Hashable) -> None:
         """Drop what waits in its queue."""
@@ -120,9 +122,15 @@ class Wire:
             return
         _, winner = min(ready, key=lambda pair: pair[0])
         raw = self._queues[winner].take()
+        self._tidy(winner)
         lasts_s = bits_on_wire(raw) * self._bit_s
         self.busy_s += lasts_s
         self._passing = Passed(winner, raw, at_s + lasts_s)
+
+    def _tidy(self, end: Hashable) -> None:
+        if end in self._leaving and not len(self._queues[end]):
+            self._leaving.discard(end)
+            del self._queues[end]
 
 
 def bits_on_wire(raw: bytes) -> int:
