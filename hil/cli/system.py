@@ -11,6 +11,9 @@ import typer
 from hil.cli.output import JsonFlag, print_json, print_table
 from hil.errors import PluginError
 
+USUAL_MODEL = "ur5"
+"""Of mocks that do not say which arm they usually stand for (attribute `model`)."""
+
 
 def register(app: typer.Typer) -> None:
     """Add this group's verbs."""
@@ -22,7 +25,10 @@ def register(app: typer.Typer) -> None:
 def mock(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="Which mock; `list` names them.")] = "list",
-    model: Annotated[str, typer.Option(help="Built-in arm the mock stands for.")] = "ur5",
+    model: Annotated[
+        str | None,
+        typer.Option(help="Built-in arm the mock stands for; without, the mock's usual one."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Which individual robot it is.")] = 0,
     profile: Annotated[str, typer.Option(help="`full` or `ideal` physics.")] = "full",
     truth: Annotated[
@@ -49,6 +55,7 @@ def mock(
         return
     if help_:
         raise typer.Exit(chosen.serve([*context.args, "--help"]))
+    model = model or getattr(chosen, "model", USUAL_MODEL)
     same = ["--model", model, "--seed", str(seed), "--profile", profile]
     if hasattr(chosen, "serve") and truth is None:
         raise typer.Exit(chosen.serve([*same, *context.args]))

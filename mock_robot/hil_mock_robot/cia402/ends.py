@@ -8,7 +8,7 @@ import select
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import can
 
@@ -76,7 +76,8 @@ class HubEnd:
 
     def __init__(self, channel: str, bitrate: float | None = None) -> None:
         self.hub = Hub(channel, bitrate=bitrate)
-        self.where, self.heard = f"{HOSTED} channel {channel}", ignored
+        self.where = f"{HOSTED} channel {channel}"
+        self.heard: Heard = ignored
         self.send = self.hub.local.send
         self.hub.local.heard = self._came
 
@@ -118,7 +119,8 @@ class PythonCanEnd:
     """
 
     def __init__(self, bus: can.BusABC, where: str) -> None:
-        self._bus, self.where, self.heard = bus, where, ignored
+        self._bus, self.where = bus, where
+        self.heard: Heard = ignored
         self._off = False
         self.lost = 0
 
@@ -175,7 +177,7 @@ def end_of(interface: str, channel: str, bitrate: float | None = None) -> BusEnd
     """
     if interface == HOSTED:
         return HubEnd(channel, bitrate)
-    more = {} if bitrate is None else {"bitrate": round(bitrate)}
+    more: dict[str, Any] = {} if bitrate is None else {"bitrate": round(bitrate)}
     where = f"{interface} channel {channel}"
     try:
         return PythonCanEnd(can.Bus(channel=channel, interface=interface, **more), where)

@@ -8,11 +8,11 @@ import numpy as np
 
 from hil.payload import Payload
 from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.axis import joints_of
 from hil_mock_robot.cia402.body import Body
 from hil_mock_robot.cia402.clock import DeviceClock
 from hil_mock_robot.cia402.contracts import Send
 from hil_mock_robot.cia402.dictionary import registers_of
-from hil_mock_robot.cia402.drive import joints_of
 from hil_mock_robot.cia402.marker import Marker
 from hil_mock_robot.cia402.objects import real
 from hil_mock_robot.cia402.unit import Unit

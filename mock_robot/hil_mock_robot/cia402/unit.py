@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hil_mock_robot.cia402 import keys
+from hil_mock_robot.cia402.axis import Joint
 from hil_mock_robot.cia402.contracts import Registers, Send
-from hil_mock_robot.cia402.drive import Drive, Joint
+from hil_mock_robot.cia402.drive import Drive
 from hil_mock_robot.cia402.hooks import Hooks
 from hil_mock_robot.cia402.line import Line
 from hil_mock_robot.cia402.nmt import RESET_NODE, State
