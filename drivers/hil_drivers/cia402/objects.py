@@ -87,6 +87,10 @@ INTERPOLATION_INDEX = Entry("interpolation_index", 0x60C2, 2, "b")
 TARGET_VELOCITY = Entry("target_velocity", 0x60FF, 0, "i", "as velocity")
 SUPPORTED_MODES = Entry("supported_modes", 0x6502, 0, "I")
 
+ERROR_COUNT = Entry("error_count", 0x1003, 0, "B")
+TORQUE_SCALING = Entry("torque_scaling", 0x2002, 0x54, "I", "EL72xx: 0 peak, 1 rms current")
+TORQUE_CONSTANT = Entry("torque_constant", 0x2003, 0x16, "I", "EL72xx: mN·m/A")
+
 CSP, CSV, CST = 8, 9, 10
 """Modes of operation (6060h) that take a new set-point with every SYNC."""
 MODE_BITS = {CSP: 7, CSV: 8, CST: 9}

@@ -172,7 +172,7 @@ PROFILES: dict[str, dict[str, Any]] = {
         "rated_current_is": "peak",
     },
 }
-"""What a device profile says where the station's `axes` do not."""
+"""What a device profile says where neither the station's `axes` nor the drive do."""
 
 
 def within(value: int, ends: tuple[int, int]) -> int:
@@ -187,12 +187,12 @@ def axis_profile(name: str, given: Mapping[str, Any], found: Mapping[str, Any]) 
     Args:
         name: A key of `PROFILES`.
         given: Fields of `AxisProfile` as the station says them; they win.
-        found: Fields as the drive says them; the device profile wins.
+        found: Fields as the drive says them; they win over those of the device profile.
 
     Raises:
         SpecError: Something is still missing.
     """
-    merged = {**found, **PROFILES[name], **given}
+    merged = {**PROFILES[name], **found, **given}
     needed = ["encoder_increments", "gear_ratio", "rated_current_a"]
     current = merged.get("torque_of") == "rated-current"
     needed.append("torque_constant_nm_a" if current else "rated_torque_nm")
