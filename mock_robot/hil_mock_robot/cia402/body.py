@@ -24,6 +24,9 @@ from hil_mock_robot.truth import Truth
 OVERCURRENT, TOO_FAR_AWAY = 0x2310, 0x8611
 """EMCY codes of what goes wrong in the plant: continuous over-current, following error."""
 
+NEARLY = 0.99
+"""A torque limit (6072h) of so much of the drive's own is none: rated torque is rounded."""
+
 STILL_RAD_S = 1e-3
 """On closed brakes an arm slower than this does not move any more."""
 
@@ -167,13 +170,13 @@ class Body:
 
     def _run(self, rows: FloatArray) -> Samples:
         """Follow rows (N, 3, n) to their end, whatever happens on the way."""
-        done, samples = 0, self._step(rows)
+        done, samples = 0, self._plant.advance(rows)
         while samples.fault and samples.fault != FAULT_RUNAWAY:
             done += len(samples)
             self._blame(samples.fault, rows[done - 1, 0])
             if done >= len(rows):
                 break
-            samples = self._step(rows[done:])
+            samples = self._plant.advance(rows[done:])
         if samples.fault == FAULT_RUNAWAY:
             return self._ran_away()
         for j, torque in enumerate(self._torques):
@@ -181,16 +184,13 @@ class Body:
                 self._plant.take(j)
         return samples
 
-    def _step(self, rows: FloatArray) -> Samples:
-        return self._plant.advance(rows)
-
     def _blame(self, fault: int, followed: FloatArray) -> None:
         """Find the axis; `followed` (n,) is where the plant should be [rad]."""
         overload = self._plant.joints.states["overload_s"]
         if fault == FAULT_OVERLOAD:
             for j in np.flatnonzero(overload > OVERLOAD_S):
                 overload[j] = 0.0
-                if self._limits[j] >= self._efforts[j]:
+                if self._limits[j] > NEARLY * self._efforts[j]:
                     self.faults[int(j)] = OVERCURRENT
             return
         away = np.abs(self._plant.position - followed)

@@ -1,24 +1,26 @@
-"""Modes of operation with a new set-point at every SYNC: CSP (8), CSV (9), CST (10)."""
+"""Modes of operation; here those with a new set-point at every SYNC: CSP, CSV, CST (8 to 10)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Axis
 from hil_mock_robot.cia402.contracts import STEP_S, Demand
 from hil_mock_robot.cia402.paths import Between, Ramp, held
+from hil_mock_robot.cia402.profile_modes import Homing, ProfilePosition
 from hil_mock_robot.cia402.states import MODE_BIT_12
 
-CSP, CSV, CST = 8, 9, 10
+PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
 CYCLIC = frozenset({CSP, CSV, CST})
 """Modes that need SYNC."""
 
-FOLLOWING = frozenset({CSP})
+FOLLOWING = frozenset({PP, CSP})
 """Modes in which the following error is watched."""
 
-MODE_BITS = {CSP: 7, CSV: 8, CST: 9}
+MODE_BITS = {PP: 0, HM: 5, CSP: 7, CSV: 8, CST: 9}
 """Of the modes that are built, their bits in 6502h."""
 
 NAN = math.nan
@@ -164,7 +166,9 @@ class CyclicTorque:
         return Demand(held(axis.q, steps), self._torque, False, 0.0, axis.torque_limit)
 
 
-_MODES: dict[int, type[Idle | CyclicPosition | CyclicVelocity | CyclicTorque]] = {
+_MODES: dict[int, Callable[[Axis], Mode]] = {
+    PP: ProfilePosition,
+    HM: Homing,
     CSP: CyclicPosition,
     CSV: CyclicVelocity,
     CST: CyclicTorque,

@@ -56,12 +56,13 @@ class Trapezoid:
 
     Attributes:
         q, qd: Where it is.
+        target, limits: As given; they can be changed on the way.
     """
 
     def __init__(
         self, q: float, qd: float, target: float, limits: tuple[float, float, float]
     ) -> None:
-        self.q, self.qd, self.target, self._limits = q, qd, target, limits
+        self.q, self.qd, self.target, self.limits = q, qd, target, limits
 
     @property
     def done(self) -> bool:
@@ -78,7 +79,7 @@ class Trapezoid:
         return rows
 
     def _step(self) -> None:
-        top, up, down = self._limits
+        top, up, down = self.limits
         way = self.target - self.q
         # From this speed it comes to rest on the way that is left after this step.
         most = min(
