@@ -137,12 +137,12 @@ class PythonCanEnd:
 
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> None:
         """See `BusEnd`; `others` are looked at when it is over."""
-        message = self._bus.recv(max(0.0, timeout_s))
         for _ in range(BURST):
+            message = self._bus.recv(max(0.0, timeout_s))
             if message is None:
                 return
             self._came(message)
-            message = self._bus.recv(0)
+            timeout_s = 0.0
 
     def bus_off(self) -> None:
         """See `BusEnd`: an error frame, then silence both ways."""

@@ -15,6 +15,7 @@ from hil_mock_robot.cia402.contracts import Send
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.marker import Marker
 from hil_mock_robot.cia402.objects import real
+from hil_mock_robot.cia402.routes import Routes, changed_by
 from hil_mock_robot.cia402.unit import Unit
 
 SYNC = 0x080
@@ -63,6 +64,7 @@ class Station:
             Unit(i, node, registers_of(body.arm, i), joints[i], put, self._told, self._written)
             for i, node in enumerate(nodes)
         )
+        self._routes = Routes(self.axes)
         self._period_s = DEFAULT_PERIOD_S
         for axis, seen in zip(self.axes, body.seen, strict=True):
             axis.drive.measured(seen)
@@ -79,7 +81,7 @@ class Station:
             return
         if can_id == self.marker.can_id:
             self.marker.heard(data)
-        for axis in self.axes:
+        for axis in self._routes.to(can_id):
             if axis.line.sound or axis.line.passes(can_id, data):
                 axis.node.heard(can_id, data)
 
@@ -133,9 +135,13 @@ class Station:
             listener(steps)
 
     def _told(self, axis: int, what: str, code: int) -> None:
+        if what == "booted":
+            self._routes.forget()
         self.tell(what, axis=axis + 1, code=code)
 
     def _written(self, axis: int, key: int) -> None:
+        if changed_by(key):
+            self._routes.forget()
         if axis == 0:
             self._period_s = self.axes[0].period_s or DEFAULT_PERIOD_S
             if key in PAYLOAD:

@@ -36,7 +36,7 @@ class Unit:
         written: Called with axis and key of every object that a client has written.
 
     Attributes:
-        number, registers: As given.
+        number, node_id, registers: As given.
         line, node, drive: Its parts.
         follows_sync: Whether it takes notice of SYNC.
     """
@@ -51,7 +51,7 @@ class Unit:
         told: Told,
         written: Callable[[int, int], None],
     ) -> None:
-        self.number, self.registers = number, registers
+        self.number, self.node_id, self.registers = number, node_id, registers
         self.follows_sync = True
         self._told, self._on_written = told, written
         self.line = Line(node_id, put)
@@ -99,7 +99,7 @@ class Unit:
         """It starts anew, with nothing of what was set."""
         self.line.cuts.discard("power")
         self.line.look()
-        self.node.heard(NMT, bytes([RESET_NODE, self.node.node_id]))
+        self.node.heard(NMT, bytes([RESET_NODE, self.node_id]))
 
     def _written(self, key: int, value: int) -> None:
         self.drive.written(key)
