@@ -1,11 +1,33 @@
-"""One cycle over CAN: SYNC, an RPDO or two per axis, the TPDOs that answer it."""
+"""One cycle over CAN: SYNC, an RPDO or two per axis, the TPDOs that answer it.
+
+docs/explanation/can-cycle.md says what is on the wire when, and what is counted as what.
+"""
 
 from __future__ import annotations
 
+import struct
+import time
 from collections.abc import Callable, Sequence
 
+from hil.canbus.frame import pack_frame
 from hil_drivers.cia402.contracts import Inputs, News, Outputs
-from hil_drivers.cia402.mapping import Mapping
+from hil_drivers.cia402.mapping import SYNC_COB_ID, Mapping, tpdo_cob_id
+from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID, Counts, NodeWatch, Notify
+from hil_drivers.cia402.pdo_frames import Answers, Commands
+from hil_drivers.cia402.ports import FramePort
+
+BEAT_S = 0.05
+"""From one heartbeat of ours to the next, by device time [s]."""
+
+PUMP_S = 0.01
+"""How long one wait of `pump` takes at most [s]."""
+
+_OPERATIONAL = b"\x05"
+_MARKER = struct.Struct("<iH")
+_SYNC = pack_frame(SYNC_COB_ID, b"")
+_HEAD_BYTES, _FRAME_BYTES = 5, 16
+
+Log = Callable[[float, bytes], None]
 
 
 class CanCyclic:
@@ -28,14 +50,172 @@ class CanCyclic:
         answered: (T, n, 8) TPDO bytes, likewise.
     """
 
-    def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
+    def __init__(
+        self,
+        port: FramePort,
+        mapping: Mapping,
+        nodes: Sequence[int],
+        period_s: float,
+        *,
+        master_id: int = 127,
+        notify: Notify | None = None,
+        log: Log | None = None,
+    ) -> None:
+        self._port = port if log is None else LoggedPort(port, log)
+        self._commands, self._answers = Commands(mapping, nodes), Answers(mapping, nodes)
+        self.sent, self.answered = self._commands.data, self._answers.data
+        self._inputs = Inputs.none_yet(len(nodes))
+        self.counts = Counts()
+        self._watch = NodeWatch(nodes, self._answers.cob_ids, self.counts, notify)
+        self._came: list[bytes | None] = [None] * len(self._answers)
+        self._none_came: list[bytes | None] = [None] * len(self._answers)
+        self._all_fresh = [True] * len(nodes)
+        self._owed: set[int] = set()
+        self._period_s, self._device_s, self._beat_at = period_s, 0.0, 0.0
+        self._beat = pack_frame(HEARTBEAT_COB_ID + master_id, _OPERATIONAL)
+        self._marker_id = tpdo_cob_id(1, master_id)
+        self._announced: tuple[int, int] | None = None
+        self.sync_time = 0.0
+
+    @property
+    def cycle(self) -> int:
         """See `Cyclic`."""
+        return self._watch.cycle
+
+    def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
+        """See `Cyclic`; the same `Inputs` every time."""
+        self._drain()
+        self._begin(outputs)
+        complete = self._collect(give_up_s)
+        inputs = self._inputs
+        inputs.fresh[:] = self._all_fresh
+        if not complete:
+            self._miss()
+        self._answers.memory[:] = b"".join(self._came)  # type: ignore[arg-type]
+        self._answers.unpack(inputs)
+        return inputs
 
     def pump(self, until_s: float) -> None:
         """See `Cyclic`; also sends the master's heartbeat."""
+        then = time.monotonic()
+        while then < until_s:
+            self._send_beat()
+            raw = self._port.receive(min(until_s, then + PUMP_S))
+            if raw is not None and raw[:_HEAD_BYTES] not in self._answers.slots:
+                self._watch.heard(raw)
+            now = time.monotonic()
+            self._device_s += now - then
+            self._watch.look(self._device_s)
+            then = now
 
-    def news(self) -> News:
+    def news(self) -> News | None:
         """See `Cyclic`."""
+        return self._watch.take_news()
 
     def watch(self, on: bool) -> None:
         """Whether overdue heartbeats and boot-ups of the drives are news, from now on."""
+        self._watch.watch(on)
+
+    def _begin(self, outputs: Outputs) -> None:
+        """Send all that is ours, SYNC as early as may be."""
+        self._commands.pack(outputs)
+        if (told := (outputs.segment, outputs.status)) != self._announced:
+            self._announced = told
+            self._send(pack_frame(self._marker_id, _MARKER.pack(*told)))
+        self._watch.cycle += 1
+        self._device_s += self._period_s
+        self.sync_time = time.time()
+        send = self._port.send
+        full = not send(_SYNC)
+        for frame in self._commands.frames:
+            full |= not send(frame)
+        if full:
+            self._watch.overflow()
+        if self._device_s >= self._beat_at:
+            self._send_beat()
+        if self._device_s >= self._watch.look_at:
+            self._watch.look(self._device_s)
+
+    def _drain(self) -> None:
+        """Take what has come since the last cycle was over: it belongs to that one at best."""
+        receive, slots = self._port.receive, self._answers.slots
+        while (raw := receive(0.0)) is not None:
+            slot = slots.get(raw[:_HEAD_BYTES])
+            if slot is None:
+                self._watch.heard(raw)
+            elif slot in self._owed:
+                self._owed.discard(slot)
+                self.counts.late += 1
+            else:
+                self.counts.doubled += 1
+
+    def _collect(self, give_up_s: float) -> bool:
+        """Take answers; whether all came.
+
+        Of a slot that was empty in the last cycle two are waited for: the first is the late one.
+        """
+        came, receive, slots = self._came, self._port.receive, self._answers.slots
+        came[:] = self._none_came
+        left = len(came) + len(self._owed)
+        while left:
+            raw = receive(give_up_s)
+            if raw is None:
+                return False
+            slot = slots.get(raw[:_HEAD_BYTES])
+            if slot is None:
+                self._watch.heard(raw)
+            elif came[slot] is None:
+                came[slot] = raw
+                left -= 1
+            elif slot in self._owed:
+                self._owed.discard(slot)
+                self.counts.late += 1
+                came[slot] = raw
+                left -= 1
+            else:
+                self.counts.doubled += 1
+        return True
+
+    def _miss(self) -> None:
+        """Fill empty slots with what was there before, and keep in mind who owes what."""
+        answers, came = self._answers, self._came
+        self._owed = {slot for slot, raw in enumerate(came) if raw is None}
+        self.counts.missing += len(self._owed)
+        for slot in self._owed:
+            came[slot] = bytes(answers.memory[slot * _FRAME_BYTES : (slot + 1) * _FRAME_BYTES])
+            self._inputs.fresh[answers.axis(slot)] = False
+
+    def _send(self, frame: bytes) -> None:
+        if not self._port.send(frame):
+            self._watch.overflow()
+
+    def _send_beat(self) -> None:
+        if self._device_s >= self._beat_at:
+            self._beat_at = self._device_s + BEAT_S
+            self._send(self._beat)
+
+
+class LoggedPort:
+    """A port of which every frame is told, in the order in which this end sees them.
+
+    Args:
+        port: The port.
+        log: Gets Unix time and 16 bytes.
+    """
+
+    def __init__(self, port: FramePort, log: Log) -> None:
+        self._port, self._log = port, log
+
+    def send(self, frame: bytes | memoryview) -> bool:
+        """See `FramePort`."""
+        sent = self._port.send(frame)
+        if sent:
+            self._log(time.time(), bytes(frame))
+        return sent
+
+    def receive(self, until_s: float) -> bytes | None:
+        """See `FramePort`."""
+        raw = self._port.receive(until_s)
+        if raw is not None:
+            self._log(time.time(), raw)
+        return raw

@@ -7,10 +7,16 @@ EtherCAT by `pysoem` has the same objects over CoE and the same record as proces
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.objects import Entry
+
+ByteArray: TypeAlias = NDArray[np.uint8]
+"""Data of PDOs as they are on the wire."""
 
 
 @dataclass(slots=True)
@@ -146,9 +152,24 @@ class Cyclic(Protocol):
     def pump(self, until_s: float) -> None:
         """Take what comes beside process data until that time of `time.monotonic`."""
 
-    def news(self) -> News:
-        """What has come since the last call."""
+    def news(self) -> News | None:
+        """What has come since the last call; None when nothing has."""
+
+    def watch(self, on: bool) -> None:
+        """Whether overdue heartbeats and boot-ups of the drives are news, from now on."""
 
     @property
     def cycle(self) -> int:
         """Number of the last SYNC, from 0; −1 before."""
+
+    @property
+    def sync_time(self) -> float:
+        """When it was sent [s, Unix time]."""
+
+    @property
+    def sent(self) -> ByteArray:
+        """(R, n, 8) command data that went with it; overwritten by the next exchange."""
+
+    @property
+    def answered(self) -> ByteArray:
+        """(T, n, 8) answer data, likewise; where none came, what was there before."""

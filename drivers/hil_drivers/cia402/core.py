@@ -2,9 +2,47 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.typing import StructArray
+from hil_drivers.cia402.contracts import Cyclic, Inputs, Outputs
+from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.player import Player, Track
+from hil_drivers.cia402.realtime import realtime
+from hil_drivers.cia402.ring import Ring
+from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Phase, Supervisor
+from hil_drivers.cia402.track import farthest
+
+KEPT_S = 60.0
+"""Device time of records that may wait to be taken [s]."""
+
+BATCH_S = 0.008
+"""Wall time of records that are handed over together, so that one wake-up serves several [s]."""
+
+FREE_BATCH = 16
+PUMP_S = 0.02
+POLL_S = 0.002
+FIRST_ANSWER_S = 2.0
+CLEAN_UP_S = 5.0
+END_S = 1.5
+
+REST_RAD_S = 0.02
+REST_OVER_S = 0.05
+REST_WITHIN_S = 2.0
+"""An arm is at rest when no joint has moved faster, on average over that time."""
+
+LATE = 1 << 30
+"""Flag of a record: its cycle began late. Flag 1 << axis: not all of that axis' answers came."""
 
 
 class Core:
@@ -15,61 +53,151 @@ class Core:
 
     Args:
         cyclic: The drives.
-        supervisor, player: Write to the same outputs.
+        supervisor, player: Write to `outputs`.
+        outputs: What the drives are told.
         schedule: When cycles begin.
-        capacity: Cycle records that may wait to be taken.
+        mapping: Of every axis.
+        period_s: Device time of a cycle [s].
+        wall_period_s: Wall time of a cycle; 0 when cycles have no deadlines [s].
+        kept_s: Device time of records that may wait to be taken [s].
 
     Attributes:
         temperature: (n,) [°C], written by whoever asks the drives for it; goes into every record.
+        not_permitted: What the kernel refused of what real time needs, in words.
+        ring: The records.
+        schedule: When cycles began.
     """
+
+    def __init__(
+        self,
+        cyclic: Cyclic,
+        supervisor: Supervisor,
+        player: Player,
+        outputs: Outputs,
+        schedule: Schedule,
+        mapping: Mapping,
+        *,
+        period_s: float,
+        wall_period_s: float,
+        kept_s: float = KEPT_S,
+    ) -> None:
+        n = len(outputs.controlword)
+        self._cyclic, self._supervisor, self._player = cyclic, supervisor, player
+        self._outputs, self.schedule = outputs, schedule
+        self._period_s, self._free = period_s, wall_period_s <= 0.0
+        batch = FREE_BATCH if self._free else max(1, math.ceil(BATCH_S / wall_period_s))
+        self.ring = Ring(mapping, n, max(64, round(kept_s / period_s)), batch)
+        self.temperature = np.full(n, np.nan)
+        self.not_permitted: list[str] = []
+        self._inputs = Inputs.none_yet(n)
+        self._asked: deque[Callable[[], None]] = deque()
+        self._cycling = self._ending = False
+        self._clean_up_at = 0
+        self._problem = ""
+        self._gone: RobotConnectionError | None = None
+        self._thread: threading.Thread | None = None
 
     @property
     def phase(self) -> Phase:
         """Where the axes are."""
+        return self._supervisor.phase
+
+    @property
+    def cycle(self) -> int:
+        """Number of the last SYNC; −1 before the first."""
+        return self._cyclic.cycle
 
     def open(self) -> None:
         """Start the thread, which pumps. Idempotent."""
+        if self._thread is None:
+            self._ending = False
+            self._thread = threading.Thread(target=self._run, name="cia402 cycles", daemon=True)
+            self._thread.start()
 
     def run(self) -> None:
         """Begin with cycles; the drives are operational. Returns after the first answers.
 
         Raises:
             RobotTimeout: A drive does not answer.
+            RobotConnectionError: The bus is gone.
         """
+        self._require_bus()
+        first = self._cyclic.cycle
+        self._cycling = True
+        until = time.monotonic() + FIRST_ANSWER_S
+        while self._cyclic.cycle <= first + 2 or not all(self._inputs.fresh):
+            self._require_bus()
+            if time.monotonic() > until:
+                raise self._unanswered()
+            time.sleep(POLL_S)
+        self._do(lambda: self._cyclic.watch(True))
 
     def rest(self) -> None:
         """End the cycles, all axes off, and pump again."""
+        with contextlib.suppress(HilError):
+            self.disable()
+        self._cyclic.watch(False)
+        self._cycling = False
 
     def enable(self, mode: int, within_s: float = 10.0) -> None:
         """Enable all axes in a mode, all targets preloaded; blocks.
 
         Raises:
-            RobotTimeout, RobotFault: With axis and state.
+            RobotTimeout: An axis takes too long; with axis and state.
+            RobotFault: An axis is in fault, or becomes so.
+            CommandRefused: `stop` came meanwhile, or they are enabled.
         """
+        if self.phase is not Phase.OFF:
+            raise CommandRefused(f"the axes cannot be enabled: they are {self.phase.value}")
+        self._problem = ""
+        self._do(lambda: self._supervisor.enable(mode))
+        self._wait_for(Phase.ENABLED, within_s, "the axes are not enabled")
 
     def switch(self, mode: int, within_s: float = 5.0) -> None:
         """Switch the mode of the enabled axes at rest; blocks, raises as `enable`."""
+        if self.phase is not Phase.ENABLED:
+            raise CommandRefused(f"the mode cannot be switched: the axes are {self.phase.value}")
+        self._require_rest()
+        self._do(lambda: self._supervisor.switch(mode))
+        self._wait_for(Phase.ENABLED, within_s, "the mode is not switched")
 
     def reset_faults(self, within_s: float = 5.0) -> None:
         """Reset faults that somebody has looked at; blocks, raises as `enable`."""
+        if self.phase is not Phase.OFF:
+            raise CommandRefused(f"faults cannot be reset: the axes are {self.phase.value}")
+        self._problem = ""
+        self._do(self._supervisor.reset)
+        self._wait_for(Phase.OFF, within_s, "the faults are not reset")
 
     def disable(self, within_s: float = 5.0) -> None:
-        """Switch all axes off, at rest; blocks."""
+        """Switch all axes off, at rest; blocks, raises as `enable`."""
+        if self._cycling and self.phase is not Phase.OFF:
+            self._do(self._supervisor.disable)
+            self._wait_for(Phase.OFF, within_s, "the axes are not off")
 
     def prepare(self, track: Track) -> None:
         """Keep the next motion. Raises `CommandRefused`."""
+        self._player.load(track)
 
     def start(self) -> None:
         """Begin the prepared motion with the next cycle. Raises `CommandRefused`."""
+        self._require_bus()
+        self._player.start()
 
     def stop(self, deceleration_rad_s2: float) -> None:
         """Brake on the way with the next cycle, or leave off enabling; never raises or blocks."""
+        self._player.stop(deceleration_rad_s2)
+        if self.phase in (Phase.MODE, Phase.ENABLING, Phase.RESETTING):
+            self._asked.append(self._supervisor.quick_stop)
 
     def quick_stop(self, why: str = "") -> None:
         """Controlword quick stop to all axes with the next cycle; never raises or blocks."""
+        self._asked.append(lambda: self._supervisor.quick_stop(why))
 
     def take_problem(self) -> str:
         """What ended a motion or enabling, told once; empty when nothing did."""
+        problem, self._problem = self._problem, ""
+        return problem
 
     def take(self, timeout_s: float) -> StructArray:
         """All cycle records (`mapping.cycle_dtype`) since the last call, in order, at least one.
@@ -78,6 +206,188 @@ class Core:
             RobotTimeout: None came in time.
             RobotConnectionError: The bus is gone, and what came before that is taken.
         """
+        block = self.ring.take(0.0 if self._gone else timeout_s)
+        if len(block):
+            return block
+        self._require_bus()
+        raise RobotTimeout(
+            f"no cycle was over within {timeout_s:g} s", hint="look for a busy machine"
+        )
 
     def close(self) -> None:
-        """End the thread. Idempotent."""
+        """End the thread; axes that are on are braked before. Idempotent."""
+        thread = self._thread
+        if thread is None:
+            return
+        if self._cycling and thread.is_alive() and self.phase is not Phase.OFF:
+            self.quick_stop()
+            self._let_pass(lambda: self.phase is not Phase.OFF, END_S)
+        self._ending = True
+        self.ring.wake()
+        thread.join(END_S)
+        self._thread = None
+
+    # -- the thread
+
+    def _run(self) -> None:
+        try:
+            while not self._ending:
+                if self._cycling:
+                    self._run_cycles()
+                else:
+                    self._cyclic.pump(time.monotonic() + PUMP_S)
+                    self._obey()
+        except RobotConnectionError as error:
+            self._fail(error)
+        except Exception as error:  # nobody would ever hear of it in this thread
+            self._last_words()
+            self._fail(RobotConnectionError(f"the cyclic exchange failed: {error!r}"))
+
+    def _run_cycles(self) -> None:
+        self.schedule.restart()
+        with realtime() as self.not_permitted:
+            while self._cycling and not self._ending:
+                self._cycle()
+                self.schedule.done()
+
+    def _cycle(self) -> None:
+        late = self.schedule.wait()
+        if self._asked:
+            self._obey()
+        outputs, supervisor, player = self._outputs, self._supervisor, self._player
+        segment, status = outputs.segment, outputs.status
+        inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
+        self._keep(segment, status, late)
+        if (news := self._cyclic.news()) is not None:
+            supervisor.hear(news)
+        supervisor.step(inputs, self._cyclic.cycle)
+        if supervisor.running:
+            if supervisor.phase is Phase.ENABLED and player.mode != supervisor.mode:
+                player.engage(supervisor.mode, outputs)
+            player.step(inputs, outputs)
+        else:
+            self._be_off()
+        if self.schedule.cycles >= self._clean_up_at:
+            self._clean_up()
+
+    def _keep(self, segment: int, status: int, late: bool) -> None:
+        ring = self.ring
+        if ring.full:
+            self._make_room()
+        flags = LATE if late else 0
+        fresh = self._inputs.fresh
+        if not all(fresh):
+            flags |= sum(1 << axis for axis, came in enumerate(fresh) if not came)
+        ring.put(self._cyclic, segment, status, flags, self.temperature)
+
+    def _make_room(self) -> None:
+        """Records of an arm at rest may go; those of a motion that nobody takes end it."""
+        if self._free:
+            self.ring.wait_for_room(time.monotonic() + 1.0)
+        if not self.ring.full:
+            return
+        if self._player.moving:
+            self._supervisor.quick_stop(
+                "the cycles' records were not taken: hil is held up (busy machine, slow disk)"
+            )
+        self.ring.forget(max(1, round(1.0 / self._period_s)))
+
+    def _be_off(self) -> None:
+        if self._player.mode:
+            self._player.disengage()
+        self._outputs.segment, self._outputs.status = -1, 0
+        if problem := self._supervisor.take_problem():
+            self._problem = problem
+            self.ring.wake()
+
+    def _clean_up(self) -> None:
+        """Collect young garbage now and then, as nobody else does while cycles go on."""
+        self._clean_up_at = self.schedule.cycles + round(CLEAN_UP_S / self._period_s)
+        gc.collect(0)
+
+    def _obey(self) -> None:
+        while self._asked:
+            self._asked.popleft()()
+
+    def _last_words(self) -> None:
+        """Quick stop to all, twice: the second SYNC applies the first's commands."""
+        with contextlib.suppress(Exception):
+            self._supervisor.quick_stop()
+            for _ in range(2):
+                self._cyclic.exchange(self._outputs, time.monotonic() + POLL_S)
+
+    def _fail(self, error: RobotConnectionError) -> None:
+        self._player.disengage()
+        self._gone = error
+        self.ring.wake()
+
+    # -- the other threads
+
+    def _do(self, action: Callable[[], None]) -> None:
+        """Have the thread do it, and wait until it has."""
+        done = threading.Event()
+
+        def act() -> None:
+            action()
+            done.set()
+
+        self._asked.append(act)
+        while not done.wait(0.05):
+            self._require_bus()
+
+    def _wait_for(self, phase: Phase, within_s: float, else_text: str) -> None:
+        self._let_pass(lambda: self._is_on_the_way_to(phase), within_s)
+        self._require_bus()
+        if self.phase is phase and not self._problem:
+            return
+        if problem := self.take_problem():
+            kind = RobotTimeout if self._supervisor.overdue else RobotFault
+            raise kind(problem, hint="see to that drive, then connect again")
+        if self.phase in (Phase.OFF, Phase.BRAKING):
+            raise CommandRefused(f"{else_text}: they were stopped meanwhile")
+        raise RobotTimeout(f"{else_text} after {within_s:g} s: still {self.phase.value}")
+
+    def _is_on_the_way_to(self, phase: Phase) -> bool:
+        if self._problem or self._gone:
+            return False
+        return self._supervisor.complains or self.phase not in (phase, Phase.OFF)
+
+    def _let_pass(self, as_long_as: Callable[[], bool], most_s: float) -> None:
+        until = time.monotonic() + most_s
+        while as_long_as() and time.monotonic() < until:
+            time.sleep(POLL_S)
+
+    def _require_bus(self) -> None:
+        if self._gone is not None:
+            raise self._gone
+        if self._thread is None:
+            raise RobotConnectionError("the bus is not open", hint="connect first")
+
+    def _require_rest(self) -> None:
+        """Raises `CommandRefused` when the arm is commanded to move, or does not come to rest."""
+        if self._player.moving:
+            raise CommandRefused("the mode cannot be switched: the arm moves", hint="stop it first")
+        until = self._cyclic.cycle + REST_WITHIN_S / self._period_s
+        while (speed := self._speed())[0] > REST_RAD_S:
+            if self._cyclic.cycle > until:
+                raise CommandRefused(
+                    f"the mode cannot be switched: axis {speed[1] + 1} does not come to rest, it "
+                    f"moves at {speed[0]:.3f} rad/s",
+                    hint="see to what moves it",
+                )
+
+    def _speed(self) -> tuple[float, int]:
+        """Of the fastest joint [rad/s], over `REST_OVER_S`, and its axis."""
+        before, since = self._inputs.position.copy(), self._cyclic.cycle
+        cycles = math.ceil(REST_OVER_S / self._period_s)
+        self._let_pass(lambda: self._cyclic.cycle < since + cycles, FIRST_ANSWER_S)
+        lasted_s = max(self._cyclic.cycle - since, 1) * self._period_s
+        way, axis = farthest(self._inputs.position, before, self._player.scale)
+        return way / lasted_s, axis
+
+    def _unanswered(self) -> RobotTimeout:
+        silent = [str(axis + 1) for axis, came in enumerate(self._inputs.fresh) if not came]
+        return RobotTimeout(
+            f"no process data from axis {', '.join(silent) or 'any'} within {FIRST_ANSWER_S:g} s",
+            hint="are the drives operational, is SYNC enabled (1005h), are their PDOs mapped?",
+        )

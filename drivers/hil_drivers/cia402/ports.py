@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+import errno
+import select
+import socket
+import time
 from typing import Any, Protocol
+
+from hil.canbus.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
+from hil.errors import RobotConnectionError
+
+_FULL = frozenset({errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS})
+"""No room in the transmit queue: what AF_UNIX and SocketCAN say."""
+
+_NOW = socket.MSG_DONTWAIT
 
 
 class FramePort(Protocol):
@@ -23,6 +35,121 @@ class FramePort(Protocol):
         """
 
 
+class SocketPort:
+    """A socket whose packets are frames: `UnixBus` and SocketCAN.
+
+    Nothing of it is changed: whoever else uses it may go on.
+
+    Args:
+        line: The socket.
+        name: Of the bus, for messages.
+    """
+
+    def __init__(self, line: socket.socket, name: str) -> None:
+        self._send, self._recv = line.send, line.recv
+        self._lines, self._name = [line], name
+
+    def send(self, frame: bytes | memoryview) -> bool:
+        """See `FramePort`."""
+        try:
+            self._send(frame, _NOW)
+        except OSError as error:
+            if error.errno in _FULL:
+                return False
+            raise self._gone(error.strerror or str(error)) from error
+        return True
+
+    def receive(self, until_s: float) -> bytes | None:
+        """See `FramePort`."""
+        try:
+            try:
+                return self._recv(FRAME.size, _NOW) or self._ended()
+            except BlockingIOError:
+                # select() counts in microseconds; poll and socket time-outs in milliseconds.
+                wait_s = until_s - time.monotonic() if until_s else 0.0
+                if wait_s <= 0.0 or not select.select(self._lines, (), (), wait_s)[0]:
+                    return None
+                return self._recv(FRAME.size, _NOW) or self._ended()
+        except BlockingIOError:  # somebody else was quicker
+            return None
+        except OSError as error:
+            raise self._gone(error.strerror or str(error)) from error
+
+    def _ended(self) -> bytes:
+        raise self._gone("its host has ended, or frames were not taken fast enough")
+
+    def _gone(self, why: str) -> RobotConnectionError:
+        return _gone(self._name, why)
+
+
+class PythonCanPort:
+    """Any other `python-can` bus.
+
+    Args:
+        bus: Of `python-can`; nobody else receives from it.
+    """
+
+    def __init__(self, bus: Any) -> None:
+        import can
+
+        self._bus, self._error, self._message = bus, can.CanError, can.Message
+
+    def send(self, frame: bytes | memoryview) -> bool:
+        """See `FramePort`."""
+        can_id, length, data = FRAME.unpack(frame)
+        message = self._message(
+            arbitration_id=can_id & ID_MASK, is_extended_id=False, data=data[:length]
+        )
+        try:
+            self._bus.send(message, timeout=0)
+        except (self._error, OSError) as error:
+            if _is_full(error):
+                return False
+            raise self._gone(error) from error
+        return True
+
+    def receive(self, until_s: float) -> bytes | None:
+        """See `FramePort`."""
+        wait_s = max(until_s - time.monotonic(), 0.0) if until_s else 0.0
+        try:
+            message = self._bus.recv(wait_s)
+        except (self._error, OSError) as error:
+            raise self._gone(error) from error
+        return None if message is None else _raw(message)
+
+    def _gone(self, error: Exception) -> RobotConnectionError:
+        return _gone(str(self._bus.channel_info), str(error))
+
+
 def port_of(bus: Any) -> FramePort:
     """The port of a `python-can` bus: its own socket where it has one that carries raw frames."""
-    raise NotImplementedError
+    line = getattr(bus, "socket", None)
+    if isinstance(line, socket.socket) and _carries_frames(line):
+        return SocketPort(line, str(bus.channel_info))
+    return PythonCanPort(bus)
+
+
+def _carries_frames(line: socket.socket) -> bool:
+    if line.family == getattr(socket, "AF_CAN", None):
+        return line.type == socket.SOCK_RAW
+    return line.family == socket.AF_UNIX and line.type == socket.SOCK_SEQPACKET
+
+
+def _raw(message: Any) -> bytes:
+    flags = EXTENDED * message.is_extended_id | REMOTE * message.is_remote_frame
+    flags |= ERROR * message.is_error_frame
+    data = bytes(message.data or b"")[:8]
+    return FRAME.pack(message.arbitration_id | flags, min(message.dlc, 8), data)
+
+
+def _is_full(error: Exception) -> bool:
+    code = getattr(error, "error_code", None) or getattr(error, "errno", None)
+    return code in _FULL or "full" in str(error).lower()
+
+
+def _gone(name: str, why: str) -> RobotConnectionError:
+    return RobotConnectionError(
+        f"the CAN bus ({name}) is gone: {why}",
+        hint="see to adapter, cable and power (mock drives: is `hil mock can` running?), "
+        "then connect again",
+    )

@@ -1,0 +1,74 @@
+"""What is wrong with which axis, gathered until it is told in one message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil_drivers.cia402.states import State
+
+
+class Complaints:
+    """What made all axes stop, and what else came of it.
+
+    Args:
+        axes: Their names.
+
+    Attributes:
+        since: Cycle of the first one.
+    """
+
+    def __init__(self, axes: Sequence[str]) -> None:
+        self._axes = axes
+        self._of_bus: list[str] = []
+        self._of_axes: dict[int, list[str]] = {}
+        self._before: dict[int, str] = {}
+        self.since = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._of_bus or self._of_axes)
+
+    def clear(self) -> None:
+        """Begin anew; what was only kept is kept."""
+        self._of_bus, self._of_axes = [], {}
+
+    def add(self, axis: int | None, what: str, cycle: int) -> None:
+        """Note it, once; no axis when it is the bus or all of them."""
+        if not self:
+            self.since = cycle
+        known = self._of_bus if axis is None else self._of_axes.setdefault(axis, [])
+        if axis in self._before:
+            known.append(self._before.pop(axis))
+        if what not in known:
+            known.append(what)
+
+    def keep(self, axis: int, what: str) -> None:
+        """Something that stops nothing now, and may explain what comes."""
+        self._before[axis] = what
+
+    def forget(self, axis: int) -> None:
+        """It says that its errors are gone."""
+        self._before.pop(axis, None)
+
+    def take(self, states: Sequence[State]) -> str:
+        """All in one message, the state of the other axes with it; nothing is left then."""
+        parts = list(self._of_bus)
+        parts += [
+            f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
+        ]
+        others = _by_state([a for a in range(len(self._axes)) if a not in self._of_axes], states)
+        self.clear()
+        told = "; ".join(parts)
+        return f"{told}. All axes were stopped; {others}" if others else told
+
+
+def _by_state(axes: Sequence[int], states: Sequence[State]) -> str:
+    """`axes 1, 2: switch on disabled`, state by state."""
+    found: dict[State, list[int]] = {}
+    for axis in axes:
+        found.setdefault(states[axis], []).append(axis + 1)
+    return "; ".join(
+        f"axis {numbers[0]}: {state.value}"
+        if len(numbers) == 1
+        else f"axes {', '.join(map(str, numbers))}: {state.value}"
+        for state, numbers in found.items()
+    )
