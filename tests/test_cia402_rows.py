@@ -5,7 +5,7 @@ import pytest
 
 from hil.record.topic import Topic
 from hil.robot import Status, state_dtype
-from hil_drivers.cia402.mapping import ALL_MODES, INCOMPLETE, MAPPINGS, POSITION, cycle_dtype
+from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, cycle_dtype
 from hil_drivers.cia402.profile import AxisProfile
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, told
 from hil_drivers.cia402.scaling import Scaling
@@ -95,7 +95,7 @@ def test_the_first_rows_do_not_move():
 
 def test_an_incomplete_cycle_leaves_no_row_and_is_flagged_among_the_raw_ones():
     flags = np.zeros(20, int)
-    flags[7] = INCOMPLETE
+    flags[7], flags[9] = 1 << 1, LATE
     cycles = cycles_of(flags=flags)
     rows = rows_of(cycles)
     raw = raw_rows(cycles, POSITION, raw_topic(POSITION, N, 250.0), PERIOD_S)

@@ -18,8 +18,11 @@ TPDO_COB_IDS = (0x180, 0x280, 0x380, 0x480)
 SYNC_COB_ID = 0x080
 MOST_BYTES = 8
 
-INCOMPLETE, LATE = 1, 2
-"""Flags of a cycle: an answer was missing, its bytes are of an earlier cycle; its SYNC was late."""
+LATE = 1 << 30
+"""Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes
+are of an earlier cycle."""
+INCOMPLETE = LATE - 1
+"""Any of the latter."""
 
 
 @dataclass(frozen=True)
