@@ -23,6 +23,7 @@ from hil.canbus.frame import (
     pack_frame,
 )
 from hil.canbus.hub import Hub
+from hil.canbus.hub_thread import hub_thread
 
 
 class Bench:
@@ -125,6 +126,25 @@ def test_who_is_connected_gets_what_is_sent_afterwards(bench: Bench, stack: Exit
     a.send(frame(1, 7))
     serve_until_idle(bench.hub)
     assert numbers(late, 1) == [7]
+
+
+def test_who_connects_while_the_hub_is_at_work_does_too(
+    bench: Bench, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (a,) = ends(bench, stack, 1)
+    late: list[socket.socket] = []
+
+    def batch(peer: peers.Peer, most: int) -> tuple[list[bytes], bool]:
+        if not late:
+            late.append(stack.enter_context(raw_end(bench.hub.path)))
+            a.send(frame(1, 8))
+        return real(peer, most)
+
+    real = peers.Peer.batch
+    monkeypatch.setattr(peers.Peer, "batch", batch)
+    a.send(frame(1, 7))
+    serve_until_idle(bench.hub)
+    assert 8 in numbers(late[0], 2)
 
 
 def test_what_was_sent_before_hanging_up_arrives(bench: Bench, stack: ExitStack) -> None:
@@ -243,6 +263,18 @@ def test_a_new_connection_is_on_the_bus(bench: Bench, stack: ExitStack) -> None:
     assert is_silent(a)
 
 
+def test_what_goes_wrong_in_the_thread_is_told_to_who_asked(
+    can_channel: str,  # noqa: F811
+) -> None:
+    def broken(hub: Hub) -> None:
+        raise ValueError("no such peer")
+
+    with hub_thread(can_channel) as hosted:
+        with pytest.raises(ValueError, match="no such peer"):
+            hosted.ask(broken)
+        assert hosted.ask(lambda hub: hub.peers) == ()
+
+
 def test_the_hub_knows_whose_processes_take_part(bench: Bench, stack: ExitStack) -> None:
     ends(bench, stack, 1)
     assert bench.hub.peers[0].pid == os.getpid()
@@ -283,15 +315,15 @@ def test_with_a_bit_rate_the_lowest_identifier_goes_first(
 ) -> None:
     bench, clock = wired
     a, b = ends(bench, stack, 2)
-    for can_id in (0x600, 0x300):
+    for can_id in (0x600, 0x300, 0x80):
         a.send(frame(can_id))
     bench.hub.serve()
     for can_id in (0x282, 0x181):
         bench.hub.local.send(can_id, bytes(8))
     clock.now = 1.0
     bench.hub.serve()
-    order = [FRAME.unpack(b.recv(99))[0] for _ in range(4)]
-    assert order == [0x600, 0x181, 0x282, 0x300]
+    order = [FRAME.unpack(b.recv(99))[0] for _ in range(5)]
+    assert order == [0x600, 0x181, 0x282, 0x300, 0x80]
 
 
 def test_a_sender_hears_that_its_transmit_queue_was_full(

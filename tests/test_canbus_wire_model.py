@@ -59,14 +59,14 @@ def test_controllers_behind_one_end_compete_with_each_other() -> None:
     wire = Wire(1e6)
     wire.join("many", sorts=True)
     for number, can_id in enumerate((0x700, 0x281, 0x182, 0x281, 0x181)):
-        wire.offer("many", pack_frame(can_id, bytes([number])), 0.0)
+        wire.offer("many", pack_frame(can_id, bytes([9 - number])), 0.0)
     passed = [FRAME.unpack(frame.raw) for frame in wire.passed(1.0)]
     assert [(can_id, data[0]) for can_id, _, data in passed] == [
-        (0x700, 0),
-        (0x181, 4),
-        (0x182, 2),
-        (0x281, 1),
-        (0x281, 3),
+        (0x700, 9),
+        (0x181, 5),
+        (0x182, 7),
+        (0x281, 8),
+        (0x281, 6),
     ]
 
 
