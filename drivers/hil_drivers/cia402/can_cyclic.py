@@ -22,6 +22,11 @@ BEAT_S = 0.05
 PUMP_S = 0.01
 """How long one wait of `pump` takes at most [s]."""
 
+FIRST_GUESS_S = 0.02
+SMOOTHING = 0.1
+USUAL_TIMES, LEAST_SETTLING_S = 4.0, 5e-4
+"""After so many times of what answers usually take, and this, no late one comes any more."""
+
 _OPERATIONAL = b"\x05"
 _MARKER = struct.Struct("<iH")
 _SYNC = pack_frame(SYNC_COB_ID, b"")
@@ -75,6 +80,7 @@ class CanCyclic:
         self._beat = pack_frame(HEARTBEAT_COB_ID + master_id, _OPERATIONAL)
         self._marker_id = tpdo_cob_id(1, master_id)
         self._announced: tuple[int, int] | None = None
+        self._synced_at, self._usual_s = 0.0, FIRST_GUESS_S
         self.sync_time = 0.0
 
     @property
@@ -86,7 +92,7 @@ class CanCyclic:
         """See `Cyclic`; the same `Inputs` every time."""
         self._drain()
         self._begin(outputs)
-        complete = self._collect(give_up_s)
+        complete = self._collect(give_up_s) and self._settle(give_up_s)
         inputs = self._inputs
         inputs.fresh[:] = self._all_fresh
         if not complete:
@@ -123,6 +129,7 @@ class CanCyclic:
             self._announced = told
             self._send(pack_frame(self._marker_id, _MARKER.pack(*told)))
         self._watch.cycle += 1
+        self._synced_at = time.monotonic()
         self._device_s += self._period_s
         self.sync_time = time.time()
         send = self._port.send
@@ -150,13 +157,10 @@ class CanCyclic:
                 self.counts.doubled += 1
 
     def _collect(self, give_up_s: float) -> bool:
-        """Take answers; whether all came.
-
-        Of a slot that was empty in the last cycle two are waited for: the first is the late one.
-        """
+        """Take one answer for every slot; whether all came."""
         came, receive, slots = self._came, self._port.receive, self._answers.slots
         came[:] = self._none_came
-        left = len(came) + len(self._owed)
+        left = len(came)
         while left:
             raw = receive(give_up_s)
             if raw is None:
@@ -167,18 +171,50 @@ class CanCyclic:
             elif came[slot] is None:
                 came[slot] = raw
                 left -= 1
-            elif slot in self._owed:
-                self._owed.discard(slot)
-                self.counts.late += 1
-                came[slot] = raw
-                left -= 1
             else:
-                self.counts.doubled += 1
+                self._second(slot, raw)
         return True
+
+    def _settle(self, give_up_s: float) -> bool:
+        """Whether the answers are those to this SYNC.
+
+        Where one was missing in the last cycle, the first may be that one, late: the second is
+        waited for as long as answers usually take, and then some. Without one it was lost.
+        """
+        now = time.monotonic()
+        if not self._owed:
+            self._usual_s += SMOOTHING * (now - self._synced_at - self._usual_s)
+            return True
+        settled = self._synced_at + USUAL_TIMES * self._usual_s + LEAST_SETTLING_S
+        self._take_seconds(min(settled, give_up_s))
+        if now <= settled:
+            self._owed.clear()
+        return not self._owed
+
+    def _take_seconds(self, until_s: float) -> None:
+        while self._owed and (raw := self._port.receive(until_s)) is not None:
+            slot = self._answers.slots.get(raw[:_HEAD_BYTES])
+            if slot is None:
+                self._watch.heard(raw)
+            else:
+                self._second(slot, raw)
+
+    def _second(self, slot: int, raw: bytes) -> None:
+        """Another frame for a slot that has one."""
+        if slot in self._owed:
+            self._owed.discard(slot)
+            self.counts.late += 1
+            self._came[slot] = raw
+        else:
+            self.counts.doubled += 1
 
     def _miss(self) -> None:
         """Fill empty slots with what was there before, and keep in mind who owes what."""
         answers, came = self._answers, self._came
+        for slot in self._owed:
+            if came[slot] is not None:  # the answers are slow: it is the one of the last cycle
+                self.counts.late += 1
+                came[slot] = None
         self._owed = {slot for slot, raw in enumerate(came) if raw is None}
         self.counts.missing += len(self._owed)
         for slot in self._owed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hil_drivers.cia402.states import State
 
@@ -11,14 +11,15 @@ class Complaints:
     """What made all axes stop, and what else came of it.
 
     Args:
-        axes: Their names.
+        names, nodes: Of the axes.
 
     Attributes:
         since: Cycle of the first one.
     """
 
-    def __init__(self, axes: Sequence[str]) -> None:
-        self._axes = axes
+    def __init__(self, names: Sequence[str], nodes: Sequence[int]) -> None:
+        self._names = names
+        self._axes = [f"{name} (node {node})" for name, node in zip(names, nodes, strict=True)]
         self._of_bus: list[str] = []
         self._of_axes: dict[int, list[str]] = {}
         self._before: dict[int, str] = {}
@@ -55,20 +56,21 @@ class Complaints:
         parts += [
             f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
         ]
-        others = _by_state([a for a in range(len(self._axes)) if a not in self._of_axes], states)
+        others = _by_state(
+            {
+                name: states[axis]
+                for axis, name in enumerate(self._names)
+                if axis not in self._of_axes
+            }
+        )
         self.clear()
         told = "; ".join(parts)
         return f"{told}. All axes were stopped; {others}" if others else told
 
 
-def _by_state(axes: Sequence[int], states: Sequence[State]) -> str:
-    """`axes 1, 2: switch on disabled`, state by state."""
-    found: dict[State, list[int]] = {}
-    for axis in axes:
-        found.setdefault(states[axis], []).append(axis + 1)
-    return "; ".join(
-        f"axis {numbers[0]}: {state.value}"
-        if len(numbers) == 1
-        else f"axes {', '.join(map(str, numbers))}: {state.value}"
-        for state, numbers in found.items()
-    )
+def _by_state(axes: Mapping[str, State]) -> str:
+    """`axis 1, axis 2: switch on disabled`, state by state."""
+    found: dict[State, list[str]] = {}
+    for name, state in axes.items():
+        found.setdefault(state, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {state.value}" for state, names in found.items())

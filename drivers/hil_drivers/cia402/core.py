@@ -10,12 +10,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-import numpy as np
-
 from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.typing import StructArray
 from hil_drivers.cia402.contracts import Cyclic, Inputs, Outputs
-from hil_drivers.cia402.mapping import Mapping
+from hil_drivers.cia402.mapping import LATE, Mapping
 from hil_drivers.cia402.player import Player, Track
 from hil_drivers.cia402.realtime import realtime
 from hil_drivers.cia402.ring import Ring
@@ -40,9 +38,6 @@ REST_RAD_S = 0.02
 REST_OVER_S = 0.05
 REST_WITHIN_S = 2.0
 """An arm is at rest when no joint has moved faster, on average over that time."""
-
-LATE = 1 << 30
-"""Flag of a record: its cycle began late. Flag 1 << axis: not all of that axis' answers came."""
 
 
 class Core:
@@ -87,7 +82,7 @@ class Core:
         self._period_s, self._free = period_s, wall_period_s <= 0.0
         batch = FREE_BATCH if self._free else max(1, math.ceil(BATCH_S / wall_period_s))
         self.ring = Ring(mapping, n, max(64, round(kept_s / period_s)), batch)
-        self.temperature = np.full(n, np.nan)
+        self.temperature = self.ring.temperature
         self.not_permitted: list[str] = []
         self._inputs = Inputs.none_yet(n)
         self._asked: deque[Callable[[], None]] = deque()
@@ -255,9 +250,8 @@ class Core:
         if self._asked:
             self._obey()
         outputs, supervisor, player = self._outputs, self._supervisor, self._player
-        segment, status = outputs.segment, outputs.status
+        told = outputs.segment, outputs.status
         inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
-        self._keep(segment, status, late)
         if (news := self._cyclic.news()) is not None:
             supervisor.hear(news)
         supervisor.step(inputs, self._cyclic.cycle)
@@ -267,10 +261,11 @@ class Core:
             player.step(inputs, outputs)
         else:
             self._be_off()
+        self._keep(told, late)
         if self.schedule.cycles >= self._clean_up_at:
             self._clean_up()
 
-    def _keep(self, segment: int, status: int, late: bool) -> None:
+    def _keep(self, told: tuple[int, int], late: bool) -> None:
         ring = self.ring
         if ring.full:
             self._make_room()
@@ -278,7 +273,7 @@ class Core:
         fresh = self._inputs.fresh
         if not all(fresh):
             flags |= sum(1 << axis for axis, came in enumerate(fresh) if not came)
-        ring.put(self._cyclic, segment, status, flags, self.temperature)
+        ring.put(self._cyclic, told, self._supervisor.fault_code, flags)
 
     def _make_room(self) -> None:
         """Records of an arm at rest may go; those of a motion that nobody takes end it."""

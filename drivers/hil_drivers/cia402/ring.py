@@ -23,6 +23,7 @@ class Ring:
         batch: So many are waited for before whoever takes is woken.
 
     Attributes:
+        temperature: (n,) [°C], goes into every record; written by whoever asks the drives for it.
         forgotten: Records let go because nobody took them.
     """
 
@@ -33,6 +34,7 @@ class Ring:
         self._written = self._taken = 0
         self._asleep = False
         self._changed = threading.Condition()
+        self.temperature: FloatArray = np.full(n, np.nan)
         self.forgotten = 0
 
     @property
@@ -40,16 +42,21 @@ class Ring:
         """Whether the next record has no room."""
         return self._written - self._taken >= self._capacity
 
-    def put(
-        self, cyclic: Cyclic, segment: int, status: int, flags: int, temperature: FloatArray
-    ) -> None:
-        """Write what the last exchange has left behind; the ring is not full."""
+    def put(self, cyclic: Cyclic, told: tuple[int, int], fault_code: int, flags: int) -> None:
+        """Write what the last exchange has left behind; the ring is not full.
+
+        Args:
+            cyclic: Has exchanged.
+            told: Segment and status that were announced with it.
+            fault_code: See `mapping.cycle_dtype`.
+            flags: Likewise.
+        """
         at, columns = self._written % self._capacity, self._columns
         columns["cycle"][at] = cyclic.cycle
         columns["host_time"][at] = cyclic.sync_time
-        columns["temperature"][at] = temperature
-        columns["segment"][at] = segment
-        columns["status"][at] = status
+        columns["temperature"][at] = self.temperature
+        columns["segment"][at], columns["status"][at] = told
+        columns["fault_code"][at] = fault_code
         columns["flags"][at] = flags
         columns["rpdo"][at] = cyclic.sent
         columns["tpdo"][at] = cyclic.answered

@@ -6,7 +6,7 @@ in cycles.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 
 from hil_drivers.cia402 import objects as od
@@ -69,11 +69,13 @@ class Supervisor:
         outputs: What it writes to: controlwords, modes, and preloaded targets.
         mode_mapped: Whether the process data hold 6060h and 6061h.
         late_cycles: Cycles in a row that an axis may not answer.
+        names: Of the axes, for messages.
         said: An emergency in words.
 
     Attributes:
         phase: Where the axes are.
         mode: The mode asked for last.
+        fault_code: EMCY code that the first axis in fault has sent; 0 without a fault.
         overdue: Whether what stopped the axes last is that a phase took too long.
     """
 
@@ -85,12 +87,14 @@ class Supervisor:
         *,
         mode_mapped: bool = True,
         late_cycles: int = 3,
+        names: Sequence[str] = (),
         said: Callable[[Emergency], str] = lambda emergency: f"EMCY {emergency.code:04X}h",
     ) -> None:
         self._n, self._period_s, self._outputs = len(nodes), period_s, outputs
         self._mode_mapped, self._late_cycles, self._said = mode_mapped, late_cycles, said
-        self._axes = [f"axis {axis + 1} (node {node})" for axis, node in enumerate(nodes)]
-        self._complaints = Complaints(self._axes)
+        names = names or [f"axis {axis + 1}" for axis in range(len(nodes))]
+        self._complaints = Complaints(names, nodes)
+        self._codes = [0] * self._n
         self._missed = [0] * self._n
         self._calm: list[int] = []
         self._all_fresh = [True] * self._n
@@ -99,7 +103,7 @@ class Supervisor:
         self._cycle = self._since = 0
         self._follows = [False] * self._n
         self.phase, self.mode = Phase.OFF, 0
-        self.overdue = False
+        self.overdue, self.fault_code = False, 0
         self._go_on: dict[Phase, Callable[[Inputs], None]] = {
             Phase.OFF: self._stay_off,
             Phase.RESETTING: self._reset,
@@ -168,6 +172,7 @@ class Supervisor:
     def hear(self, news: News) -> None:
         """What came beside process data; before the `step` of the same cycle."""
         for emergency in news.emergencies:
+            self._codes[emergency.axis] = emergency.code
             if emergency.code:
                 self._complain(emergency.axis, self._said(emergency))
             else:
@@ -185,6 +190,8 @@ class Supervisor:
         if self.phase is Phase.ENABLED and self._is_calm(inputs):
             return
         self._states = [state_of(word) for word in inputs.statusword]
+        faulty = [code for code, s in zip(self._codes, self._states, strict=True) if s in _FAULTY]
+        self.fault_code = faulty[0] if faulty else 0
         self._count_missed(inputs.fresh)
         if self.phase in _WATCHED:
             self._judge(inputs)
