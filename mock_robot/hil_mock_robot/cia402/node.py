@@ -15,6 +15,7 @@ from hil_mock_robot.cia402.hooks import Hooks
 from hil_mock_robot.cia402.network import DeviceNetwork
 from hil_mock_robot.cia402.nmt import NmtSlave, State
 from hil_mock_robot.cia402.objects import Object
+from hil_mock_robot.cia402.sdo import SdoServer
 
 HEARTBEAT = 0x700
 HEARTBEAT_LOST = 0x8130
@@ -66,6 +67,7 @@ class MockNode(canopen.LocalNode):
         self._exchange = Exchange(registers, send, lambda: self.hooks.applied())
         self._producer = heartbeat.Producer(registers)
         self._consumer = heartbeat.Consumer(registers)
+        self.sdo = SdoServer(self, node_id)
         self._bus = DeviceNetwork(send)
         self.associate_network(self._bus)
 
