@@ -1,0 +1,72 @@
+"""Faults that drives are in when they are connected to, and which of them may be reset then.
+
+Errors of monitoring (8xxxh: heartbeat or SYNC lost, a following error) say how one was commanded:
+whoever connects commands it anew. All others say something of currents, voltages, temperatures or
+hardware; they are reset by a person who has seen to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.errors import RobotFault
+from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
+from hil_drivers.cia402.drives import Commissioned
+from hil_drivers.cia402.emergencies import error_text
+from hil_drivers.cia402.inspection import errors_of
+from hil_drivers.cia402.states import State, state_of
+
+MONITORING = 0x8000
+_CLASS = 0xF000
+
+HINT = (
+    "see to its cause, then reset it, by the drive's own tool or: "
+    "python -m hil_drivers.cia402 reset STATION ROBOT"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LeftFault:
+    """A drive in fault before anything was asked of it.
+
+    Attributes:
+        axis: From 0.
+        name: For messages.
+        codes: The present one, then older ones.
+    """
+
+    axis: int
+    name: str
+    codes: tuple[int, ...]
+
+    @property
+    def is_monitoring(self) -> bool:
+        """Whether it may be reset by connecting."""
+        return bool(self.codes) and self.codes[0] & _CLASS == MONITORING
+
+    def __str__(self) -> str:
+        said = [error_text(code) for code in self.codes[:1]] or ["no error code"]
+        older = [f"{code:04X}h" for code in self.codes[1:]]
+        return f"{self.name} is in fault: {said[0]}" + (
+            f", before {', '.join(older)}" * bool(older)
+        )
+
+
+def faults_left(acyclic: CanopenAcyclic, drives: Commissioned) -> list[LeftFault]:
+    """The axes that are in fault, with their errors; raises what SDO raises."""
+    faulty = [
+        axis
+        for axis, drive in enumerate(drives.drives)
+        if state_of(drive.objects.get("statusword", 0)) in (State.FAULT, State.FAULT_REACTION)
+    ]
+    return [LeftFault(a, acyclic.name_of(a), tuple(errors_of(acyclic, a))) for a in faulty]
+
+
+def require_resettable(faults: list[LeftFault]) -> None:
+    """Refuse faults that say something of the hardware.
+
+    Raises:
+        RobotFault: With all of them.
+    """
+    if grave := [str(fault) for fault in faults if not fault.is_monitoring]:
+        raise RobotFault("; ".join(grave), hint=HINT)

@@ -1,0 +1,173 @@
+"""One connection to the drives: the bus joined, all axes set up, cycles going on, axes enabled."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+from hil.arms import load_arm
+from hil.canbus.frame import pack_frame
+from hil.errors import HilError, RobotConnectionError
+from hil_drivers.cia402.bus_log import BusLog
+from hil_drivers.cia402.can_cyclic import CanCyclic
+from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
+from hil_drivers.cia402.commissioning import MODES, commission
+from hil_drivers.cia402.contracts import Outputs
+from hil_drivers.cia402.core import Core
+from hil_drivers.cia402.drives import Commissioned
+from hil_drivers.cia402.emergencies import emergency_text
+from hil_drivers.cia402.left_faults import LeftFault, faults_left, require_resettable
+from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.opening import open_bus
+from hil_drivers.cia402.options import Options
+from hil_drivers.cia402.player import Player
+from hil_drivers.cia402.ports import port_of
+from hil_drivers.cia402.pumping import pumping
+from hil_drivers.cia402.schedule import Schedule
+from hil_drivers.cia402.supervisor import Supervisor
+
+ROOM_S = 0.5
+"""How long room in the transmit queue is waited for by what is no process data [s]."""
+
+LOOK_S = 0.002
+
+
+class Session:
+    """Everything between joining the bus and leaving it.
+
+    Args:
+        model: Built-in arm.
+        options: Of the station.
+
+    Attributes:
+        acyclic: Objects of the drives.
+        drives: As they were found and set up.
+        core: The cycles.
+        player: Of prepared motions.
+        were_reset: Faults that the drives were in before, and that were reset.
+
+    Raises:
+        RobotConnectionError: The bus cannot be joined, or drives are not the station's.
+        RobotFault: A drive is in a fault that a person has to see to.
+        RobotTimeout, CommandRefused: A drive does not answer, or does not take a setting.
+        PluginError: A package is missing.
+        RecordingError: The log of the bus cannot be made.
+    """
+
+    def __init__(self, model: str, options: Options) -> None:
+        self.options, self.arm = options, load_arm(model)
+        self.mapping = MAPPINGS[options.mapping]
+        self._leaving = contextlib.ExitStack()
+        try:
+            self._join()
+            with pumping(self._cyclic):
+                self._set_up()
+            self.core, self.player = self._core()
+        except BaseException:
+            self._leaving.close()
+            raise
+
+    def begin(self) -> None:
+        """Start the cycles, reset what may be reset, enable all axes; they hold where they are.
+
+        Raises:
+            RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`.
+        """
+        self.core.open()
+        self.acyclic.operational()
+        self.core.run()
+        if self.were_reset:
+            self.core.reset_faults()
+        self.core.enable(MODES[self.options.trajectory_mode])
+
+    def flush(self) -> None:
+        """Write what the log of the bus has kept."""
+        if self._log is not None:
+            self._log.flush()
+
+    def leave(self, *, rest_s: float) -> None:
+        """Come to rest, switch all axes off, leave the bus; never raises.
+
+        Args:
+            rest_s: How long to wait for the arm to come to rest [s].
+        """
+        with contextlib.suppress(HilError):
+            self.core.stop(self.options.stop_rad_s2)
+            self._await_rest(rest_s)
+            self.core.rest()
+            self.acyclic.released()
+        self.core.close()
+        with contextlib.suppress(HilError):
+            self._leaving.close()
+
+    def _join(self) -> None:
+        options = self.options
+        bus = open_bus(options.bus)
+        self._leaving.callback(bus.shutdown)
+        self._log = BusLog(options.candump, options.bus.channel) if options.candump else None
+        if self._log is not None:
+            self._leaving.callback(self._log.close)
+        self._port, names = port_of(bus), self.arm.joint_names
+        self.acyclic = CanopenAcyclic(self._send, options.nodes, names, options.eds)
+        self._cyclic = CanCyclic(
+            self._port,
+            self.mapping,
+            options.nodes,
+            options.period_s,
+            master_id=options.master_id,
+            notify=self.acyclic.heard,
+            log=self._log,
+        )
+
+    def _set_up(self) -> None:
+        self.acyclic.preoperational()
+        self.drives: Commissioned = commission(self.acyclic, self.options, self.arm)
+        self.were_reset: list[LeftFault] = faults_left(self.acyclic, self.drives)
+        require_resettable(self.were_reset)
+        self.acyclic.map(self.mapping)
+
+    def _core(self) -> tuple[Core, Player]:
+        options, n = self.options, len(self.options.nodes)
+        outputs = Outputs.idle(n)
+        supervisor = Supervisor(
+            options.nodes,
+            options.period_s,
+            outputs,
+            mode_mapped=options.mapping != "minimal",
+            late_cycles=options.late_cycles,
+            said=emergency_text,
+        )
+        player = Player(
+            options.period_s,
+            [drive.profile.rad_per_increment for drive in self.drives.drives],
+            feed_forward=options.feed_forward,
+        )
+        core = Core(
+            self._cyclic,
+            supervisor,
+            player,
+            outputs,
+            Schedule(options.wall_period_s),
+            self.mapping,
+            period_s=options.period_s,
+            wall_period_s=options.wall_period_s,
+        )
+        return core, player
+
+    def _await_rest(self, within_s: float) -> None:
+        until = time.monotonic() + within_s
+        while self.player.moving and time.monotonic() < until:
+            time.sleep(LOOK_S)
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        """For what is no process data; waits for room."""
+        frame, until = pack_frame(can_id, data), time.monotonic() + ROOM_S
+        while not self._port.send(frame):
+            if time.monotonic() > until:
+                raise RobotConnectionError(
+                    f"the bus has had no room for a frame for {ROOM_S:g} s",
+                    hint="see to cable, termination and bit rate: does any drive acknowledge?",
+                )
+            time.sleep(LOOK_S)
+        if self._log is not None:
+            self._log(time.time(), frame)
