@@ -45,7 +45,7 @@ def number(name: str, value: Any, between: Range, *, whole: bool = False) -> flo
     right = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
     if not right or not math.isfinite(value) or not least <= value <= most:
         kind = "a whole number" if whole else "a number"
-        raise wrong_option(name, value, f"use {kind} from {least:g} to {most:g}")
+        raise wrong_option(name, value, f"use {kind} from {least:.12g} to {most:.12g}")
     return value if whole else float(value)
 
 

@@ -1,0 +1,260 @@
+"""SDO, NMT and the PDO mapping procedure against mock drives, frames fed by another thread."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from cia402_drives import drives
+
+from hil.errors import CommandRefused, RobotTimeout, SpecError
+from hil_drivers.cia402 import canopen_acyclic, objects
+from hil_drivers.cia402.aborts import Aborted
+from hil_drivers.cia402.inspection import errors_of
+from hil_drivers.cia402.mapping import ALL_MODES, MINIMAL, POSITION
+from hil_drivers.cia402.objects import Entry
+from hil_mock_robot.cia402.contracts import key
+from hil_mock_robot.cia402.eds import eds_of
+
+NOT_VALID = 1 << 31
+
+
+def cob_ids(node, base: int) -> list[int]:
+    """COB-IDs of the four PDOs from 1400h or 1800h, without the bit against remote frames."""
+    return [node.registers[key(base + k, 1)] & ~(1 << 30) for k in range(4)]
+
+
+def mapped(node, index: int) -> list[int]:
+    count = node.registers[key(index, 0)]
+    return [node.registers[key(index, sub)] for sub in range(1, count + 1)]
+
+
+def test_objects_are_read_and_written_with_their_sign():
+    with drives() as line:
+        line.nodes[1].registers[key(0x6064)] = -123_456
+        assert line.master.upload(1, objects.POSITION) == -123_456
+        assert line.master.upload(0, objects.DEVICE_TYPE) == 0x0002_0192
+        line.master.download(1, objects.QUICK_STOP_OPTION, 6)
+        assert line.nodes[1].registers[key(0x605A)] == 6
+        assert line.nodes[0].registers[key(0x605A)] == 2
+
+
+def test_a_refusal_names_axis_node_object_and_abort():
+    with drives() as line:
+        with pytest.raises(Aborted) as caught:
+            line.master.download(1, objects.STATUSWORD, 5)
+        assert str(caught.value) == (
+            "joint_2 (node 2): 6041h (statusword) does not take 5: read-only (abort 0601 0002h)"
+        )
+        with pytest.raises(
+            CommandRefused, match=r"5FFFh:03 \(no such\) cannot be read: no such ob"
+        ):
+            line.master.upload(0, Entry("no_such", 0x5FFF, 3, "B"))
+
+
+def test_a_value_that_does_not_fit_is_refused_before_it_is_sent():
+    with drives() as line:
+        line.sent.clear()
+        with pytest.raises(
+            CommandRefused, match=r"joint_1 \(node 1\): 70000 does not fit into 6066h"
+        ):
+            line.master.download(0, objects.FOLLOWING_ERROR_TIMEOUT, 70_000)
+        assert line.sent == []
+
+
+def test_a_drive_that_says_nothing_is_named_with_what_to_look_at(monkeypatch):
+    monkeypatch.setattr(canopen_acyclic, "ANSWER_S", 0.02)
+    with drives() as line:
+        line.lost = lambda can_id, _: can_id == 0x582
+        with pytest.raises(RobotTimeout, match=r"joint_2 \(node 2\): 6041h .* no answer") as caught:
+            line.master.upload(1, objects.STATUSWORD)
+        assert "powered" in caught.value.hint
+        assert line.master.upload(0, objects.STATUSWORD) is not None
+
+
+def test_one_lost_answer_is_asked_for_again(monkeypatch):
+    monkeypatch.setattr(canopen_acyclic, "ANSWER_S", 0.02)
+    with drives() as line:
+        dropped = []
+
+        def first_only(can_id: int, data: bytes) -> bool:
+            dropped.append(can_id)
+            return dropped == [0x581]
+
+        line.lost = first_only
+        assert line.master.upload(0, objects.DEVICE_TYPE) == 0x0002_0192
+
+
+def test_threads_that_ask_one_node_at_once_each_get_their_own_answer():
+    asked = (objects.DEVICE_TYPE, objects.SERIAL, objects.SUPPORTED_MODES, objects.RATED_CURRENT)
+    with drives(1) as line:
+        right = {entry: line.master.upload(0, entry) for entry in asked}
+        wrong: list[object] = []
+
+        def ask(entry: Entry) -> None:
+            for _ in range(40):
+                if (told := line.master.upload(0, entry)) != right[entry]:
+                    wrong.append((entry, told))
+
+        threads = [threading.Thread(target=ask, args=(entry,)) for entry in asked]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert wrong == []
+
+
+def test_nmt_states_are_confirmed_by_heartbeats_that_are_switched_on_for_it():
+    with drives() as line:
+        assert line.nodes[0].registers[key(0x1017)] == 0
+        line.master.preoperational()
+        assert line.nodes[0].registers[key(0x1017)] == 100
+        line.master.operational()
+        assert [node.nmt.code for node in line.nodes] == [5, 5]
+        line.master.preoperational()
+        assert [node.nmt.code for node in line.nodes] == [127, 127]
+
+
+def test_a_drive_that_does_not_follow_nmt_is_named_with_its_state(monkeypatch):
+    monkeypatch.setattr(canopen_acyclic, "CONFIRM_S", 0.3)
+    with drives() as line:
+        line.master.preoperational()
+        line.lost = lambda can_id, data: can_id == 0x702 and data == b"\x05"
+        with pytest.raises(RobotTimeout, match=r"not operational .*: joint_2 \(node 2\) sends no"):
+            line.master.operational()
+
+
+@pytest.mark.parametrize("mapping", [POSITION, ALL_MODES, MINIMAL])
+def test_process_data_lie_as_mapped_and_nothing_else_is_sent(mapping):
+    with drives(1) as line:
+        line.master.preoperational()
+        line.master.map(mapping)
+        node = line.nodes[0]
+        for base, cob_id, pdos in ((0x1400, 0x201, mapping.rpdos), (0x1800, 0x181, mapping.tpdos)):
+            told = cob_ids(node, base)
+            assert told[: len(pdos)] == [cob_id + 0x100 * k for k in range(len(pdos))]
+            assert all(each & NOT_VALID for each in told[len(pdos) :])
+            for k, pdo in enumerate(pdos):
+                assert mapped(node, base + 0x200 + k) == [entry.mapped for entry in pdo.entries]
+                assert node.registers[key(base + k, 2)] == 1
+
+
+def test_each_pdo_is_off_while_it_is_laid_out():
+    with drives(1) as line:
+        line.master.preoperational()
+        line.sent.clear()
+        line.master.map(POSITION)
+        writes = [
+            (int.from_bytes(d[1:3], "little"), d[3], int.from_bytes(d[4:8], "little"))
+            for can_id, d in line.sent
+            if can_id == 0x601 and d[0] >> 5 == 1
+        ]
+        first = [(index, sub) for index, sub, _ in writes if index in (0x1A00, 0x1800)]
+        assert first == [
+            (0x1800, 1), (0x1A00, 0), (0x1A00, 1), (0x1A00, 2), (0x1A00, 3), (0x1A00, 0),
+            (0x1800, 2), (0x1800, 1),
+        ]  # fmt: skip
+        on_off = [value >> 31 for index, sub, value in writes if (index, sub) == (0x1800, 1)]
+        assert on_off == [1, 0]
+
+
+def test_an_object_that_no_pdo_takes_is_named_with_pdo_and_way_out(monkeypatch):
+    from hil_mock_robot.cia402 import pdo_rules
+    from hil_mock_robot.cia402.aborts import NOT_MAPPABLE, Abort
+
+    with drives() as line:
+        line.master.preoperational()
+        node, set_data = line.nodes[1], line.nodes[1].set_data
+
+        def refusing(index, sub, data, check_writable=False):
+            if pdo_rules.concerns(index) and data[2:] == b"\xb2\x60":
+                raise Abort(NOT_MAPPABLE)
+            set_data(index, sub, data, check_writable)
+
+        monkeypatch.setattr(node, "set_data", refusing)
+        with pytest.raises(
+            Aborted,
+            match=r"joint_2 \(node 2\): RPDO2 cannot carry 60B2h \(torque offset\): cannot be",
+        ) as caught:
+            line.master.map(ALL_MODES)
+        assert "mapping" in caught.value.hint
+
+
+def test_a_mapping_that_reads_back_otherwise_is_refused(monkeypatch):
+    with drives(1) as line:
+        line.master.preoperational()
+        node, set_data = line.nodes[0], line.nodes[0].set_data
+        monkeypatch.setattr(  # a drive that acknowledges and keeps another object
+            node,
+            "set_data",
+            lambda index, sub, data, **more: set_data(
+                index, sub, b"\x10\x00\x62\x60" if (index, sub) == (0x1A01, 3) else data, **more
+            ),
+        )
+        with pytest.raises(CommandRefused, match="TPDO2"):
+            line.master.map(POSITION)
+
+
+def test_a_drive_whose_mapping_is_fixed_will_do_if_it_is_the_wanted_one(monkeypatch):
+    from hil_mock_robot.cia402.aborts import READ_ONLY, Abort
+
+    with drives(1) as line:
+        line.master.preoperational()
+        line.master.map(POSITION)
+        node, set_data = line.nodes[0], line.nodes[0].set_data
+
+        def fixed(index, sub, data, check_writable=False):
+            if 0x1600 <= index < 0x1700 or 0x1A00 <= index < 0x1B00:
+                raise Abort(READ_ONLY)
+            set_data(index, sub, data, check_writable)
+
+        monkeypatch.setattr(node, "set_data", fixed)
+        line.master.map(POSITION)
+        with pytest.raises(Aborted, match="read-only"):
+            line.master.map(MINIMAL)
+
+
+def test_an_eds_file_refuses_what_it_does_not_have_before_the_drive_is_asked(tmp_path):
+    with drives(1) as line:
+        text = eds_of(line.nodes[0].object_dictionary).decode()
+    path = tmp_path / "drive.eds"
+    path.write_text(_without_mapping(text, "60B2"))
+    with drives(1, eds=(str(path),)) as line:
+        line.master.preoperational()
+        line.master.map(POSITION)
+        with pytest.raises(SpecError, match=r"drive.eds, joint_1 \(node 1\): 60B2h .* PDO"):
+            line.master.map(ALL_MODES)
+
+
+def test_an_eds_file_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "drive.eds"
+    path.write_text("[6040\nno eds")
+    with pytest.raises(SpecError, match="is no EDS file"), drives(1, eds=(str(path),)):
+        pass
+
+
+def test_frames_that_are_no_answers_of_ours_do_no_harm():
+    with drives(1) as line:
+        for can_id, data in (
+            (0x581, b""),
+            (0x581, b"\x43"),
+            (0x701, b""),
+            (0x7FF, b"x"),
+            (0x81, b""),
+        ):
+            line.master.heard(can_id, data)
+        assert line.master.upload(0, objects.DEVICE_TYPE) == 0x0002_0192
+
+
+def test_errors_of_a_drive_are_the_present_one_and_its_list():
+    with drives(1) as line:
+        assert errors_of(line.master, 0) == []
+        line.nodes[0].emergency(0x8611)
+        line.nodes[0].emergency(0x3220)
+        assert errors_of(line.master, 0) == [0x3220, 0x8611]
+
+
+def _without_mapping(eds: str, index: str) -> str:
+    """The file, with an object that no PDO may carry."""
+    head, section = eds.split(f"[{index}]", 1)
+    return f"{head}[{index}]{section.replace('PDOMapping=0x1', 'PDOMapping=0x0', 1)}"

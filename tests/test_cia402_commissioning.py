@@ -1,0 +1,239 @@
+"""Drives checked against the station and set up, every setting read back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cia402_drives import ARM, drives
+
+from hil.errors import CommandRefused, RobotConnectionError
+from hil_drivers.cia402.commissioning import commission
+from hil_drivers.cia402.options import options_of
+from hil_mock_robot.cia402.aborts import NO_OBJECT, Abort
+from hil_mock_robot.cia402.contracts import key
+
+GEAR, RATED_CURRENT, RATED_TORQUE, POLARITY = key(0x6091, 1), key(0x6075), key(0x6076), key(0x607E)
+
+
+def options(n: int = 2, **given):
+    told = options_of({"bus": {"interface": "hil_unix", "channel": "can0"}, **given}, "lab6")
+    return replace(told, nodes=told.nodes[:n], axes=told.axes[:n])
+
+
+def commissioned(line, **given):
+    line.master.preoperational()
+    return commission(line.master, options(len(line.nodes), **given), ARM)
+
+
+def refused(line, **given) -> str:
+    with pytest.raises(RobotConnectionError) as caught:
+        commissioned(line, **given)
+    assert "correct the station" in caught.value.hint
+    return caught.value.message
+
+
+def without(node, monkeypatch, *indices: int) -> None:
+    """The drive loses objects."""
+    for name in ("get_data", "set_data"):
+        whole = getattr(node, name)
+
+        def lacking(index, sub, *args, whole=whole, **more):
+            if index in indices:
+                raise Abort(NO_OBJECT)
+            return whole(index, sub, *args, **more)
+
+        monkeypatch.setattr(node, name, lacking)
+
+
+def test_drives_of_the_mock_are_taken_as_they_are_and_scaled_by_their_own_objects():
+    with drives(6) as line:
+        found = commissioned(line)
+    scaling = found.scaling
+    # 6077h in ‰ of effort_max / 2.1 at the joint, but for rated torques in whole mN·m
+    assert scaling.torque_resolution * 1000 == pytest.approx(ARM.effort_max / 2.1, rel=2e-3)
+    assert scaling.drive_gains == pytest.approx(tuple(ARM.drive_gains), rel=4e-3)
+    assert 2 * np.pi / scaling.position_resolution == pytest.approx(2**20 * ARM.gear_ratio)
+    assert found.q_min == pytest.approx(ARM.q_min, abs=1e-6)
+    assert found.q_max == pytest.approx(ARM.q_max, abs=1e-6)
+    assert found.max_torque == pytest.approx(ARM.effort_max, rel=2e-3)
+    assert [drive.objects["serial"] for drive in found.drives] == list(range(402_001, 402_007))
+
+
+def test_every_setting_is_in_the_drive_afterwards():
+    with drives() as line:
+        commissioned(line, rate_hz=125, master_id=99, torque_limit_percent=150)
+        for node in line.nodes:
+            told = node.registers
+            assert (told[key(0x60C2, 1)], told[key(0x60C2, 2)]) == (8, -3)
+            assert told[key(0x1006)] == 8000
+            assert (told[key(0x605A)], told[key(0x605E)], told[key(0x6007)]) == (2, 2, 3)
+            assert told[key(0x1016, 1)] == 99 << 16 | 250
+            assert told[key(0x1017)] == 100
+            assert told[key(0x6066)] == 20
+            assert told[key(0x6072)] == 1500
+
+
+def test_the_following_error_window_is_the_angle_in_the_drives_increments():
+    with drives(1) as line:
+        commissioned(line, following_error_deg=3.0)
+        assert line.nodes[0].registers[key(0x6065)] == round(3.0 / 360 * 121 * 2**20)
+
+
+def test_our_heartbeat_is_watched_only_when_all_else_is_set():
+    with drives(1) as line:
+        commissioned(line)
+        writes = [d for can_id, d in line.sent if can_id == 0x601 and d[0] >> 5 == 1]
+        assert writes[-1][1:4] == b"\x16\x10\x01"
+
+
+def test_what_is_so_already_is_not_written_again():
+    with drives(1) as line:
+        commissioned(line)
+        line.sent.clear()
+        commission(line.master, options(1), ARM)
+        assert [d for can_id, d in line.sent if can_id == 0x601 and d[0] >> 5 == 1] == []
+
+
+def test_a_torque_limit_that_was_set_is_the_limit_that_is_told():
+    with drives() as line:
+        found = commissioned(line, torque_limit_percent=105)
+    assert found.max_torque == pytest.approx(ARM.effort_max[:2] / 2, rel=2e-3)
+
+
+def test_a_station_may_say_itself_what_the_drives_say():
+    with drives() as line:
+        axes = {"encoder_increments": 2**20, "gear_ratio": [121, 141, 121, 81, 81, 51]}
+        assert commissioned(line, axes=axes).details["gear_ratio"] == "121 141"
+
+
+def test_all_contradictions_are_told_at_once_by_joint_and_node():
+    with drives() as line:
+        axes = {"gear_ratio": [100, 141, 1, 1, 1, 1], "rated_current_a": 7.0, "polarity": 0x80}
+        lines = refused(line, axes=axes).splitlines()
+    assert [each.split(" is ")[0] for each in lines] == [
+        *["joint_1 (node 1)"] * 3,
+        *["joint_2 (node 2)"] * 2,
+    ]
+    assert "as the station says: axes.gear_ratio is 100.0 in the station, 121.0" in lines[0]
+    assert "axes.polarity is 128 in the station, 0 in the drive" in lines[1]
+    assert "axes.rated_current_a is 7.0 in the station" in lines[2]
+
+
+def test_a_drive_that_was_never_told_of_its_gear_needs_the_stations():
+    with drives(1) as line:
+        line.nodes[0].registers[GEAR] = 1
+        assert "give axes.gear_ratio" in refused(line)
+        assert commissioned(line, axes={"gear_ratio": 121}).details["gear_ratio"] == "121"
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_a_drive_without_the_mode_is_refused(mode, monkeypatch):
+    with drives() as line:
+        monkeypatch.setitem(line.nodes[1].registers, key(0x6502), 1 << 0 | 1 << 8)
+        told = refused(line, trajectory_mode=mode)
+    assert told.startswith("joint_2 (node 2) does not know csp")
+    assert ("cst" in told) == (mode == "cst")
+
+
+def test_what_is_no_402_drive_is_refused_and_asked_no_further(monkeypatch):
+    with drives() as line:
+        monkeypatch.setitem(line.nodes[0].registers, key(0x1000), 0x0002_0191)
+        told = refused(line)
+    assert told == (
+        "joint_1 (node 1) is no CiA 402 drive: 1000h (device type) is 00020191h, "
+        "its low word should be 0192h"
+    )
+
+
+def test_a_drive_without_rated_torque_needs_the_stations(monkeypatch):
+    with drives(1) as line:
+        without(line.nodes[0], monkeypatch, 0x6076)
+        assert "says rated_torque_nm; give axes.rated_torque_nm" in refused(line)
+        assert commissioned(line, axes={"rated_torque_nm": 1.3}).scaling.torque_resolution[
+            0
+        ] == pytest.approx(1.3 * 121 / 1000)
+
+
+def test_objects_that_a_drive_can_do_without_are_told_in_the_details(monkeypatch):
+    with drives() as line:
+        without(line.nodes[1], monkeypatch, 0x6007, 0x1006)
+        found = commissioned(line)
+    assert found.lacking == ((), ("1006h (cycle period)", "6007h (abort connection option)"))
+    assert found.details["drives_lack"] == "1006h (cycle period), 6007h (abort connection option)"
+
+
+@pytest.mark.parametrize("index", [0x60C2, 0x605A, 0x1016, 0x6065])
+def test_a_drive_that_cannot_be_made_safe_is_refused(index, monkeypatch):
+    with drives(1) as line:
+        without(line.nodes[0], monkeypatch, index)
+        with pytest.raises(CommandRefused, match=f"{index:04X}h.*no such object"):
+            commissioned(line)
+
+
+def test_a_setting_that_the_drive_rounds_is_refused(monkeypatch):
+    with drives(1) as line:
+        node, set_data = line.nodes[0], line.nodes[0].set_data
+
+        def rounding(index, sub, data, **more):
+            set_data(index, sub, b"\x05" if (index, sub) == (0x60C2, 1) else data, **more)
+
+        monkeypatch.setattr(node, "set_data", rounding)
+        with pytest.raises(CommandRefused, match=r"60C2h:01 .* reads 5 after 8 was written"):
+            commissioned(line, rate_hz=125)
+
+
+def test_limits_of_a_reversed_joint_stay_in_order_and_no_limits_are_nan():
+    with drives() as line:
+        line.nodes[1].registers[key(0x607D, 1)] = line.nodes[1].registers[key(0x607D, 2)] = 0
+        found = commissioned(line, axes={"direction": -1})
+    assert found.q_min[0] == pytest.approx(-ARM.q_max[0], abs=1e-6)
+    assert found.q_max[0] == pytest.approx(-ARM.q_min[0], abs=1e-6)
+    assert math.isnan(found.q_min[1])
+    assert math.isnan(found.q_max[1])
+
+
+def test_a_range_that_32_bits_with_sign_do_not_hold_is_refused():
+    with drives(1) as line:
+        told = refused(line, axes={"offset_deg": 6100})
+    assert "cannot count from -170 to 170°" in told
+    with drives(1) as line:
+        assert commissioned(line, axes={"offset_deg": 6100, "position_unsigned": True})
+
+
+def test_an_el72xx_is_asked_for_its_torque_constant_and_how_it_counts_current(monkeypatch):
+    with drives(1) as line:
+        _beckhoff(line.nodes[0], monkeypatch, scaling=1)
+        axis = commissioned(line, profile="el72xx").drives[0].profile
+    # 0.5 N·m/A × rated current × gear, without √2
+    rated_a = axis.rated_current_a
+    assert axis.torque(1000) == pytest.approx(0.5 * rated_a * 121)
+    with drives(1) as line:
+        _beckhoff(line.nodes[0], monkeypatch, scaling=0)
+        axis = commissioned(line, profile="el72xx").drives[0].profile
+    assert axis.torque(1000) == pytest.approx(0.5 * rated_a * 121 / math.sqrt(2))
+
+
+def test_the_identity_keeps_objects_as_read_and_what_one_count_is():
+    with drives() as line:
+        details = commissioned(line).details
+    assert details["encoder_increments"] == "1048576 1048576"
+    assert details["rated_torque"] == "1299 1418"  # mN·m: 330 / 121 / 2.1, 420 / 141 / 2.1
+    assert float(details["torque_resolution_nm"].split()[0]) == pytest.approx(0.157179)
+    assert "statusword" not in details
+    assert all(isinstance(value, str) for value in details.values())
+
+
+def _beckhoff(node, monkeypatch, *, scaling: int) -> None:
+    """The drive also has an EL72xx's 2002h:54 and 2003h:16 (500 mN·m/A)."""
+    get_data = node.get_data
+    vendor = {(0x2002, 0x54): scaling, (0x2003, 0x16): 500}
+
+    def more(index, sub, **kept):
+        if (index, sub) in vendor:
+            return vendor[index, sub].to_bytes(4, "little")
+        return get_data(index, sub, **kept)
+
+    monkeypatch.setattr(node, "get_data", more)
