@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 
 import canopen
@@ -181,3 +182,17 @@ def test_a_heartbeat_is_watched_by_one_entry_only(bench):
 def test_an_error_simulated_by_sdo_is_one(bench):
     bench.write(0x2101, 0, 0x2310, 2)
     assert bench.read(0x603F) == 0x2310
+
+
+def test_no_frame_makes_the_node_stumble(bench, caplog):
+    draw = random.Random(402)
+    firsts = [0x40, 0x60, 0x70, 0x00, 0x01, 0x10, 0x21, 0x23, 0x2B, 0x2F, 0x22, 0x80, 0xA0, 0xC0]
+    indices = [0x1000, 0x1008, 0x1021, 0x1600, 0x1A00, 0x6040, 0x607A, 0x2100, 0x5555]
+    for _ in range(5000):
+        index = draw.choice(indices)
+        data = struct.pack("<BHB", draw.choice(firsts), index, draw.randrange(4)) + draw.randbytes(
+            4
+        )
+        bench.node.heard(0x600 + NODE, data)
+    assert [record.getMessage() for record in caplog.records if record.exc_info] == []
+    assert bench.read(0x1000) == 0x20192
