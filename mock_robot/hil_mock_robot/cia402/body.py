@@ -30,6 +30,9 @@ NEARLY = 0.99
 STILL_RAD_S = 1e-3
 """On closed brakes an arm slower than this does not move any more."""
 
+GRIP_STEPS = 100
+"""Nor does it when the brakes have had so long."""
+
 
 class Body:
     """One drawn arm on its brakes, until drives say otherwise.
@@ -72,7 +75,7 @@ class Body:
         self._gains: list[float] = self.arm.drive_gains.tolist()
         self._efforts: list[float] = self.arm.effort_max.tolist()
         self._offsets, self._limits, self._torques = [0.0] * n, self._efforts[:], [math.nan] * n
-        self._standing = False
+        self._standing, self._rested = False, 0
         self._close_all()
         self.seen: list[Measured] = self._measure(self._plant.stand(1))
 
@@ -90,7 +93,8 @@ class Body:
         """Let the arm do what its axes demand, each for the same number of steps."""
         self.faults = {}
         rows = self._rows(demands)
-        samples = self._plant.stand(len(rows)) if self._stands() else self._run(rows)
+        steps = len(rows)
+        samples = self._plant.stand(steps) if self._stands(steps) else self._run(rows)
         self.seen = self._measure(samples)
         return self.seen
 
@@ -158,11 +162,15 @@ class Body:
             self._close(j)
             brake.close(float(self._plant.position[j]), 0.0, 0.0)
 
-    def _stands(self) -> bool:
+    def _stands(self, steps: int) -> bool:
         """Whether nothing moves any more, or ever, until a brake opens."""
-        if self._standing or not all(brake.rests for brake in self._brakes):
-            return self._standing
-        if self.fastest < STILL_RAD_S:
+        if self._standing:
+            return True
+        if not all(brake.rests for brake in self._brakes):
+            self._rested = 0
+            return False
+        self._rested += steps
+        if self._rested > GRIP_STEPS or self.fastest < STILL_RAD_S:
             self._plant.engage_brakes()
             self._close_all()
             self._standing = True
