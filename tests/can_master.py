@@ -16,6 +16,7 @@ N = 6
 CSP = 8
 RPDO1 = struct.Struct("<Hbi")
 TPDO1 = struct.Struct("<Hib")
+ANSWERS_S = 0.1
 TPDO2 = struct.Struct("<ihh")
 
 
@@ -101,6 +102,18 @@ class Master:
         """An NMT command."""
         self.send(0x000, bytes([command, node]))
 
+    def reset(self) -> None:
+        """All drives start anew; waits until they have."""
+        self.heartbeats.clear()
+        self.nmt(0x81)
+        until = time.monotonic() + 5.0
+        while not all(0 in self.heartbeats.get(node, ()) for node in self.nodes):
+            assert time.monotonic() < until, f"only {self.heartbeats} boot"
+            self.hear(0.05)
+        self.emergencies.clear()
+        self.frames.clear()
+        self.cycles = self.master_heartbeat = 0
+
     def map(self, period_ms: int = 4, heartbeat_ms: int = 0) -> None:
         """Lay out process data as the driver's mapping `position` has it, and go operational."""
         self.nmt(0x80)
@@ -142,7 +155,7 @@ class Master:
         for node, target in zip(self.nodes, targets, strict=True):
             self.send(0x200 + node, RPDO1.pack(controlword, mode, target))
         missing = {base + node for base in (0x180, 0x280) for node in self.nodes}
-        until = time.monotonic() + 0.5
+        until = time.monotonic() + ANSWERS_S
         while missing and time.monotonic() < until:
             message = self.hear(0.05)
             if message is not None:

@@ -79,11 +79,12 @@ class Line:
             return True
         return not self.unheard and not self._refused(data)
 
-    def tick(self, steps: int) -> None:
-        """Device time has passed: what was held back may be due."""
-        if self.sound:
-            return
+    def passed(self, steps: int) -> None:
+        """Device time has passed."""
         self._steps += steps
+
+    def release(self) -> None:
+        """Send what was held back and is due."""
         while self._held and self._held[0][0] <= self._steps:
             _, can_id, data = self._held.popleft()
             if not self.cuts:

@@ -93,6 +93,7 @@ class Station:
             self.tell("sync_lost")
         if steps:
             self._advance(steps, synced=False)
+            self._release()
 
     def mount(self, payload: Payload | None) -> None:
         """Hang something to the flange, whatever is declared; None for what is declared."""
@@ -112,12 +113,19 @@ class Station:
     def _synced(self, now_s: float) -> None:
         if not self.clock.synced:
             self.tell("sync", period_s=self._period_s)
+        self._release()
         steps = self.clock.sync(now_s, self._period_s)
         for axis in self.axes:
             if axis.synced:
                 axis.node.synced()
         if steps:
             self._advance(steps, synced=True)
+
+    def _release(self) -> None:
+        """The drives' time has come to where the wall's is: what is late may be due."""
+        for axis in self.axes:
+            if not axis.line.sound:
+                axis.line.release()
 
     def _advance(self, steps: int, *, synced: bool) -> None:
         axes = self.axes
@@ -127,7 +135,7 @@ class Station:
         for axis, measured in zip(axes, seen, strict=True):
             axis.drive.measured(measured, steps)
             axis.node.ticked(device_s)
-            axis.line.tick(steps)
+            axis.line.passed(steps)
         if self.body.faults:
             for number, code in self.body.faults.items():
                 axes[number].drive.fault(code)
