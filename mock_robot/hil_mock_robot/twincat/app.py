@@ -112,8 +112,8 @@ def fill_info(memory: Memory, arm: PlcArm, given: argparse.Namespace) -> None:
     info["fStopRadS2"], info["fPayloadMax"] = STOP_RAD_S2, maker.payload_max_kg
     info["aQMin"], info["aQMax"] = maker.q_min, maker.q_max
     info["aQdMax"], info["aQddMax"] = maker.qd_max, maker.qdd_max
-    true = memory.declarations.constants["CONTRACT"]
-    info["nContract"] = true if given.contract is None else given.contract
+    if given.contract is not None:
+        memory.view("nContract")[0] = given.contract
     info["nAxes"] = maker.n_joints
     info["nRingRows"] = len(memory.view("aRing"))
     info["nSetPoints"] = len(memory.view("aSetPoints"))

@@ -64,6 +64,8 @@ class Memory:
                 self.symbols[symbol.name.lower()] = symbol
             end += -(-kind.itemsize // 8) * 8
         self.bytes = bytearray(end)
+        for name, value in self.declarations.initial.items():
+            self.view(name)[0] = value
 
     def view(self, name: str) -> StructArray:
         """A variable to be changed in place: structures and numbers have shape (1,)."""

@@ -29,11 +29,13 @@ class Declarations:
         constants: Name → value.
         types: Structure → dtype.
         variables: Global variable → type as written and dtype.
+        initial: Global variable → value it begins with, where that is said.
     """
 
     constants: dict[str, int] = field(default_factory=dict)
     types: dict[str, np.dtype[Any]] = field(default_factory=dict)
     variables: dict[str, tuple[str, np.dtype[Any]]] = field(default_factory=dict)
+    initial: dict[str, int] = field(default_factory=dict)
 
 
 def declared_in(text: str) -> Declarations:
@@ -54,8 +56,11 @@ def declared_in(text: str) -> Declarations:
         found.types[name] = _without_padding(name, np.dtype(fields))
     for constant, body in blocks:
         if not constant:
-            for name, written in _DECLARED.findall(body):
+            for name, declared in _DECLARED.findall(body):
+                written, _, value = (part.strip() for part in declared.partition(":="))
                 found.variables[name] = written, _type(written, found)
+                if value:
+                    found.initial[name] = int(value)
     return found
 
 

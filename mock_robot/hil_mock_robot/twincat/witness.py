@@ -42,7 +42,7 @@ class Witness:
         first, self._cycles = self._cycles, self._cycles + len(speeds)
         self._speed = float(np.abs(speeds[-1]).max()) if len(speeds) else 0.0
         if self._rest.waiting:
-            times = np.arange(first, self._cycles) * self._cycle_s
+            times: FloatArray = np.arange(first, self._cycles, dtype=float) * self._cycle_s
             self._rest.see(times, speeds, time.monotonic(), 0.0)
 
     def close(self) -> None:

@@ -1,0 +1,123 @@
+"""What is known of an arm behind a PLC: from its description, then from the PLC."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.arms import load_arm
+from hil.errors import PluginError, RobotConnectionError
+from hil.robot import Capabilities, Identity, Limits
+from hil_drivers.twincat.options import Options
+from hil_drivers.twincat.symbols import CONTRACT, CURRENT, TORQUE
+
+CYCLE_SHARE = 1e-6
+EFFORTS = {TORQUE: "torque", CURRENT: "current"}
+
+
+def capabilities_of(model: str, options: Options) -> Capabilities:
+    """Names, rate and what `effort` is."""
+    arm, current = load_arm(model), options.effort == "current"
+    return Capabilities(
+        joint_names=arm.joint_names,
+        rate_hz=options.rate_hz,
+        effort_kind="current" if current else "torque",
+        drive_gains=options.drive_gains_nm_a if current else (),
+        drive_gains_source=arm.sources.get("drive_gains", "the station") if current else "",
+        clock="wall",
+    )
+
+
+def limits_of(model: str, options: Options, info: np.void | None = None) -> Limits:
+    """The maker's limits, none wider than what the PLC checks, once it was asked.
+
+    Args:
+        model: Built-in arm.
+        options: Of the station.
+        info: `stInfo`.
+    """
+    arm, share = load_arm(model), options.speed_share
+    q_min, q_max, qd_max = np.array(arm.q_min), np.array(arm.q_max), np.array(arm.qd_max)
+    qdd_max, payload = np.array(arm.qdd_max), arm.payload_max_kg
+    if info is not None:
+        q_min, q_max = np.maximum(q_min, info["aQMin"]), np.minimum(q_max, info["aQMax"])
+        qd_max, qdd_max = np.minimum(qd_max, info["aQdMax"]), np.minimum(qdd_max, info["aQddMax"])
+        payload = min(payload, float(info["fPayloadMax"]))
+    return Limits(
+        q_min=q_min,
+        q_max=q_max,
+        qd_max=qd_max * share,
+        qdd_max=qdd_max,
+        effort_max=np.array(arm.effort_max),
+        payload_max_kg=payload,
+    )
+
+
+def require_contract(where: str, version: int) -> None:
+    """Refuse a PLC program that was written for another contract.
+
+    Raises:
+        PluginError: It was.
+    """
+    if version != CONTRACT:
+        raise PluginError(
+            f"{where}: its program keeps version {version} of the contract, this driver {CONTRACT}",
+            hint="download the PLC program of docs/how-to/drive-twincat.md, or the hil that fits",
+        )
+
+
+def require_fit(where: str, info: np.void, model: str, options: Options) -> None:
+    """Refuse a PLC that is not what the station says.
+
+    Args:
+        where: For messages.
+        info: `stInfo`.
+        model: Built-in arm.
+        options: Of the station.
+
+    Raises:
+        RobotConnectionError: Model, axes, cycle or effort differ; all of them are listed.
+    """
+    arm = load_arm(model)
+    told, cycle = text(info["sModel"]), float(info["fCycleS"])
+    problems = []
+    if info["nAxes"] != arm.n_joints:
+        problems.append(f"it has {info['nAxes']} axes, the {model} has {arm.n_joints}")
+    if told and told != model:
+        problems.append(f"it moves a {told}, the station says {model}")
+    if not abs(cycle * options.rate_hz - 1) < CYCLE_SHARE:
+        problems.append(f"its cycle is {cycle * 1e3:g} ms, rate_hz says {1e3 / options.rate_hz:g}")
+    effort = EFFORTS.get(int(info["nEffort"]), f"effort {info['nEffort']}")
+    if effort != options.effort:
+        problems.append(f"it tells {effort}, option effort says {options.effort}")
+    if not (info["aQMin"] < info["aQMax"]).all() or not (info["aQdMax"] > 0).all():
+        problems.append("its joint limits are none")
+    if problems:
+        raise RobotConnectionError(
+            f"{where}: {'; '.join(problems)}", hint="mend the station, or the PLC's GVL"
+        )
+
+
+def identity_of(info: np.void, options: Options, model: str, device: str) -> Identity:
+    """Who the PLC says to be."""
+    return Identity(
+        model=text(info["sModel"]) or model,
+        serial=text(info["sSerial"]),
+        firmware=text(info["sProgram"]),
+        driver="twincat",
+        details={
+            "ams": f"{options.ams_net_id}:{options.port}",
+            "runtime": device,
+            "contract": str(CONTRACT),
+            "effort": options.effort,
+            "cycle_s": f"{float(info['fCycleS']):g}",
+            "ring_rows": str(int(info["nRingRows"])),
+            "set_points": str(int(info["nSetPoints"])),
+            "watchdog_s": f"{float(info['fWatchdogS']):g}",
+            "stop_rad_s2": f"{float(info['fStopRadS2']):g}",
+        },
+    )
+
+
+def text(raw: bytes) -> str:
+    """A string of the PLC's."""
+    return bytes(raw).split(b"\0")[0].decode("windows-1252")

@@ -1,0 +1,160 @@
+"""What a station file may say about an arm behind a TwinCAT PLC, beside its name and model."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from hil.arms import load_arm
+from hil.errors import SpecError
+from hil.suggest import closest
+from hil_drivers.twincat.symbols import DEFAULT_PREFIX
+
+RANGES = {
+    "port": (1, 65535),
+    "rate_hz": (10.0, 8000.0),
+    "block_rows": (1, 4000),
+    "chunk_bytes": (1024, 4_000_000),
+    "late_s": (0.05, 5.0),
+    "speed_share": (0.01, 1.0),
+}
+"""Least and most of the options that are numbers."""
+
+WHOLE = ("port", "block_rows", "chunk_bytes")
+ADS_PORT = 48898
+
+_HOST = re.compile(r"[a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*")
+_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options of one arm.
+
+    Attributes:
+        address: IP address or host name of the PLC, and a TCP port where it is not 48898.
+        ams_net_id: Of the PLC; on this computer made of the address, as the mock's is.
+        port: AMS port of the PLC's runtime.
+        prefix: Where the contract's variables are.
+        rate_hz: Cycles of the PLC's task per second.
+        block_rows: So many rows are waited for, so that each request is worth its millisecond.
+        chunk_bytes: Most that is read or written in one request.
+        effort: What the drives tell: torque at the joint [N·m], or motor current [A].
+        drive_gains_nm_a: Torque per current at the joint; the arm's own by default.
+        late_s: Silence of the PLC that ends a motion [s].
+        speed_share: Share of the arm's joint speeds that may be used.
+    """
+
+    address: str
+    ams_net_id: str
+    port: int = 851
+    prefix: str = DEFAULT_PREFIX
+    rate_hz: float = 1000.0
+    block_rows: int = 100
+    chunk_bytes: int = 65536
+    effort: Literal["torque", "current"] = "torque"
+    drive_gains_nm_a: tuple[float, ...] = ()
+    late_s: float = 0.5
+    speed_share: float = 1.0
+
+    @property
+    def resource(self) -> str:
+        """Which arm this is, whatever a station calls it, and whatever way leads there."""
+        return f"ads://{self.ams_net_id}:{self.port}/{self.prefix.lower()}"
+
+    @property
+    def host(self) -> tuple[str, int]:
+        """Host and TCP port."""
+        host, _, port = self.address.partition(":")
+        return host, int(port or ADS_PORT)
+
+
+def options_of(given: Mapping[str, Any], model: str) -> Options:
+    """The options of a station's mapping, for a built-in arm.
+
+    Raises:
+        SpecError: One is missing, unknown, or cannot be.
+    """
+    known = [field.name for field in fields(Options)]
+    if unknown := sorted(set(given) - set(known)):
+        meant = [repr(like) for name in unknown if (like := closest(name, known))]
+        said = f"did you mean {', '.join(meant)}? " if meant else ""
+        raise SpecError(
+            f"the driver twincat has no option {', '.join(unknown)}",
+            hint=f"{said}its options are {', '.join(known)}",
+        )
+    for name, (least, most) in RANGES.items():
+        if name in given and not _within(given[name], least, most, name in WHOLE):
+            kind = "a whole number" if name in WHOLE else "a number"
+            raise _wrong(name, given[name], f"use {kind} from {least:g} to {most:g}")
+    if given.get("effort", "torque") not in ("torque", "current"):
+        raise _wrong("effort", given["effort"], "use torque, or current")
+    prefix = given.get("prefix", DEFAULT_PREFIX)
+    if not isinstance(prefix, str) or not _NAME.fullmatch(prefix):
+        raise _wrong("prefix", prefix, f"name the PLC's variable list, such as {DEFAULT_PREFIX}")
+    address = _address(given.get("address"))
+    return Options(
+        **{
+            **given,
+            "address": address,
+            "ams_net_id": _ams_net_id(given.get("ams_net_id"), address),
+            "drive_gains_nm_a": _gains(given.get("drive_gains_nm_a"), model),
+        }
+    )
+
+
+def _address(value: Any) -> str:
+    """One way of writing it."""
+    text = value.strip().lower() if isinstance(value, str) else ""
+    host, _, port = text.partition(":")
+    fits = not port or (port.isdigit() and 0 < int(port) < 65536)
+    if fits and (_is_ip(host) or (_HOST.fullmatch(host) and not re.fullmatch(r"[0-9.]+", host))):
+        return host if not port or int(port) == ADS_PORT else f"{host}:{int(port)}"
+    hint = "give the IP address of the PLC"
+    if value is None:
+        raise SpecError("the driver twincat lacks its option address", hint=hint)
+    raise _wrong("address", value, hint)
+
+
+def _ams_net_id(value: Any, address: str) -> str:
+    host = address.partition(":")[0]
+    if value is None and _is_ip(host) and ipaddress.ip_address(host).is_loopback:
+        return f"{host}.1.1"
+    hint = "six numbers such as 5.24.37.144.1.1: TwinCAT shows it under System, Routes"
+    if value is None:
+        raise SpecError("the driver twincat lacks its option ams_net_id", hint=hint)
+    parts = value.strip().split(".") if isinstance(value, str) else []
+    if len(parts) != 6 or not all(each.isdigit() and int(each) < 256 for each in parts):
+        raise _wrong("ams_net_id", value, hint)
+    return ".".join(str(int(each)) for each in parts)
+
+
+def _gains(value: Any, model: str) -> tuple[float, ...]:
+    arm = load_arm(model)
+    if value is None:
+        return tuple(arm.drive_gains.tolist())
+    numbers = value if isinstance(value, list | tuple) else [value] * arm.n_joints
+    if len(numbers) != arm.n_joints or not all(_within(each, 1e-6, 1e6) for each in numbers):
+        hint = f"give {arm.n_joints} numbers above 0, torque at the joint per motor current"
+        raise _wrong("drive_gains_nm_a", value, hint)
+    return tuple(map(float, numbers))
+
+
+def _is_ip(text: str) -> bool:
+    try:
+        ipaddress.IPv4Address(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _wrong(name: str, value: object, hint: str) -> SpecError:
+    return SpecError(f"twincat option {name} is {value!r}", hint=hint)
+
+
+def _within(value: Any, least: float, most: float, whole: bool = False) -> bool:
+    kinds = int if whole else (int, float)
+    return isinstance(value, kinds) and not isinstance(value, bool) and least <= value <= most
