@@ -130,12 +130,14 @@ def test_a_drive_that_was_never_told_of_its_gear_needs_the_stations():
 
 
 @pytest.mark.parametrize("mode", ["csp", "cst"])
-def test_a_drive_without_the_mode_is_refused(mode, monkeypatch):
+def test_a_drive_without_the_mode_of_the_trajectories_is_refused(mode, monkeypatch):
     with drives() as line:
         monkeypatch.setitem(line.nodes[1].registers, key(0x6502), 1 << 0 | 1 << 8)
         told = refused(line, trajectory_mode=mode)
-    assert told.startswith("joint_2 (node 2) does not know csp")
-    assert ("cst" in told) == (mode == "cst")
+        assert told == (
+            f"joint_2 (node 2) does not know {mode}: 6502h (supported modes) is 00000101h"
+        )
+        commissioned(line, trajectory_mode="csv")
 
 
 def test_what_is_no_402_drive_is_refused_and_asked_no_further(monkeypatch):
@@ -195,6 +197,18 @@ def test_limits_of_a_reversed_joint_stay_in_order_and_no_limits_are_nan():
     assert math.isnan(found.q_max[1])
 
 
+def test_limits_of_a_counter_without_sign_are_those_around_the_joint():
+    with drives(1) as line:
+        zero, turn = 1 << 31, 121 << 20  # 0° where the counter stands at 2^31
+        for sub, degrees in ((1, -90), (2, 60)):
+            raw = zero + turn * degrees // 360
+            line.nodes[0].registers[key(0x607D, sub)] = (raw + 2**31) % 2**32 - 2**31
+        axes = {"position_unsigned": True, "offset_deg": -360 * zero / turn}
+        found = commissioned(line, axes=axes)
+    assert found.q_min == pytest.approx([math.radians(-90)], abs=1e-6)
+    assert found.q_max == pytest.approx([math.radians(60)], abs=1e-6)
+
+
 def test_a_range_that_32_bits_with_sign_do_not_hold_is_refused():
     with drives(1) as line:
         told = refused(line, axes={"offset_deg": 6100})
@@ -214,6 +228,14 @@ def test_an_el72xx_is_asked_for_its_torque_constant_and_how_it_counts_current(mo
         _beckhoff(line.nodes[0], monkeypatch, scaling=0)
         axis = commissioned(line, profile="el72xx").drives[0].profile
     assert axis.torque(1000) == pytest.approx(0.5 * rated_a * 121 / math.sqrt(2))
+
+
+def test_where_torque_goes_by_current_the_rated_torque_may_say_what_it_will(monkeypatch):
+    with drives(1) as line:
+        axes = {"rated_torque_nm": 9.0}
+        assert "rated_torque_nm is 9.0" in refused(line, axes=axes)
+        _beckhoff(line.nodes[0], monkeypatch, scaling=0)
+        assert commissioned(line, axes=axes, profile="el72xx")
 
 
 def test_the_identity_keeps_objects_as_read_and_what_one_count_is():

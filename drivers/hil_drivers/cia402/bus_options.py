@@ -48,7 +48,7 @@ def bus_of(value: Any) -> Bus:
     lacking = [name for name in ("interface", "channel") if given.get(name) is None]
     if lacking:
         raise must.wrong_option("bus", dict(given), f"give {', '.join(lacking)} too")
-    interface = must.choice("bus.interface", given["interface"], _interfaces())
+    interface = _interface(given["interface"])
     range_ = SIMULATED_BITRATES if interface in SIMULATED else BITRATES
     rate = must.number("bus.bitrate", given.get("bitrate", BITRATE), range_, whole=True)
     return Bus(interface, _channel(interface, given["channel"]), int(rate))
@@ -63,7 +63,10 @@ def _channel(interface: str, value: Any) -> str:
     return path.stem if path.parent == runtime_folder() and path.suffix == ".sock" else str(path)
 
 
-def _interfaces() -> list[str]:
-    from can.interfaces import VALID_INTERFACES
-
-    return sorted(VALID_INTERFACES)
+def _interface(value: Any) -> str:
+    """Known to python-can, its plug-ins among them; any text where that is not installed."""
+    try:
+        from can.interfaces import VALID_INTERFACES
+    except ImportError:  # joining the bus says what to install
+        return must.text("bus.interface", value)
+    return str(must.choice("bus.interface", value, sorted(VALID_INTERFACES)))

@@ -24,7 +24,7 @@ from hil_drivers.cia402.inspection import (
 from hil_drivers.cia402.mapping import SYNC_COB_ID
 from hil_drivers.cia402.objects import Entry
 from hil_drivers.cia402.options import Options
-from hil_drivers.cia402.profile import AxisProfile
+from hil_drivers.cia402.profile import PROFILES, AxisProfile
 
 MASTER_SILENCE_MS = 250
 """1016h: silence of ours after which a drive stops by itself."""
@@ -148,11 +148,14 @@ def _inspected(
     acyclic: Named, axis: int, given: Mapping[str, object], options: Options, arm: ArmDescription
 ) -> tuple[Drive | None, list[str]]:
     objects = objects_of(acyclic, axis, options.profile)
-    modes = {od.CSP: "csp", MODES[options.trajectory_mode]: options.trajectory_mode}
+    modes = {MODES[options.trajectory_mode]: options.trajectory_mode}
     if wrong := list(wrong_kind(objects, modes)):
         return None, wrong
     said = said_by(objects)
-    wrong = [f"is not as the station says: {each}" for each in contradictions(given, said)]
+    torque_of = {**PROFILES[options.profile], **given}.get("torque_of", "")
+    wrong = [
+        f"is not as the station says: {each}" for each in contradictions(given, said, torque_of)
+    ]
     profile = profile_of(options.profile, given, said, float(arm.gear_ratio[axis]))
     if isinstance(profile, str):
         return None, [*wrong, profile]

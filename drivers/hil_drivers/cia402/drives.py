@@ -32,7 +32,12 @@ class Drive:
         """Joint angles between which it takes targets (607Dh) [rad]; NaN where it has no limits."""
         low = self.objects.get("position_limit_min", 0)
         high = self.objects.get("position_limit_max", 0)
-        if low >= high or high - low >= WRAP - 2:
+        if low == high or abs(high - low) >= WRAP - 2:
+            return math.nan, math.nan
+        if self.profile.position_unsigned:
+            ends = sorted((self.profile.position(low), self.profile.position(high)))
+            return ends[0], ends[1]
+        if low > high:
             return math.nan, math.nan
         scale, offset = self.profile.rad_per_increment, self.profile.offset_rad
         ends = sorted((low * scale + offset, high * scale + offset))

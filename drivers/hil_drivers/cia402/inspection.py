@@ -101,15 +101,23 @@ def wrong_kind(objects: Mapping[str, int], modes: Mapping[int, str]) -> Iterator
         yield f"does not know {', '.join(lacking)}: {od.SUPPORTED_MODES} is {able:08X}h"
 
 
-def contradictions(given: Mapping[str, Any], said: Mapping[str, Any]) -> Iterator[str]:
+def contradictions(
+    given: Mapping[str, Any], said: Mapping[str, Any], torque_of: str
+) -> Iterator[str]:
     """Where station and drive say different things of the same.
 
-    A drive that says 1:1 of its gear was never told of one.
+    A drive that says 1:1 of its gear was never told of one, and 6076h is not looked at where
+    torque goes by the rated current.
+
+    Args:
+        given: By the station.
+        said: By the drive.
+        torque_of: See `AxisProfile`.
     """
     unlike = {name for name in given if name in said and not _same(given[name], said[name])}
     if "gear_ratio" in unlike and said["gear_ratio"] == 1.0:
         unlike.discard("gear_ratio")
-    if given.get("torque_of") == "rated-current":
+    if torque_of == "rated-current":
         unlike.discard("rated_torque_nm")
     for name in sorted(unlike):
         yield f"axes.{name} is {given[name]} in the station, {said[name]} in the drive"
