@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 
 import canopen
@@ -12,6 +13,7 @@ from can_node_parts import NODE, Bench, imported
 from hil.arms import load_arm
 from hil_mock_robot.cia402.contracts import key
 from hil_mock_robot.cia402.dictionary import registers_of, variables
+from hil_mock_robot.cia402.eds import eds_of
 from hil_mock_robot.cia402.objects import Object, raw_real, real
 
 TYPES = {"i8": 2, "i16": 3, "i32": 4, "u8": 5, "u16": 6, "u32": 7, "f32": 8, "text": 9}
@@ -97,6 +99,14 @@ def test_what_the_eds_says_is_the_dictionary_itself(bench):
         }  # fmt: skip
 
     assert told(imported(bench.node)) == told(bench.node.object_dictionary)
+
+
+def test_one_eds_serves_every_node_with_identifiers_of_its_own(bench):
+    file = io.StringIO(eds_of(bench.node.object_dictionary).decode("ascii"))
+    other = canopen.objectdictionary.eds.import_eds(file, 17)
+    cob_ids = [other.get_variable(index, 1).default & 0x7FF for index in (0x1400, 0x1803)]
+    assert cob_ids == [0x200 + 17, 0x480 + 17]
+    assert other[0x1014].default == 0x80 + 17
 
 
 def test_a_client_can_upload_the_eds_from_the_drive(bench):

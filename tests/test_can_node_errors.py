@@ -118,10 +118,10 @@ def test_1014h_switches_emergencies_off_and_gives_them_another_identifier(bench)
     assert [can_id for can_id, _ in bench.taken()] == [0x0F0]
 
 
-def test_a_simulated_error_is_told_and_ends_by_0(bench):
+def test_a_simulated_error_is_told(bench):
     bench.write(0x2101, 0, FOLLOWING, 2)
-    bench.write(0x2101, 0, 0, 2)
-    assert emergencies(bench) == [(FOLLOWING, 0x21), (0, 0)]
+    assert emergencies(bench) == [(FOLLOWING, 0x21)]
+    assert bench.aborts(0x2101, 0, 0, 2) == 0x0609_0030
 
 
 def test_a_lost_heartbeat_is_over_when_it_comes_back_unless_the_drive_is_in_fault(bench):

@@ -67,6 +67,7 @@ def test_what_cannot_be_read_says_why(bench, index, sub, code):
         (0x1014, 0, 0x2000_0083, 4, RANGE),
         (0x1014, 0, 0x181 + 0x100, 4, STATE),
         (0x1016, 1, 0x0100_0000, 4, RANGE),
+        (0x2101, 0, 0, 2, RANGE),
     ],
 )
 def test_what_cannot_be_written_says_why_and_changes_nothing(

@@ -42,7 +42,7 @@ _PAYLOAD = group(
 
 VENDOR: tuple[Object | Group, ...] = (
     _PAYLOAD,
-    Object(0x2101, 0, "Simulated error", "u16", "wo", note="this error occurs; 0: it is gone"),
+    Object(0x2101, 0, "Simulated error", "u16", "wo", low=1, note="code of an error: it occurs"),
     _measured(0x2110, 0, "Motor temperature", "i16", default=250, unit="0.1 °C"),
 )
 

@@ -45,7 +45,7 @@ def object_dictionary(node_id: int, registers: Registers) -> canopen.ObjectDicti
 
     Args:
         node_id: 1 to 127.
-        registers: As after power-on, COB-IDs with the node's id.
+        registers: As `registers_of` returned them, COB-IDs without the node's id.
     """
     dictionary: canopen.ObjectDictionary = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
     dictionary.node_id = node_id
@@ -88,23 +88,23 @@ def _variable(entry: Object, node_id: int, registers: Registers) -> ODVariable:
     made.min, made.max = entry.low, entry.high
     made.unit = entry.unit.translate(_ASCII)
     made.description = entry.note.translate(_ASCII).replace(";", ",")
-    made.default = _default(entry, registers)
+    made.default = _default(entry, node_id, registers)
     if entry.type in CODES:
-        vars(made)["default_raw"] = _written(entry, made.default, node_id)
+        vars(made)["default_raw"] = _written(entry, registers[entry.key])
     return made
 
 
-def _default(entry: Object, registers: Registers) -> Any:
+def _default(entry: Object, node_id: int, registers: Registers) -> Any:
     if entry.type not in CODES:
         return entry.default if entry.type == "text" else None
-    raw = registers[entry.key]
+    raw = registers[entry.key] + node_id * entry.node_relative
     return real(raw) if entry.type == "f32" else raw
 
 
-def _written(entry: Object, value: float, node_id: int) -> str:
+def _written(entry: Object, raw: int) -> str:
     """As in an EDS; the library's own spelling of negative numbers cannot be read back."""
     if entry.node_relative:
-        return f"$NODEID+0x{int(value) - node_id:X}"
-    if entry.type == "f32" or value < 0:
-        return str(value)
-    return f"0x{int(value):X}"
+        return f"$NODEID+0x{raw:X}"
+    if entry.type == "f32":
+        return str(real(raw))
+    return f"0x{raw:X}" if raw >= 0 else str(raw)

@@ -54,9 +54,9 @@ class MockNode(canopen.LocalNode):
         hooks: Hooks | None = None,
         boot_s: float = 0.0,
     ) -> None:
+        super().__init__(node_id, object_dictionary(node_id, registers))
         relative = (entry.key for entry in by_key().values() if entry.node_relative)
         registers.update({where: registers[where] + node_id for where in relative})
-        super().__init__(node_id, object_dictionary(node_id, registers))
         self.node_id, self.registers, self.hooks = node_id, registers, hooks or Hooks()
         self._defaults = dict(registers)
         self._send, self._boot_s, self._now_s = send, boot_s, 0.0

@@ -103,6 +103,8 @@ class Unit:
 
     def _written(self, key: int, value: int) -> None:
         self.drive.written(key)
+        if key == keys.SIMULATED_ERROR:
+            self.drive.fault(value)
         self._on_written(self.number, key)
 
     def _nmt_changed(self, state: int) -> None:
