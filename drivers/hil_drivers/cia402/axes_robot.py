@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
 from hil_drivers.checks import require_liftable
-from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.emergencies import error_text
+from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
 from hil_drivers.cia402.findings import findings_of
 from hil_drivers.cia402.mapping import MAPPINGS
@@ -26,11 +25,29 @@ from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.thermometer import Thermometer
 from hil_drivers.cia402.torque_model import GRAVITY, TorqueModel
 from hil_drivers.cia402.tracks import track_of
+from hil_drivers.cia402.trouble import NEXT, Trouble
 
 REST_S = 2.0
 """How long an arm that was stopped is waited for before its axes are switched off [s]."""
 
-NEXT = "see to the cause, then connect again"
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """What there is while the arm is connected.
+
+    Attributes:
+        session: To the drives.
+        samples: Of their cycles.
+        trouble: What is wrong with them.
+        thermometer: Asks them beside the cycles.
+        torque: The model, where drives are told torques.
+    """
+
+    session: Session
+    samples: Samples
+    trouble: Trouble
+    thermometer: Thermometer
+    torque: TorqueModel | None
 
 
 class AxesRobot:
@@ -52,12 +69,8 @@ class AxesRobot:
         self._topic = raw_topic(
             MAPPINGS[self._options.mapping], len(self._options.nodes), self._options.rate_hz
         )
-        self._session: Session | None = None
-        self._samples: Samples | None = None
-        self._torque: TorqueModel | None = None
-        self._thermometer: Thermometer | None = None
-        self._problem: HilError | None = None
-        self._faulty = self._prepared = False
+        self._line: Line | None = None
+        self._prepared = False
         self._stops = 0
 
     @property
@@ -68,19 +81,18 @@ class AxesRobot:
     @property
     def identity(self) -> Identity:
         """See `hil.robot.Robot`."""
-        session = self._connected()
+        session = self._connected().session
         return identity_of(self._model, session.drives, session.were_reset)
 
     @property
     def capabilities(self) -> Capabilities:
         """See `hil.robot.Robot`."""
-        drives = self._session.drives if self._session else None
-        return capabilities_of(self._model, self._options, drives)
+        return capabilities_of(self._model, self._options, self._drives)
 
     @property
     def limits(self) -> Limits:
         """See `hil.robot.Robot`; once connected, none is wider than the drives' own."""
-        return limits_of(self._model, self._session.drives if self._session else None)
+        return limits_of(self._model, self._drives)
 
     @property
     def topics(self) -> Sequence[Topic]:
@@ -89,11 +101,11 @@ class AxesRobot:
 
     def drain(self) -> Mapping[str, StructArray]:
         """See `hil.robot.HasTopics`."""
-        return self._samples.drain() if self._samples else {}
+        return self._line.samples.drain() if self._line else {}
 
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
-        return list(findings_of(self._healthy()))
+        return list(findings_of(self._healthy().session))
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Gravity in the base frame, for the torque model; before `connect`."""
@@ -105,20 +117,21 @@ class AxesRobot:
         Raises:
             RobotConnectionError, RobotFault, RobotTimeout, CommandRefused: See `Session`.
         """
-        if self._session is not None and not self._faulty:
+        if self._line is not None and not self._line.trouble.is_there:
             return
         self.close()
-        if self._options.feed_forward or self._options.trajectory_mode == "cst":
-            self._torque = TorqueModel(self._model, self._options.urdf, self._gravity)
-        session = self._session = Session(self._model, self._options)
-        self._samples = Samples(session, self._topic)
-        self._thermometer = Thermometer(
+        torque = self._torque_model()
+        session = Session(self._model, self._options)
+        samples = Samples(session, self._topic)
+        thermometer = Thermometer(
             session.acyclic, self._options.temperature_object, session.core.temperature
         )
+        trouble = Trouble(self._name, session, samples)
+        self._line = Line(session, samples, trouble, thermometer, torque)
         try:
             session.begin()
-            self._thermometer.ask_all()
-            self._samples.forget()
+            thermometer.ask_all()
+            samples.forget()
         except BaseException:
             self.close()
             raise
@@ -129,14 +142,14 @@ class AxesRobot:
         Raises:
             CommandRefused: It is too heavy, the arm is moving, or a drive does not take it.
         """
-        session = self._healthy()
+        line = self._healthy()
         require_liftable(payload, self.limits)
-        if session.player.moving:
+        if line.session.player.moving:
             raise CommandRefused("a load is declared at rest", hint="read until the arm holds")
-        if self._torque is not None:
-            self._torque.mount(payload)
+        if line.torque is not None:
+            line.torque.mount(payload)
         if self._options.payload_object:
-            return declare(session.acyclic, self._options.payload_object, payload)
+            return declare(line.session.acyclic, self._options.payload_object, payload)
         return payload
 
     def prepare(self, segment: Segment) -> None:
@@ -146,12 +159,12 @@ class AxesRobot:
             CommandRefused: It leaves the limits, jumps, moves at its ends, or begins elsewhere.
             RobotFault: The arm does not obey any more.
         """
-        session, stops = self._healthy(), self._stops
+        line, stops = self._healthy(), self._stops
         self._prepared = False
-        standing = session.drives.scaling.position(session.player.position)
-        rate_hz, scaling = self._options.rate_hz, session.drives.scaling
-        track = track_of(segment, self.limits, standing, rate_hz, scaling, self._torque)
-        session.core.prepare(track)
+        scaling, rate_hz = line.session.drives.scaling, self._options.rate_hz
+        standing = scaling.position(line.session.player.position)
+        track = track_of(segment, self.limits, standing, rate_hz, scaling, line.torque)
+        line.session.core.prepare(track)
         self._prepared = stops == self._stops
         if not self._prepared:  # a stop that has come meanwhile holds
             raise CommandRefused("stopped while it was prepared", hint="prepare it again")
@@ -163,11 +176,11 @@ class AxesRobot:
             CommandRefused: Nothing is prepared, or a motion is still on.
             RobotFault: The arm does not obey any more.
         """
-        session = self._healthy()
+        line = self._healthy()
         prepared, self._prepared = self._prepared, False
         if not prepared:
             raise CommandRefused("no segment is prepared", hint="call prepare() first")
-        session.core.start()
+        line.session.core.start()
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All samples since the last call.
@@ -180,75 +193,55 @@ class AxesRobot:
             RobotFault: An axis has failed, and all were stopped.
             RobotConnectionError: The bus is gone.
         """
-        session = self._connected()
+        line = self._connected()
         until = time.monotonic() + timeout_s
-        rows = None
-        while rows is None or not len(rows):
-            self._raise_problem()
-            rows = self._taken(max(until - time.monotonic(), 0.0))
-            self._look(session)
-        if self._thermometer is not None and not self._faulty:
-            self._thermometer.look()
-        session.flush()
+        while True:
+            line.trouble.raise_it()
+            rows = line.samples.take(max(until - time.monotonic(), 0.0))
+            line.trouble.look(rows)
+            if len(rows):
+                break
+        if not line.trouble.is_there:
+            line.thermometer.look()
+        line.session.flush()
         return rows
 
     def stop(self) -> None:
         """Ramp down along the way, with the next cycle, and hold; from any thread."""
         self._stops += 1
         self._prepared = False
-        session = self._session
-        if session is not None:
-            session.core.stop(self._options.stop_rad_s2)
+        line = self._line
+        if line is not None:
+            line.session.core.stop(self._options.stop_rad_s2)
 
     def close(self) -> None:
         """Stop, switch all axes off, leave the bus."""
-        session, self._session = self._session, None
+        line, self._line = self._line, None
         self._prepared = False
-        if session is not None:
-            session.leave(rest_s=0.0 if self._faulty else REST_S)
-        self._samples = self._thermometer = self._torque = self._problem = None
-        self._faulty = False
+        if line is not None:
+            line.session.leave(rest_s=0.0 if line.trouble.is_there else REST_S)
 
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to drives."""
 
-    def _taken(self, timeout_s: float) -> StructArray:
-        assert self._samples is not None, "connected without samples"
-        try:
-            return self._samples.take(timeout_s)
-        except RobotConnectionError:
-            self._faulty = True
-            raise
+    @property
+    def _drives(self) -> Commissioned | None:
+        return self._line.session.drives if self._line else None
 
-    def _look(self, session: Session) -> None:
-        """Find out whether something is wrong; the next read tells it."""
-        if said := session.core.take_problem():
-            self._faulty = True
-            self._problem = RobotFault(f"{self._name}: {said}{self._codes(session)}", hint=NEXT)
+    def _torque_model(self) -> TorqueModel | None:
+        if self._options.feed_forward or self._options.trajectory_mode == "cst":
+            return TorqueModel(self._model, self._options.urdf, self._gravity)
+        return None
 
-    def _codes(self, session: Session) -> str:
-        """What faulty drives say of themselves (603Fh): an EMCY may have been lost."""
-        said = []
-        for axis in self._samples.faulty if self._samples else ():
-            with contextlib.suppress(HilError):
-                code = session.acyclic.upload(axis, od.ERROR_CODE)
-                said.append(f"{session.acyclic.name_of(axis)} {error_text(code)}")
-        return f" (603Fh: {'; '.join(said)})" if said else ""
-
-    def _raise_problem(self) -> None:
-        problem, self._problem = self._problem, None
-        if problem is not None:
-            raise problem
-
-    def _connected(self) -> Session:
-        if self._session is None:
+    def _connected(self) -> Line:
+        if self._line is None:
             raise RobotConnectionError(
                 f"{self._name} is not connected", hint="call connect() first"
             )
-        return self._session
+        return self._line
 
-    def _healthy(self) -> Session:
-        session = self._connected()
-        if self._faulty:
+    def _healthy(self) -> Line:
+        line = self._connected()
+        if line.trouble.is_there:
             raise RobotFault(f"{self._name} does not obey since a fault", hint=NEXT)
-        return session
+        return line

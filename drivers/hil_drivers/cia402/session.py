@@ -136,6 +136,7 @@ class Session:
             mode_mapped=options.mapping != "minimal",
             late_cycles=options.late_cycles,
             said=emergency_text,
+            names=self.arm.joint_names,
         )
         player = Player(
             options.period_s,

@@ -1,0 +1,73 @@
+"""What is wrong with the arm, as the error that the next read raises."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+from hil.errors import HilError, RobotFault
+from hil.robot import Status
+from hil.typing import StructArray
+from hil_drivers.cia402 import objects as od
+from hil_drivers.cia402.emergencies import error_text
+from hil_drivers.cia402.samples import Samples
+from hil_drivers.cia402.session import Session
+
+WORDS_S = 0.5
+"""How long it may take until the core has heard all there is to say of a fault [s]."""
+
+LOOK_S = 0.005
+NEXT = "see to the cause, then connect again"
+
+
+class Trouble:
+    """Knows whether the arm obeys; tells each fault once.
+
+    Args:
+        name: Of the robot.
+        session: To the drives.
+        samples: Of the same.
+
+    Attributes:
+        is_there: The arm does not obey any more.
+    """
+
+    def __init__(self, name: str, session: Session, samples: Samples) -> None:
+        self._name, self._session, self._samples = name, session, samples
+        self._said = ""
+        self._untold = self.is_there = False
+
+    def look(self, rows: StructArray) -> None:
+        """Look at what was just read, and ask the core."""
+        if said := self._session.core.take_problem():
+            self._said, self._untold, self.is_there = said, True, True
+        elif not self.is_there and (rows["status"] & int(Status.FAULT)).any():
+            self._untold = self.is_there = True
+
+    def raise_it(self) -> None:
+        """Raise what was found, once.
+
+        Raises:
+            RobotFault: With the axis, what it says, and what the others do.
+        """
+        if not self._untold:
+            return
+        self._untold = False
+        self._await_words()
+        said = self._said or "a drive is in fault"
+        raise RobotFault(f"{self._name}: {said}{self._codes()}", hint=NEXT)
+
+    def _await_words(self) -> None:
+        until = time.monotonic() + WORDS_S
+        while not self._said and time.monotonic() < until:
+            self._said = self._session.core.take_problem()
+            time.sleep(LOOK_S)
+
+    def _codes(self) -> str:
+        """What faulty drives say of themselves (603Fh): an EMCY may have been lost."""
+        told = []
+        for axis in self._samples.faulty:
+            with contextlib.suppress(HilError):
+                code = error_text(self._session.acyclic.upload(axis, od.ERROR_CODE))
+                told.append(f"{self._session.acyclic.name_of(axis)} {code}")
+        return f" (603Fh: {'; '.join(told)})" if told else ""
