@@ -1,4 +1,4 @@
-"""How full the bus is, against the table that was worked out beforehand (facts: 47 + 8n bits)."""
+"""How full the bus is, against the table that was worked out beforehand: 47 + 8n bits and stuffing."""
 
 from __future__ import annotations
 
