@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from hil.canbus.frame import pack_frame
+from hil_drivers.cia402.collecting import Collector
 from hil_drivers.cia402.contracts import Inputs, News, Outputs
 from hil_drivers.cia402.mapping import SYNC_COB_ID, Mapping, tpdo_cob_id
 from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID, Counts, NodeWatch, Notify
@@ -22,15 +23,10 @@ BEAT_S = 0.05
 PUMP_S = 0.01
 """How long one wait of `pump` takes at most [s]."""
 
-FIRST_GUESS_S = 0.02
-SMOOTHING = 0.1
-USUAL_TIMES, LEAST_SETTLING_S = 4.0, 5e-4
-"""After so many times of what answers usually take, and this, no late one comes any more."""
-
 _OPERATIONAL = b"\x05"
 _MARKER = struct.Struct("<iH")
 _SYNC = pack_frame(SYNC_COB_ID, b"")
-_HEAD_BYTES, _FRAME_BYTES = 5, 16
+_HEAD_BYTES = 5
 
 Log = Callable[[float, bytes], None]
 
@@ -69,19 +65,15 @@ class CanCyclic:
         self._port = port if log is None else LoggedPort(port, log)
         self._commands, self._answers = Commands(mapping, nodes), Answers(mapping, nodes)
         self.sent, self.answered = self._commands.data, self._answers.data
-        self._inputs = Inputs.none_yet(len(nodes))
         self.counts = Counts()
         self._watch = NodeWatch(nodes, self._answers.cob_ids, self.counts, notify)
-        self._came: list[bytes | None] = [None] * len(self._answers)
-        self._none_came: list[bytes | None] = [None] * len(self._answers)
-        self._all_fresh = [True] * len(nodes)
-        self._owed: set[int] = set()
+        self._collector = Collector(self._port, self._answers, self._watch)
+        self._inputs = Inputs.none_yet(len(nodes))
         self._period_s, self._device_s, self._beat_at = period_s, 0.0, 0.0
         self._beat = pack_frame(HEARTBEAT_COB_ID + master_id, _OPERATIONAL)
         self._marker_id = tpdo_cob_id(1, master_id)
         self._announced: tuple[int, int] | None = None
-        self._synced_at, self._usual_s = 0.0, FIRST_GUESS_S
-        self.sync_time = 0.0
+        self._synced_s = self.sync_time = 0.0
 
     @property
     def cycle(self) -> int:
@@ -90,16 +82,13 @@ class CanCyclic:
 
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
         """See `Cyclic`; the same `Inputs` every time."""
-        self._drain()
         self._begin(outputs)
-        complete = self._collect(give_up_s) and self._settle(give_up_s)
-        inputs = self._inputs
-        inputs.fresh[:] = self._all_fresh
-        if not complete:
-            self._miss()
-        self._answers.memory[:] = b"".join(self._came)  # type: ignore[arg-type]
-        self._answers.unpack(inputs)
-        return inputs
+        self._collector.collect(self._inputs, self._synced_s, give_up_s)
+        return self._inputs
+
+    def idle(self, until_s: float) -> None:
+        """See `Cyclic`."""
+        self._collector.idle(until_s)
 
     def pump(self, until_s: float) -> None:
         """See `Cyclic`; also sends the master's heartbeat."""
@@ -129,7 +118,7 @@ class CanCyclic:
             self._announced = told
             self._send(pack_frame(self._marker_id, _MARKER.pack(*told)))
         self._watch.cycle += 1
-        self._synced_at = time.monotonic()
+        self._synced_s = time.monotonic()
         self._device_s += self._period_s
         self.sync_time = time.time()
         send = self._port.send
@@ -142,84 +131,6 @@ class CanCyclic:
             self._send_beat()
         if self._device_s >= self._watch.look_at:
             self._watch.look(self._device_s)
-
-    def _drain(self) -> None:
-        """Take what has come since the last cycle was over: it belongs to that one at best."""
-        receive, slots = self._port.receive, self._answers.slots
-        while (raw := receive(0.0)) is not None:
-            slot = slots.get(raw[:_HEAD_BYTES])
-            if slot is None:
-                self._watch.heard(raw)
-            elif slot in self._owed:
-                self._owed.discard(slot)
-                self.counts.late += 1
-            else:
-                self.counts.doubled += 1
-
-    def _collect(self, give_up_s: float) -> bool:
-        """Take one answer for every slot; whether all came."""
-        came, receive, slots = self._came, self._port.receive, self._answers.slots
-        came[:] = self._none_came
-        left = len(came)
-        while left:
-            raw = receive(give_up_s)
-            if raw is None:
-                return False
-            slot = slots.get(raw[:_HEAD_BYTES])
-            if slot is None:
-                self._watch.heard(raw)
-            elif came[slot] is None:
-                came[slot] = raw
-                left -= 1
-            else:
-                self._second(slot, raw)
-        return True
-
-    def _settle(self, give_up_s: float) -> bool:
-        """Whether the answers are those to this SYNC.
-
-        Where one was missing in the last cycle, the first may be that one, late: the second is
-        waited for as long as answers usually take, and then some. Without one it was lost.
-        """
-        now = time.monotonic()
-        if not self._owed:
-            self._usual_s += SMOOTHING * (now - self._synced_at - self._usual_s)
-            return True
-        settled = self._synced_at + USUAL_TIMES * self._usual_s + LEAST_SETTLING_S
-        self._take_seconds(min(settled, give_up_s))
-        if now <= settled:
-            self._owed.clear()
-        return not self._owed
-
-    def _take_seconds(self, until_s: float) -> None:
-        while self._owed and (raw := self._port.receive(until_s)) is not None:
-            slot = self._answers.slots.get(raw[:_HEAD_BYTES])
-            if slot is None:
-                self._watch.heard(raw)
-            else:
-                self._second(slot, raw)
-
-    def _second(self, slot: int, raw: bytes) -> None:
-        """Another frame for a slot that has one."""
-        if slot in self._owed:
-            self._owed.discard(slot)
-            self.counts.late += 1
-            self._came[slot] = raw
-        else:
-            self.counts.doubled += 1
-
-    def _miss(self) -> None:
-        """Fill empty slots with what was there before, and keep in mind who owes what."""
-        answers, came = self._answers, self._came
-        for slot in self._owed:
-            if came[slot] is not None:  # the answers are slow: it is the one of the last cycle
-                self.counts.late += 1
-                came[slot] = None
-        self._owed = {slot for slot, raw in enumerate(came) if raw is None}
-        self.counts.missing += len(self._owed)
-        for slot in self._owed:
-            came[slot] = bytes(answers.memory[slot * _FRAME_BYTES : (slot + 1) * _FRAME_BYTES])
-            self._inputs.fresh[answers.axis(slot)] = False
 
     def _send(self, frame: bytes) -> None:
         if not self._port.send(frame):
@@ -255,3 +166,7 @@ class LoggedPort:
         if raw is not None:
             self._log(time.time(), raw)
         return raw
+
+    def wait(self, until_s: float) -> bool:
+        """See `FramePort`."""
+        return self._port.wait(until_s)

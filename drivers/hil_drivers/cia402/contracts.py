@@ -149,8 +149,11 @@ class Cyclic(Protocol):
             RobotConnectionError: The bus is gone.
         """
 
+    def idle(self, until_s: float) -> None:
+        """Between two exchanges: take what comes until that time of `time.monotonic`."""
+
     def pump(self, until_s: float) -> None:
-        """Take what comes beside process data until that time of `time.monotonic`."""
+        """While there are no exchanges: the same, and device time is the wall's."""
 
     def news(self) -> News | None:
         """What has come since the last call; None when nothing has."""

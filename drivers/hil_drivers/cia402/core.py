@@ -246,7 +246,7 @@ class Core:
                 self.schedule.done()
 
     def _cycle(self) -> None:
-        late = self.schedule.wait()
+        late = self.schedule.wait(self._cyclic.idle)
         if self._asked:
             self._obey()
         outputs, supervisor, player = self._outputs, self._supervisor, self._player

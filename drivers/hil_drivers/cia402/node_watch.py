@@ -54,6 +54,7 @@ class NodeWatch:
         notify: Gets every frame but the bus' own errors.
 
     Attributes:
+        counts: As given.
         cycle: The present one, written by the exchange.
         look_at: Device time at which `look` is to be called again [s].
     """
@@ -61,7 +62,7 @@ class NodeWatch:
     def __init__(
         self, nodes: Sequence[int], tpdos: Container[int], counts: Counts, notify: Notify | None
     ) -> None:
-        self._tpdos, self._counts, self._notify = tpdos, counts, notify
+        self._tpdos, self.counts, self._notify = tpdos, counts, notify
         self._heartbeats = {HEARTBEAT_COB_ID + node: axis for axis, node in enumerate(nodes)}
         self._emergencies = {EMCY_COB_ID + node: axis for axis, node in enumerate(nodes)}
         self._answers = frozenset(SDO_ANSWER_COB_ID + node for node in nodes)
@@ -96,9 +97,9 @@ class NodeWatch:
         elif can_id in self._emergencies:
             self._emergency(self._emergencies[can_id], data)
         elif can_id in self._tpdos:
-            self._counts.malformed += 1
+            self.counts.malformed += 1
         elif can_id not in self._answers:
-            self._counts.foreign += 1
+            self.counts.foreign += 1
         if self._notify is not None:
             self._notify(can_id, data[:length], time.time())
 
@@ -114,7 +115,7 @@ class NodeWatch:
 
     def overflow(self) -> None:
         """A frame of the present cycle has found no room."""
-        self._counts.overflows += 1
+        self.counts.overflows += 1
         last, in_a_row = self._overflowing
         if self.cycle == last:
             return

@@ -63,14 +63,17 @@ class Answers:
         slots: First five bytes of a frame (identifier, length) → the slot it belongs to.
         memory: Frames by slot, 16 bytes each.
         data: (T, n, 8) the data bytes of the same.
+        cob_ids: Of all slots.
+        all_fresh: `Inputs.fresh` when all came.
     """
 
     def __init__(self, mapping: Mapping, nodes: Sequence[int]) -> None:
         pdos, self._n = mapping.tpdos, len(nodes)
+        self.all_fresh = [True] * self._n
         self.memory = bytearray(FRAME.size * len(nodes) * len(pdos))
         heads = [(tpdo_cob_id(pdo.number, node), pdo.length) for pdo in pdos for node in nodes]
         self.slots = {struct.pack("<IB", *head): slot for slot, head in enumerate(heads)}
-        self.cob_ids = {cob_id: slot for slot, (cob_id, _) in enumerate(heads)}
+        self.cob_ids = frozenset(cob_id for cob_id, _ in heads)
         self.data = _data(self.memory, len(pdos), self._n)
         self._packing = struct.Struct("<" + "".join(_skipping_head(pdo) * self._n for pdo in pdos))
         self._places: list[tuple[str, slice]] = []

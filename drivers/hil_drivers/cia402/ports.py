@@ -34,6 +34,9 @@ class FramePort(Protocol):
             RobotConnectionError: The bus is gone.
         """
 
+    def wait(self, until_s: float) -> bool:
+        """Whether there is something to receive, at the latest at that `time.monotonic`."""
+
 
 class SocketPort:
     """A socket whose packets are frames: `UnixBus` and SocketCAN.
@@ -62,21 +65,20 @@ class SocketPort:
     def receive(self, until_s: float) -> bytes | None:
         """See `FramePort`."""
         try:
-            try:
-                return self._recv(FRAME.size, _NOW) or self._ended()
-            except BlockingIOError:
-                # select() counts in microseconds; poll and socket time-outs in milliseconds.
-                wait_s = until_s - time.monotonic() if until_s else 0.0
-                if wait_s <= 0.0 or not select.select(self._lines, (), (), wait_s)[0]:
-                    return None
-                return self._recv(FRAME.size, _NOW) or self._ended()
-        except BlockingIOError:  # somebody else was quicker
-            return None
+            raw = self._recv(FRAME.size, _NOW)
+        except BlockingIOError:
+            return self.receive(0.0) if until_s and self.wait(until_s) else None
         except OSError as error:
             raise self._gone(error.strerror or str(error)) from error
+        if not raw:
+            raise self._gone("its host has ended, or frames were not taken fast enough")
+        return raw
 
-    def _ended(self) -> bytes:
-        raise self._gone("its host has ended, or frames were not taken fast enough")
+    def wait(self, until_s: float) -> bool:
+        """See `FramePort`."""
+        # select() counts in microseconds; poll and socket time-outs in milliseconds.
+        wait_s = until_s - time.monotonic()
+        return bool(select.select(self._lines, (), (), wait_s if wait_s > 0.0 else 0.0)[0])
 
     def _gone(self, why: str) -> RobotConnectionError:
         return _gone(self._name, why)
@@ -93,6 +95,7 @@ class PythonCanPort:
         import can
 
         self._bus, self._error, self._message = bus, can.CanError, can.Message
+        self._next: bytes | None = None
 
     def send(self, frame: bytes | memoryview) -> bool:
         """See `FramePort`."""
@@ -110,12 +113,20 @@ class PythonCanPort:
 
     def receive(self, until_s: float) -> bytes | None:
         """See `FramePort`."""
-        wait_s = max(until_s - time.monotonic(), 0.0) if until_s else 0.0
-        try:
-            message = self._bus.recv(wait_s)
-        except (self._error, OSError) as error:
-            raise self._gone(error) from error
-        return None if message is None else _raw(message)
+        if self._next is None:
+            self.wait(until_s)
+        raw, self._next = self._next, None
+        return raw
+
+    def wait(self, until_s: float) -> bool:
+        """See `FramePort`."""
+        if self._next is None:
+            try:
+                message = self._bus.recv(max(until_s - time.monotonic(), 0.0))
+            except (self._error, OSError) as error:
+                raise self._gone(error) from error
+            self._next = None if message is None else _raw(message)
+        return self._next is not None
 
     def _gone(self, error: Exception) -> RobotConnectionError:
         return _gone(str(self._bus.channel_info), str(error))

@@ -22,7 +22,7 @@ class Schedule:
 
     Args:
         wall_period_s: From SYNC to SYNC [s]; 0 to begin as soon as the last one is over.
-        clock, sleep: Of the wall, `time.monotonic` and `time.sleep`.
+        clock: Of the wall, `time.monotonic`.
 
     Attributes:
         deadline: When the present cycle was to begin [s, clock].
@@ -35,13 +35,9 @@ class Schedule:
     """
 
     def __init__(
-        self,
-        wall_period_s: float,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
+        self, wall_period_s: float, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._period, self._clock, self._sleep = wall_period_s, clock, sleep
+        self._period, self._clock = wall_period_s, clock
         self._most_late = wall_period_s * LATE_SHARE
         self._patience = wall_period_s * GIVE_UP_SHARE or FREE_PATIENCE_S
         self.deadline = self.give_up = self._begun = 0.0
@@ -54,17 +50,18 @@ class Schedule:
         self.lateness, self.lasting = Histogram(), Histogram()
         self.deadline = self._clock() - self._period
 
-    def wait(self) -> bool:
-        """Sleep until the next cycle is to begin; whether it begins late.
+    def wait(self, idle: Callable[[float], None]) -> bool:
+        """Let the time pass until the next cycle is to begin; whether it begins late.
 
         After a late one the times shift: two cycles are never closer than the period less
         `LATE_SHARE` of it, whatever was lost.
+
+        Args:
+            idle: Returns at a time of the clock; called even when it is over.
         """
         deadline = self.deadline + self._period
+        idle(deadline)
         now = self._clock()
-        if now < deadline:
-            self._sleep(deadline - now)
-            now = self._clock()
         lateness = now - deadline
         self._late = self._period > 0 and lateness > self._most_late
         if self._late:
