@@ -43,7 +43,7 @@ STANDARD = [
     (0x607D, 1, "i32", "rw", False), (0x607D, 2, "i32", "rw", False),
     (0x607E, 0, "u8", "rw", False), (0x6085, 0, "u32", "rw", False),
     (0x608F, 1, "u32", "rw", False), (0x6091, 2, "u32", "rw", False),
-    (0x60B0, 0, "i32", "rw", True), (0x60B1, 0, "i32", "rw", True),
+    (0x6092, 1, "u32", "ro", False), (0x60B0, 0, "i32", "rw", True), (0x60B1, 0, "i32", "rw", True),
     (0x60B2, 0, "i16", "rw", True), (0x60C2, 1, "u8", "rw", False),
     (0x60C2, 2, "i8", "rw", False), (0x60F4, 0, "i32", "ro", True),
     (0x60FD, 0, "u32", "ro", True), (0x60FE, 1, "u32", "rw", True),

@@ -98,6 +98,7 @@ def _axis(arm: ArmDescription, joint: int) -> Registers:
         keys.PROFILE_DECELERATION: round(PROFILE_SHARE * acceleration),
         keys.QUICK_STOP_DECELERATION: acceleration,
         keys.GEAR_MOTOR: round(gear),
+        key(0x6092, 1): ENCODER_INCREMENTS * round(gear),
         keys.HOMING_ACCELERATION: round(PROFILE_SHARE * acceleration),
         keys.MAX_ACCELERATION: acceleration,
         keys.MAX_DECELERATION: acceleration,

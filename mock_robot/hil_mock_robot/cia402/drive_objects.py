@@ -73,6 +73,15 @@ _GEAR = group(
     ],
     array=True,
 )
+_FEED = group(
+    0x6092,
+    "Feed constant",
+    [
+        Object(0, 1, "Feed", "u32", "ro", 1, per_axis=True, unit=_INCREMENTS),
+        Object(0, 2, "Shaft revolutions", "u32", "ro", 1),
+    ],
+    array=True,
+)
 _HOMING_SPEEDS = group(
     0x6099,
     "Homing speeds",
@@ -87,14 +96,14 @@ _INTERPOLATION = group(
     "Interpolation time period",
     [
         _setting(0, 1, "Value", "u8", default=4, low=1),
-        _setting(0, 2, "Index", "i8", default=-3, low=-6, high=0, note="exponent of 10 s"),
+        _setting(0, 2, "Index", "i8", default=-3, low=-6, high=0, note="power of ten of 1 s"),
     ],
 )
 _OUTPUTS = group(
     0x60FE,
     "Digital outputs",
     [
-        _target(0, 1, "Physical outputs", "u32", note="bit 0: brake set"),
+        _target(0, 1, "Physical outputs", "u32"),
         Object(0, 2, "Bit mask", "u32"),
     ],
     array=True,
@@ -141,6 +150,7 @@ DRIVE: tuple[Object | Group, ...] = (
     _limit(0x6085, 0, "Quick stop deceleration", "u32", unit=_ACCELERATION),
     _ENCODER,
     _GEAR,
+    _FEED,
     Object(0x6098, 0, "Homing method", "i8", choices=HOMING_METHODS),
     _HOMING_SPEEDS,
     _limit(0x609A, 0, "Homing acceleration", "u32", unit=_ACCELERATION),
