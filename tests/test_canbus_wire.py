@@ -9,11 +9,11 @@ from pathlib import Path
 
 import can
 import pytest
-from canbus_parts import bus_hub, can_channel, numbers, raw_end, unix_bus  # noqa: F401
+from canbus_parts import bus_hub, can_channel, frame, numbers, raw_end, unix_bus  # noqa: F401
 from other_process import other_process
 
 from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import HostedHub
+from hil.canbus.hub_thread import HostedHub, hub_thread
 from hil.errors import PluginError
 
 pytestmark = pytest.mark.wire
@@ -79,6 +79,23 @@ def test_the_hosts_answers_come_in_order(can_channel: str) -> None:  # noqa: F81
             got = bus.recv(2.0)
             assert got is not None
             assert (got.arbitration_id, bytes(got.data)) == (0x11, data)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_with_a_bit_rate_frames_take_at_least_their_time(
+    can_channel: str,  # noqa: F811
+    speed: float,
+) -> None:
+    with (
+        hub_thread(can_channel, bitrate=1e6, speed=speed),
+        raw_end(can_channel) as a,
+        raw_end(can_channel) as b,
+    ):
+        begun = time.monotonic()
+        for number in range(300):
+            a.send(frame(1, number))
+            assert numbers(b, 1) == [number]
+        assert time.monotonic() - begun > 300 * 135e-6 / speed
 
 
 def test_a_killed_host_is_noticed_and_its_channel_taken_over(can_channel: str) -> None:  # noqa: F811
