@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.faults import Fault
 from hil_mock_robot.cia402.motion import MotionWatch
-from hil_mock_robot.cia402.states import FAULTED, State
+from hil_mock_robot.cia402.states import FAULTED, Command, State, command_of
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.journal import Journal, Moment
 from hil_mock_robot.rest import RestWatch
@@ -83,9 +84,9 @@ class Witness:
 
     def _changed(self, before: list[State], after: list[State]) -> None:
         changes: dict[tuple[str, str], list[int]] = {}
-        for i, (old, new) in enumerate(zip(before, after, strict=True)):
-            if told := _told(old, new):
-                changes.setdefault(told, []).append(i + 1)
+        for axis, old, new in zip(self._station.axes, before, after, strict=True):
+            if told := _told(old, new, axis.registers[keys.CONTROLWORD]):
+                changes.setdefault(told, []).append(axis.number + 1)
         for (event, by), axes in changes.items():
             if event == "stop":
                 self._note(event, by=by, axes=axes, moving=self._motions.moving)
@@ -100,16 +101,15 @@ class Witness:
         return Moment(time.monotonic(), self._station.clock.device_s, self._station.body.fastest)
 
 
-def _told(old: State, new: State) -> tuple[str, str] | None:
+def _told(old: State, new: State, controlword: int) -> tuple[str, str] | None:
     """What a change of state is called, and what it was for; None where it is no news."""
     if old is new:
         return None
     if new is ENABLED:
         return "enable", ""
-    if new is State.QUICK_STOP_ACTIVE:
-        return "stop", "quick stop"
+    quick = new is State.QUICK_STOP_ACTIVE or command_of(controlword, 0) is Command.QUICK_STOP
     if new in FAULTED:
         return None if old in FAULTED else ("stop", "fault")
     if old is ENABLED:
-        return "stop", "disable"
+        return "stop", "quick stop" if quick else "disable"
     return ("disable", "") if old is State.QUICK_STOP_ACTIVE else None
