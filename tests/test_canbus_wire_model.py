@@ -93,6 +93,16 @@ def test_a_full_queue_refuses_until_something_has_left_it() -> None:
     assert ids(wire, 1.0) == [0, 1, 2, 3, 7]
 
 
+def test_behind_one_end_the_highest_identifiers_are_dropped_first() -> None:
+    wire = Wire(1e6, depth=3)
+    wire.join("many", sorts=True)
+    for can_id in (0x7FF, 0x281, 0x282, 0x283):
+        assert wire.offer("many", eight(can_id), 0.0)
+    assert not wire.offer("many", eight(0x181), 0.0)  # 283 makes room for it
+    assert not wire.offer("many", eight(0x300), 0.0)  # finds none
+    assert ids(wire, 1.0) == [0x7FF, 0x181, 0x281, 0x282]
+
+
 def test_what_was_sent_before_leaving_still_passes() -> None:
     wire = wire_of("a", "b")
     for end in ("a", "a", "b"):

@@ -42,7 +42,7 @@ class LocalEnd:
 
     Attributes:
         heard: Called with every frame that others send, while the hub serves.
-        dropped: Frames for which the transmit queue had no room.
+        dropped: Frames for which the transmit queue had no room; those of the highest identifiers.
     """
 
     def __init__(self, take: Callable[[LocalEnd, bytes], None]) -> None:

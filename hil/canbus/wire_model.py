@@ -44,7 +44,7 @@ class Wire:
     Attributes:
         busy_s: For how long it was busy up to the last call [s of the caller's clock].
         frames: That have passed.
-        refused: That found the queue of their sender full.
+        refused: That were dropped because the queue of their sender was full.
     """
 
     def __init__(self, bitrate: float, *, speed: float = 1.0, depth: int = DEPTH) -> None:
@@ -79,11 +79,16 @@ class Wire:
         self._queues[end] = type(self._queues[end])()
 
     def offer(self, end: Hashable, raw: bytes, now_s: float) -> bool:
-        """It wants to send a frame; whether its queue had room for it."""
+        """It wants to send a frame; whether its queue had room.
+
+        Where it had none, one frame was dropped: the new one, or that of the highest identifier
+        behind an end that sorts.
+        """
         self._advance(now_s)
         queue = self._queues[end]
         if len(queue) >= self._depth:
             self.refused += 1
+            queue.squeeze(raw)
             return False
         queue.put(raw)
         if self._passing is None:
@@ -171,6 +176,9 @@ class _InOrder:
     def put(self, raw: bytes) -> None:
         self._frames.append(raw)
 
+    def squeeze(self, raw: bytes) -> None:
+        """It is full: the new frame is dropped."""
+
     def take(self) -> bytes:
         return self._frames.popleft()
 
@@ -191,6 +199,12 @@ class _Sorted:
 
     def put(self, raw: bytes) -> None:
         heapq.heappush(self._frames, (_priority(raw), next(self._number), raw))
+
+    def squeeze(self, raw: bytes) -> None:
+        """It is full: what would leave last is dropped, so that one node cannot stop another."""
+        self.put(raw)
+        self._frames.remove(max(self._frames))
+        heapq.heapify(self._frames)
 
     def take(self) -> bytes:
         return heapq.heappop(self._frames)[2]
