@@ -258,3 +258,29 @@ def test_the_same_seed_gives_the_same_registers():
     for arm in (one, two):
         swinging(arm, 50)
     assert one.registers == two.registers
+
+
+def test_an_arm_whose_simulation_has_gone_wrong_is_back_where_it_was():
+    arm = SixDrives(BENT).enabled(CSP)
+    arm.cycles(20)
+    before = arm.q
+    arm.body._plant.plant.data.qvel[3] = 500.0
+    arm.cycles(1)
+    assert arm.emergencies == [(3, 0x8611)]
+    assert arm.q == pytest.approx(before, abs=1e-3)
+    arm.cycles(100)
+    assert np.isfinite(arm.raw(keys.POSITION)).all()
+    assert np.degrees(np.abs(arm.q - before).max()) < 3.0
+
+
+def test_a_jump_of_all_targets_faults_within_the_cycle_and_moves_the_arm_little():
+    arm = SixDrives(BENT)
+    before = arm.q
+    arm.set(keys.MODE, [CSP] * 6)
+    arm.aim(before + 1.0)
+    for word in (0x06, 0x07, 0x0F):
+        arm.tell(word)
+    assert sorted(arm.emergencies) == [(axis, 0x8611) for axis in range(6)]
+    arm.cycles(125)
+    assert np.degrees(np.abs(arm.q - before).max()) < 25.0
+    assert arm.states == {State.FAULT}

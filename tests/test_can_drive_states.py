@@ -81,7 +81,7 @@ def drive_in(state: State) -> OneDrive:
             if reached is state:
                 break
     one.registers[keys.CONTROLWORD] = 0
-    one.drive._word = 0
+    one.drive._power._word = 0
     assert one.state is state
     return one
 

@@ -18,14 +18,7 @@ from hil_mock_robot.draw import published
 from hil_mock_robot.mounting import MOUNTS
 from hil_mock_robot.sensors import Sensors
 from hil_mock_robot.simulation import Samples, Setting
-from hil_mock_robot.step import FAULT_OVERLOAD, FAULT_RUNAWAY, OVERLOAD_S
 from hil_mock_robot.truth import Truth
-
-OVERCURRENT, TOO_FAR_AWAY = 0x2310, 0x8611
-"""EMCY codes of what goes wrong in the plant: continuous over-current, following error."""
-
-NEARLY = 0.99
-"""A torque limit (6072h) of so much of the drive's own is none: rated torque is rounded."""
 
 STILL_RAD_S = 1e-3
 """On closed brakes an arm slower than this does not move any more."""
@@ -177,41 +170,10 @@ class Body:
         return self._standing
 
     def _run(self, rows: FloatArray) -> Samples:
-        """Follow rows (N, 3, n) to their end, whatever happens on the way."""
-        done, samples = 0, self._plant.advance(rows)
-        while samples.fault and samples.fault != FAULT_RUNAWAY:
-            done += len(samples)
-            self._blame(samples.fault, rows[done - 1, 0])
-            if done >= len(rows):
-                break
-            samples = self._plant.advance(rows[done:])
-        if samples.fault == FAULT_RUNAWAY:
-            return self._ran_away()
-        for j, torque in enumerate(self._torques):
-            if torque == torque:
-                self._plant.take(j)
-        return samples
-
-    def _blame(self, fault: int, followed: FloatArray) -> None:
-        """Find the axis; `followed` (n,) is where the plant should be [rad]."""
-        overload = self._plant.joints.states["overload_s"]
-        if fault == FAULT_OVERLOAD:
-            for j in np.flatnonzero(overload > OVERLOAD_S):
-                overload[j] = 0.0
-                if self._limits[j] > NEARLY * self._efforts[j]:
-                    self.faults[int(j)] = OVERCURRENT
-            return
-        away = np.abs(self._plant.position - followed)
-        away[[torque == torque for torque in self._torques]] = 0.0
-        self.faults[int(away.argmax())] = TOO_FAR_AWAY
-
-    def _ran_away(self) -> Samples:
-        """The simulation has gone wrong: the arm is back where it was, on its brakes."""
-        data = self._plant.plant.data
-        speed = np.nan_to_num(np.abs(data.qvel), nan=math.inf)
-        self.faults[int(speed.argmax())] = TOO_FAR_AWAY
-        data.qpos[:] = [seen.true_q for seen in self.seen]
-        self._plant.engage_brakes()
+        samples = self._plant.follow(rows)
+        self.faults = self._plant.faults
+        if len(samples):
+            return samples
         self._close_all()
         return self._plant.stand(1)
 
@@ -220,10 +182,9 @@ class Body:
         last = samples.values[-1:]
         q, qd, current, celsius = (last[:, channel] for channel in range(4))
         seen = self._sensors.measure(q, qd, current, celsius)
-        over = self._plant.joints.states["overload_s"]
-        columns = [each[0].tolist() for each in (*seen, q, qd)] + [(over > 0.0).tolist()]
+        columns = [each[0].tolist() for each in (*seen, q, qd)]
         measured = []
-        for row in zip(self._brakes, self._gains, *columns, strict=True):
+        for row in zip(self._brakes, self._gains, *columns, self._plant.at_limit, strict=True):
             brake, gain, at, speed, amperes, warmth, true_q, true_qd, limited = row
             if brake.closed:
                 amperes, limited = 0.0, False
