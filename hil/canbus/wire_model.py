@@ -6,14 +6,12 @@ the stuff bits it can have: what passes here passes on a real wire. Errors are n
 
 from __future__ import annotations
 
-import heapq
-import itertools
-from collections import deque
 from collections.abc import Hashable
 from typing import NamedTuple
 
 from hil.canbus.bits import frame_bits
 from hil.canbus.frame import EXTENDED, FRAME, REMOTE
+from hil.canbus.transmit_queues import InOrder, Queue, Sorted
 
 DEPTH = 64
 """Frames that the transmit queue of one participant takes."""
@@ -52,7 +50,7 @@ class Wire:
             raise ValueError("bit rate, speed and depth of a wire are above 0")
         self._bit_s = 1.0 / (bitrate * speed)
         self._depth = depth
-        self._queues: dict[Hashable, _Queue] = {}
+        self._queues: dict[Hashable, Queue] = {}
         self._leaving: set[Hashable] = set()
         self._passing: Passed | None = None
         self._passed: list[Passed] = []
@@ -67,7 +65,7 @@ class Wire:
             end: Names it.
             sorts: Several controllers are behind it: its own frames compete with each other.
         """
-        self._queues[end] = _Sorted() if sorts else _InOrder()
+        self._queues[end] = Sorted() if sorts else InOrder()
 
     def leave(self, end: Hashable) -> None:
         """It goes; what it has handed to its controller before still passes."""
@@ -142,72 +140,3 @@ def bits_on_wire(raw: bytes) -> int:
     """Bits of a frame with all the stuff bits it can have; a remote frame has no data."""
     can_id, length, _ = FRAME.unpack(raw)
     return frame_bits(0 if can_id & REMOTE else length, extended=bool(can_id & EXTENDED)).worst
-
-
-def arbitration(can_id: int) -> int:
-    """The field that decides who sends, as a number: the lowest wins (ISO 11898-1).
-
-    The 11 leading bits, then RTR or SRR, IDE, the 18 further bits and RTR of an extended frame.
-    """
-    remote = 1 if can_id & REMOTE else 0
-    if can_id & EXTENDED:
-        base, further = can_id >> 18 & 0x7FF, can_id & 0x3_FFFF
-        return base << 21 | 0b11 << 19 | further << 1 | remote
-    return (can_id & 0x7FF) << 21 | remote << 20
-
-
-def _priority(raw: bytes) -> int:
-    return arbitration(int.from_bytes(raw[:4], "little"))
-
-
-class _InOrder:
-    """One controller: its frames leave in the order in which they came."""
-
-    def __init__(self) -> None:
-        self._frames: deque[bytes] = deque()
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    @property
-    def head(self) -> int:
-        return _priority(self._frames[0])
-
-    def put(self, raw: bytes) -> None:
-        self._frames.append(raw)
-
-    def squeeze(self, raw: bytes) -> None:
-        """It is full: the new frame is dropped."""
-
-    def take(self) -> bytes:
-        return self._frames.popleft()
-
-
-class _Sorted:
-    """Many controllers: the lowest identifier leaves first, equal ones in order."""
-
-    def __init__(self) -> None:
-        self._frames: list[tuple[int, int, bytes]] = []
-        self._number = itertools.count()
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    @property
-    def head(self) -> int:
-        return self._frames[0][0]
-
-    def put(self, raw: bytes) -> None:
-        heapq.heappush(self._frames, (_priority(raw), next(self._number), raw))
-
-    def squeeze(self, raw: bytes) -> None:
-        """It is full: what would leave last is dropped, so that one node cannot stop another."""
-        self.put(raw)
-        self._frames.remove(max(self._frames))
-        heapq.heapify(self._frames)
-
-    def take(self) -> bytes:
-        return heapq.heappop(self._frames)[2]
-
-
-_Queue = _InOrder | _Sorted
