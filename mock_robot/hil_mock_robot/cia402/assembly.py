@@ -39,7 +39,7 @@ class Mock:
         side: Socket of the side channel.
 
     Attributes:
-        station, troubles, requests, loop: Its parts.
+        station, motions, troubles, requests, loop: Its parts.
 
     Raises:
         SpecError: An option or a fault cannot be.
@@ -65,25 +65,23 @@ class Mock:
         clock = DeviceClock(time.monotonic(), patience_s)
         ids = nodes_of(nodes, body.arm, master_id)
         self.station = Station(body, ids, end.send, clock, master_id, mounted)
-        motions = MotionWatch(self.station)
-        witness = self._witness(motions, end, journal)
-        self.troubles = Troubles(self.station, motions, end, faults)
+        self.motions = MotionWatch(self.station)
+        witness = self._witness(end, journal)
+        self.troubles = Troubles(self.station, self.motions, end, faults)
         if witness is not None:
             self.troubles.listeners.append(witness.struck)
         # The motion is counted before faults that wait for it are looked at, and before the
         # journal says how it ended.
-        self.station.passed += [motions.passed, self.troubles.passed]
+        self.station.passed += [self.motions.passed, self.troubles.passed]
         if witness is not None:
             self.station.passed.append(witness.passed)
         self.requests = Requests(self.station, self.troubles)
         channel = None if side is None else SideChannel(side, self.requests)
         self.loop = Loop(end, self.station, channel, witness)
 
-    def _witness(
-        self, motions: MotionWatch, end: BusEnd, path: Path | str | None
-    ) -> Witness | None:
+    def _witness(self, end: BusEnd, path: Path | str | None) -> Witness | None:
         if path is None:
             return None
         journal = Journal(str(path), end.where)
         journal.open()
-        return Witness(self.station, motions, journal)
+        return Witness(self.station, self.motions, journal)

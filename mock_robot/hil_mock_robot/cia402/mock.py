@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from hil.errors import PluginError
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.truth import Profile
 
@@ -32,7 +33,15 @@ class CanMock:
 
         Args:
             arguments: As of `python -m hil_mock_robot can`.
-        """
-        from hil_mock_robot.cia402.app import main
 
+        Raises:
+            PluginError: A package that it needs is not installed.
+        """
+        try:
+            from hil_mock_robot.cia402.app import main
+        except ModuleNotFoundError as error:
+            raise PluginError(
+                f"the mock drives need the module {error.name}",
+                hint='pip install "hil[can,mock]"',
+            ) from error
         return main(arguments, prog="hil mock can", seed=0)
