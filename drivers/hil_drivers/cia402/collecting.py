@@ -11,7 +11,9 @@ from hil_drivers.cia402.ports import FramePort
 
 LEAST_NAP_S = 2e-5
 MOST_NAP_SHARE = 0.5
-NAP_LONGER, NAP_SHORTER = 0.3, 0.98
+NAP_LONGER, NAP_SHORTER = 1.05, 0.99
+"""A nap that was too short becomes longer, one that was not shorter: five of six are long enough,
+and a single slow cycle changes little."""
 
 SETTLING_TIMES, LEAST_SETTLING_S = 4.0, 5e-4
 """After so many times of what answers usually take, and this, no late one comes any more."""
@@ -23,7 +25,8 @@ class Collector:
     """The slots of one cycle, filled as frames come.
 
     Which SYNC an answer belongs to is not written on it. Where one is owed from an earlier cycle,
-    the first that comes is that one if a second follows, or if answers are slow just now.
+    the first that comes is that one if a second follows, or if answers are slow just now; it is
+    this cycle's again when nothing more has come by the next SYNC.
 
     Args:
         port: Where frames come from.
@@ -38,6 +41,7 @@ class Collector:
         self._none_came: list[bytes | None] = [None] * len(answers)
         self._owed: dict[int, int] = {}
         self._nap_s = 0.0
+        self._doubtful, self._late_then = False, 0
 
     def collect(self, inputs: Inputs, synced_s: float, give_up_s: float) -> None:
         """Fill `inputs` with the answers to a SYNC.
@@ -47,6 +51,9 @@ class Collector:
             synced_s: When it was sent (`time.monotonic`).
             give_up_s: When to be done with waiting.
         """
+        if self._doubtful and self._counts.late == self._late_then:
+            self._owed.clear()  # nothing has come since: it was lost after all
+        self._doubtful = False
         self._nap(synced_s, give_up_s)
         all_came = self._fill(synced_s, give_up_s)
         if self._owed:
@@ -54,6 +61,7 @@ class Collector:
         inputs.fresh[:] = self._answers.all_fresh
         if not all_came:
             self._miss(inputs)
+            self._late_then = self._counts.late
         self._answers.memory[:] = b"".join(self._came)  # type: ignore[arg-type]
         self._answers.unpack(inputs)
 
@@ -98,7 +106,7 @@ class Collector:
             else:
                 self._second(slot, raw)
         if until_s:
-            self._nap_s += NAP_LONGER * (time.monotonic() - synced_s - self._nap_s)
+            self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
             self._nap_s *= NAP_SHORTER
         return True
@@ -107,12 +115,14 @@ class Collector:
         """Whether the answers are those to this SYNC, where earlier ones are owed.
 
         The second is waited for as long as answers usually take, and then some; when none comes,
-        the owed one was lost, unless the first came as late as that.
+        the owed one was lost, unless the first came as late as that. When nobody has answered
+        before, all are slow rather than lost: the second is waited for until the end.
         """
-        now = time.monotonic()
+        now, nobody = time.monotonic(), len(self._owed) == len(self._came)
         settled_s = synced_s + SETTLING_TIMES * self._nap_s + LEAST_SETTLING_S
+        until_s = give_up_s if nobody else min(settled_s, give_up_s)
         while self._owed:
-            raw = self._port.receive(min(settled_s, give_up_s))
+            raw = self._port.receive(until_s)
             if raw is None:
                 break
             slot = self._slot_of(raw[:_HEAD_BYTES])
@@ -120,8 +130,9 @@ class Collector:
                 self._watch.heard(raw)
             else:
                 self._second(slot, raw)
-        if now <= settled_s:
+        if now <= settled_s and not nobody:
             self._owed.clear()
+        self._doubtful = bool(self._owed)
         return not self._owed
 
     def _second(self, slot: int, raw: bytes) -> None:
