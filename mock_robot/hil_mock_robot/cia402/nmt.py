@@ -26,6 +26,7 @@ TARGETS = {
     ENTER_PRE_OPERATIONAL: State.PRE_OPERATIONAL,
 }
 ALL_NODES = 0
+_STATES = {int(state): state for state in State}
 
 
 class NmtSlave(nmt.NmtSlave):
@@ -49,7 +50,7 @@ class NmtSlave(nmt.NmtSlave):
     @property
     def code(self) -> State:
         """The state."""
-        return State(self._state)
+        return _STATES[self._state]
 
     def on_command(self, can_id: int, data: bytes, timestamp: float) -> None:
         """An NMT command was on the bus: command, node."""

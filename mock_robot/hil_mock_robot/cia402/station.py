@@ -20,6 +20,9 @@ from hil_mock_robot.cia402.unit import Unit
 
 SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004
+TICK_STEPS = 5
+"""How often heartbeats, event timers and the watch on the master are looked at, in device time."""
+
 PAYLOAD = (keys.PAYLOAD_MASS, keys.PAYLOAD_X, keys.PAYLOAD_Y, keys.PAYLOAD_Z)
 
 Event = Callable[[str, dict[str, int | float | str]], None]
@@ -65,6 +68,7 @@ class Station:
             for i, node in enumerate(nodes)
         )
         self._routes = Routes(self.axes)
+        self._tick_due = 0
         self._period_s = DEFAULT_PERIOD_S
         for axis, seen in zip(self.axes, body.seen, strict=True):
             axis.drive.measured(seen)
@@ -130,17 +134,22 @@ class Station:
     def _advance(self, steps: int, *, synced: bool) -> None:
         axes = self.axes
         demands = [axis.drive.advance(steps, synced=synced and axis.synced) for axis in axes]
-        seen = self.body.advance(demands)
-        device_s = self.clock.device_s
-        for axis, measured in zip(axes, seen, strict=True):
+        for axis, measured in zip(axes, self.body.advance(demands), strict=True):
             axis.drive.measured(measured, steps)
-            axis.node.ticked(device_s)
-            axis.line.passed(steps)
+            if not axis.line.sound:
+                axis.line.passed(steps)
+        if self.clock.steps >= self._tick_due:
+            self._tick()
         if self.body.faults:
             for number, code in self.body.faults.items():
                 axes[number].drive.fault(code)
         for listener in self.passed:
             listener(steps)
+
+    def _tick(self) -> None:
+        self._tick_due = self.clock.steps + TICK_STEPS
+        for axis in self.axes:
+            axis.node.ticked(self.clock.device_s)
 
     def _told(self, axis: int, what: str, code: int) -> None:
         if what == "booted":
