@@ -30,24 +30,28 @@ class Thermometer:
     def __init__(self, acyclic: Acyclic, index: int, celsius: FloatArray) -> None:
         self._acyclic, self._celsius = acyclic, celsius
         self._entry = Entry("temperature", index, 0, "h", "0.1 °C")
-        self._axis, self._next_s = 0, 0.0 if index else float("inf")
+        self._axis, self._next_s = 0, 0.0
 
     def ask_all(self) -> None:
         """Ask every axis now, so that the first sample has its temperatures."""
-        for _ in self._celsius:
-            self._next_s = min(self._next_s, time.monotonic())
-            self.look()
+        if all(self._ask() for _ in self._celsius):
+            self._next_s = time.monotonic() + EVERY_S / len(self._celsius)
 
     def look(self) -> None:
         """Ask the axis whose turn it is, if it is time; never raises."""
         now = time.monotonic()
-        if now < self._next_s:
-            return
-        self._next_s = now + EVERY_S / len(self._celsius)
+        if now >= self._next_s:
+            self._next_s = now + EVERY_S / len(self._celsius)
+            self._ask()
+
+    def _ask(self) -> bool:
+        if not self._entry.index:
+            return False
         axis, self._axis = self._axis, (self._axis + 1) % len(self._celsius)
         try:
             told = self._acyclic.upload(axis, self._entry)
         except HilError:
-            self._next_s = now + AFTER_SILENCE_S
-            return
+            self._next_s = time.monotonic() + AFTER_SILENCE_S
+            return False
         self._celsius[axis] = told * CELSIUS_PER_COUNT
+        return True

@@ -1,0 +1,222 @@
+"""The robot layer of the CiA 402 driver, without a bus."""
+
+import numpy as np
+import pytest
+
+from hil.arms import load_arm
+from hil.dynamics.robot_model import RobotModel
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout, SpecError
+from hil.payload import Payload
+from hil.robot import HasChecks, HasResource, HasTopics, Segment
+from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
+from hil_drivers.cia402.drives import Commissioned, Drive
+from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
+from hil_drivers.cia402.left_faults import LeftFault, require_resettable
+from hil_drivers.cia402.opening import open_bus
+from hil_drivers.cia402.options import options_of
+from hil_drivers.cia402.payload_object import declare
+from hil_drivers.cia402.profile import AxisProfile
+from hil_drivers.cia402.robot import Cia402Robot
+from hil_drivers.cia402.rows import TOPIC
+from hil_drivers.cia402.scaling import Scaling
+from hil_drivers.cia402.thermometer import Thermometer
+from hil_drivers.cia402.torque_model import TorqueModel
+from hil_drivers.cia402.tracks import track_of
+
+ARM = load_arm("lab6")
+PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
+SCALING = Scaling(PROFILES)
+GIVEN = {"bus": {"interface": "hil_unix", "channel": "nobody"}}
+
+
+class Objects:
+    """Drives that remember what was written."""
+
+    def __init__(self, silent=()):
+        self.values, self.silent, self.asked = {}, silent, []
+
+    def upload(self, axis, entry):
+        self.asked.append(axis)
+        if axis in self.silent:
+            raise RobotTimeout("no answer")
+        return self.values.get((axis, entry.index, entry.sub), 200 + axis)
+
+    def download(self, axis, entry, value):
+        self.values[axis, entry.index, entry.sub] = value
+
+
+def found(**objects):
+    drives = tuple(Drive(objects, profile) for profile in PROFILES)
+    return Commissioned(drives, ((),) * 6)
+
+
+def segment(q, kind="trajectory", qd=None):
+    q = np.atleast_2d(np.asarray(q, dtype=float))
+    zeros = np.zeros_like(q)
+    return Segment(3, kind, q, zeros if qd is None else qd, zeros, 0.0, 0.0)
+
+
+def track(asked, standing=None, model=None):
+    standing = np.zeros(6) if standing is None else standing
+    return track_of(asked, limits_of("lab6"), standing, 250.0, SCALING, model)
+
+
+# -- before anybody connects
+
+
+def test_a_robot_is_described_without_a_process_and_without_a_bus():
+    robot = Cia402Robot("arm", "lab6", **GIVEN)
+    assert robot.process is None
+    assert (robot.capabilities.rate_hz, robot.capabilities.effort_kind) == (250.0, "torque")
+    assert robot.resource == "can://hil_unix/nobody"
+    assert [topic.name for topic in robot.topics] == [TOPIC]
+    assert isinstance(robot, HasTopics)
+    assert isinstance(robot, HasResource)
+    assert isinstance(robot, HasChecks)
+    robot.stop()
+    robot.close()
+
+
+def test_a_wrong_option_is_told_before_a_process_is_started():
+    with pytest.raises(SpecError, match="effrot"):
+        Cia402Robot("arm", "lab6", **GIVEN, effrot="torque")
+
+
+def test_a_bus_that_nobody_hosts_says_what_to_start():
+    with pytest.raises(RobotConnectionError, match="nobody hosts") as caught:
+        open_bus(options_of(GIVEN, "lab6").bus, within_s=0.0)
+    assert "hil mock can" in str(caught.value.hint)
+
+
+def test_a_direct_stop_says_when_it_cannot_be_heard():
+    assert not stop_directly(options_of(GIVEN, "lab6"))
+
+
+@pytest.mark.parametrize("mapping", ["position", "minimal", "all-modes"])
+def test_a_direct_stop_is_a_quick_stop_for_every_axis_and_a_sync(mapping):
+    options = options_of(GIVEN | {"mapping": mapping, "nodes": [1, 2, 3, 10, 11, 12]}, "lab6")
+    *commands, sync = [bytes(frame) for frame in quick_stop_frames(options)]
+    told = {(int.from_bytes(c[:4], "little"), int.from_bytes(c[8:10], "little")) for c in commands}
+    assert told == {(0x200 + node, 0x02) for node in options.nodes}
+    assert int.from_bytes(sync[:4], "little") == 0x080
+
+
+# -- what the drives say
+
+
+def test_limits_are_the_stricter_ones_of_maker_and_drives():
+    nobodys, theirs = limits_of("lab6", found()), limits_of("lab6", found(max_torque=1000))
+    assert nobodys.effort_max.tolist() == ARM.effort_max.tolist()
+    assert theirs.effort_max == pytest.approx(np.minimum(ARM.effort_max, ARM.gear_ratio))
+    ends = {"position_limit_min": -(1 << 24), "position_limit_max": 1 << 24}
+    narrow = limits_of("lab6", found(**ends))
+    ends_rad = (1 << 24) * SCALING.position_resolution
+    assert narrow.q_max == pytest.approx(np.minimum(ARM.q_max, ends_rad))
+    assert narrow.q_min == pytest.approx(np.maximum(ARM.q_min, -ends_rad))
+
+
+def test_gains_are_those_of_the_drives_once_they_are_known():
+    options = options_of(GIVEN | {"effort": "current"}, "lab6")
+    before, after = capabilities_of("lab6", options), capabilities_of("lab6", options, found())
+    assert before.drive_gains == tuple(ARM.drive_gains)
+    assert after.drive_gains == pytest.approx(1.0 * ARM.gear_ratio / 2.0)
+    assert after.drive_gains_source != before.drive_gains_source
+
+
+def test_the_identity_has_serials_and_what_was_reset():
+    fault = LeftFault(2, "joint_3 (node 3)", (0x8611, 0x8130))
+    who = identity_of("lab6", found(serial=0xABC, revision=0x10002), [fault])
+    assert who.serial.split() == ["abc"] * 6
+    assert who.firmware.split() == ["10002"] * 6
+    assert "joint_3 (node 3) is in fault: following error (8611h)" in who.details["faults_reset"]
+
+
+@pytest.mark.parametrize("code", [0x8130, 0x8611, 0x8700])
+def test_faults_of_monitoring_may_be_reset_by_connecting(code):
+    require_resettable([LeftFault(0, "joint_1 (node 1)", (code,))])
+
+
+@pytest.mark.parametrize("codes", [(0x2310,), (0x4310, 0x8130), (0x7305,), ()])
+def test_other_faults_are_for_a_person(codes):
+    with pytest.raises(RobotFault, match="joint_1"):
+        require_resettable([LeftFault(0, "joint_1 (node 1)", codes)])
+
+
+# -- segments
+
+
+def test_a_segment_becomes_set_points_of_the_drives():
+    q = np.linspace(0, 0.01, 20)[:, None] * np.ones(6)
+    qd = np.gradient(q, axis=0) * 250
+    made = track(segment(q, qd=np.where(np.arange(20)[:, None] % 19, qd, 0)))
+    assert SCALING.position(made.position) == pytest.approx(q, abs=1e-7)
+    assert made.segment == 3
+    assert not made.torque.any()
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (segment(np.full((2, 6), 0.001)), "begins 0.0010 rad from"),
+        (segment([[0.0] * 6, [0.0] * 5 + [0.1]]), "joint 5 that are 25.000 rad/s apart"),
+        (segment([[0.0] * 6, [0.0] * 5 + [7.0]]), "joint range"),
+    ],
+)
+def test_what_drives_would_follow_with_a_jump_is_refused(asked, said):
+    with pytest.raises(CommandRefused, match=said):
+        track(asked)
+
+
+# -- torques and loads
+
+
+def test_the_torque_model_is_that_of_the_arm_with_its_load():
+    model, load = TorqueModel("lab6"), Payload(2.0, (0.0, 0.01, 0.05))
+    q = np.array([[0.1, 0.4, -0.3, 0.2, 0.5, 0.0]])
+    bare = RobotModel.from_arm("lab6")
+    assert model.holding(q) == pytest.approx(bare.gravity(q))
+    model.mount(load)
+    assert model.holding(q) == pytest.approx(bare.with_payload(load).gravity(q))
+    made = track(segment(q[0]), standing=q[0], model=model)
+    assert SCALING.torque(made.torque) == pytest.approx(model.holding(q), abs=0.1)
+    model.mount(Payload())
+    assert model.holding(q) == pytest.approx(bare.gravity(q))
+
+
+def test_an_arm_on_a_wall_is_held_by_other_torques():
+    q = np.zeros((1, 6))
+    assert TorqueModel("lab6", gravity=(9.81, 0.0, 0.0)).holding(q) != pytest.approx(
+        TorqueModel("lab6").holding(q)
+    )
+
+
+def test_a_load_is_declared_to_the_first_drive_and_read_back():
+    drives, load = Objects(), Payload(1.25, (0.0, -0.01, 0.05), (1e-3, 1e-3, 1e-3, 0, 0, 0))
+    assert declare(drives, 0x2100, load).agrees_with(load)
+    assert sorted(drives.values) == [(0, 0x2100, sub) for sub in (1, 2, 3, 4)]
+    assert drives.values[0, 0x2100, 1] == 0x3FA00000  # REAL32 of 1.25
+
+
+# -- temperatures
+
+
+def test_temperatures_are_asked_in_turns():
+    drives, celsius = Objects(), np.full(3, np.nan)
+    Thermometer(drives, 0x2110, celsius).ask_all()
+    assert celsius == pytest.approx([20.0, 20.1, 20.2])
+    assert drives.asked == [0, 1, 2]
+
+
+def test_drives_that_tell_no_temperature_are_not_asked():
+    drives = Objects()
+    Thermometer(drives, 0, np.full(3, np.nan)).ask_all()
+    assert drives.asked == []
+
+
+def test_after_one_that_does_not_answer_nobody_is_asked_for_a_while():
+    drives, celsius = Objects(silent=(0,)), np.full(3, np.nan)
+    thermometer = Thermometer(drives, 0x2110, celsius)
+    for _ in range(5):
+        thermometer.look()
+    assert drives.asked == [0]
+    assert np.isnan(celsius).all()
