@@ -127,6 +127,7 @@ class SixDrives:
     def __init__(self, q: object = None, seed: int = 0, **options: object) -> None:
         start = np.zeros(6) if q is None else np.asarray(q, dtype=float)
         self.body = Body(draw_truth("lab6", seed), start, **options)  # type: ignore[arg-type]
+        self.steps = STEPS
         self.emergencies: list[tuple[int, int]] = []
         self.registers = [registers_of(ARM, j) for j in range(6)]
         self.counts = np.array([increments_per_rad(ARM, j) for j in range(6)])
@@ -166,9 +167,9 @@ class SixDrives:
     def cycles(self, count: int, *, synced: bool = True) -> None:
         """Let SYNCs pass."""
         for _ in range(count):
-            demands = [drive.advance(STEPS, synced=synced) for drive in self.drives]
+            demands = [drive.advance(self.steps, synced=synced) for drive in self.drives]
             for drive, seen in zip(self.drives, self.body.advance(demands), strict=True):
-                drive.measured(seen, STEPS)
+                drive.measured(seen, self.steps)
             for axis, code in self.body.faults.items():
                 self.drives[axis].fault(code)
 

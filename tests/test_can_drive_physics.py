@@ -17,17 +17,18 @@ OMEGA = 2 * np.pi * np.array([0.4, 0.35, 0.45, 0.5, 0.55, 0.6])
 SWING = np.radians(20.0)
 
 
-def sine(start, k):
-    return start + SWING * (1 - np.cos(OMEGA * k * CYCLE_S))
+def sine(start, seconds):
+    return start + SWING * (1 - np.cos(OMEGA * seconds))
 
 
 def swinging(arm, cycles):
     """Follow a sine from where it is; (N, 6) how far the joints are from their targets [rad]."""
     start, away = arm.q, []
     for k in range(1, cycles + 1):
-        arm.aim(sine(start, k))
+        target = sine(start, k * arm.steps * STEP_S)
+        arm.aim(target)
         arm.cycles(1)
-        away.append(arm.q - sine(start, k))
+        away.append(arm.q - target)
     return np.array(away)
 
 
@@ -55,6 +56,16 @@ def test_the_arm_follows_a_sine_in_csp():
     assert arm.states == {State.OPERATION_ENABLED}
     assert np.abs(away).max() < 0.5
     assert np.sqrt((away[125:] ** 2).mean(axis=0)).max() < 0.2
+
+
+def test_the_arm_follows_a_sine_at_a_kilohertz():
+    arm = SixDrives(BENT)
+    arm.steps = 1
+    arm.set(keys.INTERPOLATION_VALUE, [1] * 6)
+    arm.enabled(CSP)
+    away = np.degrees(swinging(arm, 1200))
+    assert np.abs(away).max() < 0.5
+    assert np.sqrt((away[300:] ** 2).mean(axis=0)).max() < 0.2
 
 
 def test_position_and_speed_are_reported_as_they_are():
@@ -116,7 +127,6 @@ def test_reported_torque_at_rest_is_gravity_within_friction():
     arm = SixDrives(BENT).enabled(CSP)
     arm.cycles(125)
     away = reported_torque(arm) - static_torque(arm.q)
-    assert np.abs(away) == pytest.approx(0.0, abs=40.0)
     assert (np.abs(away) < 0.15 * ARM.effort_max).all()
     assert np.abs(static_torque(arm.q)).max() > 60.0
 
@@ -172,11 +182,16 @@ def test_a_quick_stop_slows_the_joints_down_as_6085h_says():
     arm.set(keys.QUICK_STOP_DECELERATION, np.round(deceleration * arm.counts).astype(int))
     swinging(arm, 150)
     speed = arm.qd
+    fastest = int(np.abs(speed).argmax())
     arm.tell(0x02)
-    cycles = 1
+    cycles, speeds = 1, [arm.qd[fastest]]
     while arm.states != {State.SWITCH_ON_DISABLED}:
         arm.cycles(1)
+        speeds.append(arm.qd[fastest])
         cycles += 1
+    ramp = np.abs(speeds[5 : int(0.8 * np.abs(speed).max() / deceleration / CYCLE_S)])
+    slope = np.polyfit(CYCLE_S * np.arange(len(ramp)), ramp, 1)[0]
+    assert slope == pytest.approx(-deceleration, rel=0.05)
     assert cycles * CYCLE_S == pytest.approx(np.abs(speed).max() / deceleration, abs=0.06)
     arm.cycles(30)
     assert np.abs(arm.qd).max() == 0.0
@@ -242,6 +257,9 @@ def test_an_arm_that_was_hung_onto_while_braked_still_stands_where_it_was():
     arm.body.mount(Payload(5.0, (0.0, 0.0, 0.1)))
     arm.cycles(50)
     assert arm.q == pytest.approx(before, abs=1e-12)
+    arm.enabled(CSP)
+    arm.cycles(25)
+    assert np.degrees(np.abs(arm.q - before).max()) < 0.1
 
 
 def test_temperature_is_reported_in_tenths_of_a_degree():

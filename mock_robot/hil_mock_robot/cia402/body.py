@@ -92,9 +92,11 @@ class Body:
         return self.seen
 
     def mount(self, payload: Payload) -> None:
-        """Hang something to the flange."""
+        """Hang something to the flange; closed brakes carry it, servos have to find its weight."""
         self.mounted = payload
         self._plant.set_payloads(payload, Payload())
+        if self._standing:
+            self._plant.carry()
 
     def push(self, torque: FloatArray) -> None:
         """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""

@@ -57,6 +57,11 @@ class PlainServoArm(Simulation):
         """Torque [N·m] that gravity (and motion) puts on a joint."""
         return float(self.plant.data.qfrc_bias[joint])
 
+    def carry(self) -> None:
+        """Let every integrator begin with what its joint has to carry where the arm stands."""
+        mujoco.mj_forward(self.plant.model, self.plant.data)
+        self.joints.states["integral"] = self.plant.data.qfrc_bias
+
     @property
     def at_limit(self) -> list[bool]:
         """(n,) whether the servo wants more torque than it may give."""
