@@ -36,6 +36,7 @@ class Line:
             node.boot()
 
     def _send(self, can_id: int, data: bytes) -> None:
+        assert isinstance(data, bytes)
         with self._lock:
             self.sent.append((can_id, data))
             for node in self.nodes:

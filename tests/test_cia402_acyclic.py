@@ -180,19 +180,62 @@ def test_an_object_that_no_pdo_takes_is_named_with_pdo_and_way_out(monkeypatch):
         assert "mapping" in caught.value.hint
 
 
+def kept_otherwise(monkeypatch, node, where: tuple[int, int], data: bytes) -> None:
+    """A drive that acknowledges what it is given, and keeps something else."""
+    set_data = node.set_data
+    monkeypatch.setattr(
+        node,
+        "set_data",
+        lambda index, sub, given, **more: set_data(
+            index, sub, data if (index, sub) == where else given, **more
+        ),
+    )
+
+
 def test_a_mapping_that_reads_back_otherwise_is_refused(monkeypatch):
     with drives(1) as line:
         line.master.preoperational()
-        node, set_data = line.nodes[0], line.nodes[0].set_data
-        monkeypatch.setattr(  # a drive that acknowledges and keeps another object
-            node,
-            "set_data",
-            lambda index, sub, data, **more: set_data(
-                index, sub, b"\x10\x00\x62\x60" if (index, sub) == (0x1A01, 3) else data, **more
-            ),
-        )
-        with pytest.raises(CommandRefused, match="TPDO2"):
+        kept_otherwise(monkeypatch, line.nodes[0], (0x1A01, 3), b"\x10\x00\x77\x60")
+        with pytest.raises(
+            CommandRefused,
+            match=r"TPDO2 carries 606C0020h, 60770010h, 60770010h after it was given .*6078h",
+        ):
             line.master.map(POSITION)
+
+
+def test_a_pdo_that_does_not_go_by_sync_is_refused(monkeypatch):
+    with drives(1) as line:
+        line.master.preoperational()
+        kept_otherwise(monkeypatch, line.nodes[0], (0x1400, 2), b"\xff")
+        with pytest.raises(CommandRefused, match=r"RPDO1: 1400h:02 .* reads FFh after 1h"):
+            line.master.map(POSITION)
+
+
+def test_pdos_of_a_former_mapping_are_silent():
+    with drives(1) as line:
+        line.master.preoperational()
+        line.master.map(ALL_MODES)
+        assert not cob_ids(line.nodes[0], 0x1400)[1] & NOT_VALID
+        line.master.map(POSITION)
+        assert cob_ids(line.nodes[0], 0x1400)[1] & NOT_VALID
+
+
+def test_a_drive_with_fewer_pdos_than_four_will_do(monkeypatch):
+    from hil_mock_robot.cia402.aborts import NO_OBJECT, Abort
+
+    with drives(1) as line:
+        line.master.preoperational()
+        node = line.nodes[0]
+        for name in ("get_data", "set_data"):
+            whole = getattr(node, name)
+
+            def lacking(index, sub, *args, whole=whole, **more):
+                if index in (0x1402, 0x1403, 0x1802, 0x1803):
+                    raise Abort(NO_OBJECT)
+                return whole(index, sub, *args, **more)
+
+            monkeypatch.setattr(node, name, lacking)
+        line.master.map(ALL_MODES)
 
 
 def test_a_drive_whose_mapping_is_fixed_will_do_if_it_is_the_wanted_one(monkeypatch):
@@ -226,6 +269,26 @@ def test_an_eds_file_refuses_what_it_does_not_have_before_the_drive_is_asked(tmp
             line.master.map(ALL_MODES)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("[60B2]", "[2FFF]", "is not in it"),
+        ("DataType=0x0003", "DataType=0x0004", "has 32 bits there, 16 by CiA 402"),
+        ("AccessType=rw", "AccessType=ro", "cannot be written"),
+    ],
+)
+def test_an_eds_file_says_what_is_wrong_with_an_object(before, after, said, tmp_path):
+    with drives(1) as line:
+        head, section = eds_of(line.nodes[0].object_dictionary).decode().split("[60B2]")
+    path = tmp_path / "drive.eds"
+    path.write_text(head + ("[60B2]" + section).replace(before, after, 1))
+    if before == "[60B2]":
+        path.write_text(path.read_text().replace("=0x60B2", "=0x2FFF"))
+    with drives(1, eds=(str(path),)) as line, pytest.raises(SpecError) as caught:
+        line.master.map(ALL_MODES)
+    assert caught.value.message.endswith(f"60B2h (torque offset) {said}")
+
+
 def test_an_eds_file_that_is_none_is_refused(tmp_path):
     path = tmp_path / "drive.eds"
     path.write_text("[6040\nno eds")
@@ -244,6 +307,40 @@ def test_frames_that_are_no_answers_of_ours_do_no_harm():
         ):
             line.master.heard(can_id, data)
         assert line.master.upload(0, objects.DEVICE_TYPE) == 0x0002_0192
+
+
+def test_a_mutilated_answer_is_not_taken_for_one():
+    with drives(1) as line:
+
+        def mutilated_first(can_id: int, _: bytes) -> bool:
+            if can_id == 0x581:
+                line.master.heard(0x581, b"\x43")
+            return False
+
+        line.lost = mutilated_first
+        assert line.master.upload(0, objects.DEVICE_TYPE) == 0x0002_0192
+
+
+def test_two_requests_to_one_node_never_overlap(monkeypatch):
+    with drives(1) as line:
+        active, most = [], []
+
+        def slow(index: int, sub: int) -> bytes:
+            active.append(index)
+            most.append(len(active))
+            threading.Event().wait(0.01)
+            active.pop()
+            return bytes(4)
+
+        monkeypatch.setattr(line.master._remote[0].sdo, "upload", slow)
+        threads = [
+            threading.Thread(target=line.master.upload, args=(0, objects.SERIAL)) for _ in range(4)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert most == [1, 1, 1, 1]
 
 
 def test_errors_of_a_drive_are_the_present_one_and_its_list():

@@ -1,4 +1,4 @@
-"""How full the bus is, against the table that was worked out beforehand: 47 + 8n bits and stuffing."""
+"""How full the bus is, against a table worked out beforehand: 47 + 8n bits, and stuffing."""
 
 from __future__ import annotations
 
@@ -78,3 +78,6 @@ def test_on_a_slow_bus_heartbeats_count_too():
     slow = load_of(MINIMAL, 1, 20.0, 2e4)
     assert slow.cyclic.worst <= 0.8
     assert slow.total.worst > slow.cyclic.worst + 0.25
+    busy = load_of(MINIMAL, 1, 50.0, 2e4)
+    assert busy.cyclic.worst <= 0.8
+    assert not busy.fits

@@ -11,11 +11,13 @@ from cia402_drives import ARM, drives
 
 from hil.errors import CommandRefused, RobotConnectionError
 from hil_drivers.cia402.commissioning import commission
+from hil_drivers.cia402.inspection import out_of_range
 from hil_drivers.cia402.options import options_of
-from hil_mock_robot.cia402.aborts import NO_OBJECT, Abort
+from hil_drivers.cia402.profile import AxisProfile
+from hil_mock_robot.cia402.aborts import DEVICE_STATE, NO_OBJECT, Abort
 from hil_mock_robot.cia402.contracts import key
 
-GEAR, RATED_CURRENT, RATED_TORQUE, POLARITY = key(0x6091, 1), key(0x6075), key(0x6076), key(0x607E)
+GEAR, POLARITY = key(0x6091, 1), key(0x607E)
 
 
 def options(n: int = 2, **given):
@@ -207,6 +209,41 @@ def test_limits_of_a_counter_without_sign_are_those_around_the_joint():
         found = commissioned(line, axes=axes)
     assert found.q_min == pytest.approx([math.radians(-90)], abs=1e-6)
     assert found.q_max == pytest.approx([math.radians(60)], abs=1e-6)
+
+
+@pytest.mark.parametrize("ends", [(-(2**31), 2**31 - 1), (100, -100), (0, 0)])
+def test_limits_that_limit_nothing_are_none(ends):
+    with drives(1) as line:
+        for sub, raw in zip((1, 2), ends, strict=True):
+            line.nodes[0].registers[key(0x607D, sub)] = raw
+        assert math.isnan(commissioned(line).q_min[0])
+
+
+def test_a_range_that_no_counter_of_32_bits_holds_is_refused():
+    axis = AxisProfile(1 << 31, 121.0, 1.0, 1.0, position_unsigned=True)
+    assert list(out_of_range(replace(axis, encoder_increments=1 << 20), -3.0, 3.0)) == []
+    assert len(list(out_of_range(axis, -3.0, 3.0))) == 1
+
+
+def test_bits_of_polarity_that_are_the_vendors_own_say_nothing(monkeypatch):
+    with drives(1) as line:
+        monkeypatch.setitem(line.nodes[0].registers, POLARITY, 0x81)
+        axis = commissioned(line, axes={"polarity": 0x80}).drives[0].profile
+    assert axis.polarity == 0x80
+
+
+def test_an_object_that_is_there_and_cannot_be_read_is_not_taken_for_missing(monkeypatch):
+    with drives(1) as line:
+        node, get_data = line.nodes[0], line.nodes[0].get_data
+
+        def busy(index, sub, **more):
+            if index == 0x6076:
+                raise Abort(DEVICE_STATE)
+            return get_data(index, sub, **more)
+
+        monkeypatch.setattr(node, "get_data", busy)
+        with pytest.raises(CommandRefused, match=r"6076h .* read: .* state of the device"):
+            commissioned(line)
 
 
 def test_a_range_that_32_bits_with_sign_do_not_hold_is_refused():

@@ -117,10 +117,6 @@ def _said(load: Load) -> str:
 def _what_fits(name: str, n: int, rate_hz: float, bitrate: float, allowed: Iterable[str]) -> str:
     most = most_rate_hz(MAPPINGS[name], n, bitrate)
     rate = f"rate_hz {most:.6g} is the largest that fits" if most else "no rate fits"
-    smaller = [
-        each
-        for each in allowed
-        if each != name and load_of(MAPPINGS[each], n, rate_hz, bitrate).fits
-    ]
+    smaller = [m for m in allowed if load_of(MAPPINGS[m], n, rate_hz, bitrate).fits]
     other = f"; with mapping {' or '.join(smaller)} {rate_hz:g} Hz fit" if smaller else ""
     return f"{rate}{other}; else a faster bus, or EtherCAT"

@@ -83,7 +83,7 @@ class CanopenAcyclic:
             self._network.notify(can_id, bytearray(data), time_s)
         elif can_id in self._axes and data:
             with self._told:
-                self._states[self._axes[can_id]] = data[0] & 0x7F
+                self._states[self._axes[can_id]] = data[0]
                 self._told.notify_all()
 
     def upload(self, axis: int, entry: Entry) -> int:
