@@ -23,8 +23,9 @@ ANSWER_S, BEAT_S, STOP_S = 1.0, 0.2, 0.03
 """How long an answer may take: in general, to a beat, to a stop before it is written again [s]."""
 
 STOP_WITHIN_S = 0.08
-TAKE_S = 3.0
-"""How long the session of a client that has died, or a braking arm, is waited for [s]."""
+TAKE_S, SURE_S = 3.0, 0.5
+"""How long a braking arm is waited for; a client that has died for so much longer than the PLC's
+watchdog takes to notice that [s]."""
 
 
 class Controller:
@@ -147,16 +148,18 @@ class Controller:
 
     def _take(self, kind: np.dtype[np.void]) -> Beat:
         """Take the arm, and begin with the heartbeat."""
-        until = time.monotonic() + TAKE_S
+        began = time.monotonic()
         while True:
             try:
                 self.orders.give(Order.TAKE, "take the arm")
                 break
             except CommandRefused:
-                if time.monotonic() > until:
+                held = self.state()["nSession"] != 0
+                allowed = self.watchdog_s + SURE_S if held else TAKE_S
+                if time.monotonic() - began > allowed:
                     raise
             except RobotFault as error:
-                if time.monotonic() > until:
+                if time.monotonic() - began > TAKE_S:
                     fault = self.fault(self.state())
                     raise RobotFault(f"{self.where}: {fault}", hint=error.hint) from error
             time.sleep(0.05)

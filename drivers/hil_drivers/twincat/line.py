@@ -34,6 +34,8 @@ _ROUTE = (
     "is the PLC's"
 )
 
+_LOST = "see to cable and PLC, then connect again"
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
@@ -60,6 +62,7 @@ class Line:
     def __init__(self, options: Options, timeout_s: float) -> None:
         self._options, self._timeout_s = options, timeout_s
         self._connection: Any = None
+        self._answered = False
 
     @property
     def where(self) -> str:
@@ -88,7 +91,7 @@ class Line:
             raise RobotConnectionError(
                 f"{self.where} cannot be reached: {_text(error)}", hint=_ROUTE
             ) from error
-        self._connection = connection
+        self._connection, self._answered = connection, False
 
     def close(self) -> None:
         """Let go; idempotent."""
@@ -168,6 +171,7 @@ class Line:
         pyads = library()
         try:
             yield
+            self._answered = True
         except pyads.ADSError as error:
             raise self._error(error, what) from error
         except (RuntimeError, TypeError) as error:  # too few bytes; closed by another thread
@@ -185,7 +189,8 @@ class Line:
             )
         if code in TIMED_OUT:
             return RobotTimeout(
-                f"{self.where} has not answered within {self._timeout_s:g} s: {what}", hint=_ROUTE
+                f"{self.where} has not answered within {self._timeout_s:g} s: {what}",
+                hint=_LOST if self._answered else _ROUTE,
             )
         if code in NO_RUNTIME:
             return RobotConnectionError(
@@ -195,7 +200,7 @@ class Line:
         if code is None or code < 0 or code >= 0x1000 or code < 0x700:
             return RobotConnectionError(
                 f"{self.where}: the connection is lost: {what}: {_text(error)}",
-                hint="see to cable and PLC, then connect again",
+                hint=_LOST,
             )
         return CommandRefused(f"{self.where}: {what}: {_text(error)}", hint="see the PLC's log")
 

@@ -34,18 +34,25 @@ class Ring:
         next: Sequence number of the row that is read next.
         gaps: How often rows were overwritten before they were read.
         lost: How many rows that were.
+        skipped: Rows that nobody wanted: nothing had been started, and nobody had read for long.
         torn: How often a block was read again because a row in it was being written.
-        deepest: Most rows that have waited.
     """
 
     def __init__(self, read: Read, row: np.dtype[Any], rows: int, chunk_bytes: int) -> None:
         self._read, self._row, self._rows = read, row, rows
         self._most = max(1, chunk_bytes // row.itemsize)
-        self.next = self.gaps = self.lost = self.torn = self.deepest = 0
+        self.next = self.gaps = self.lost = self.skipped = self.torn = 0
+        self._behind_gap = -1
 
     def begin(self, head: int) -> None:
         """Forget what was before; the next row is the one with this number."""
         self.next = head
+
+    def forget(self, head: int, keep: int) -> None:
+        """Leave out what is older than the newest `keep` rows before `head`: nobody wants it."""
+        if head - self.next > keep:
+            self.skipped += head - keep - self.next
+            self.next = head - keep
 
     def pull(self, head: int) -> StructArray:
         """(N,) rows that have been written and not been read.
@@ -61,9 +68,7 @@ class Ring:
                 f"the PLC's program was started anew: {head} rows written, {self.next} were read",
                 hint="see to the PLC, then connect again",
             )
-        waiting = head - self.next
-        self.deepest = max(self.deepest, waiting)
-        if waiting > self._rows:
+        if head - self.next > self._rows:
             self._skip_to(head - self._rows + min(SAFE_ROWS, self._rows // 2))
         blocks = []
         while self.next < head:
@@ -86,8 +91,7 @@ class Ring:
             newest = int(np.minimum(rows["nSequence"], rows["nSequenceEnd"]).max())
             if newest >= self.next + self._rows:
                 # Overtaken while reading: what is left of this lap begins behind the newest.
-                left = newest - self._rows + 1 + min(SAFE_ROWS, self._rows // 2)
-                self._skip_to(left)
+                self._skip_to(newest - self._rows + 1 + min(SAFE_ROWS, self._rows // 2))
                 return rows[:0]
             self.torn += 1
         raise RobotConnectionError(
@@ -97,6 +101,7 @@ class Ring:
         )
 
     def _skip_to(self, number: int) -> None:
-        self.gaps += 1
+        """Give up the rows before this number; gaps without a row between them are one."""
+        self.gaps += self.next != self._behind_gap
         self.lost += number - self.next
-        self.next = number
+        self.next = self._behind_gap = number

@@ -29,6 +29,9 @@ AT_SET_POINT_RAD = 1e-3
 
 LEAST_NAP_S = 1e-3
 
+KEPT_S = 5.0
+"""Rows of an arm that nobody has moved or read: no more than these are told [s]."""
+
 
 class TwinCatRobot:
     """Implements `hil.robot.Robot` for arms behind a Beckhoff PLC, by ADS.
@@ -183,6 +186,8 @@ class TwinCatRobot:
         try:
             state = self._await_rows(controller, ring, timeout_s)
             now = time.time()
+            if self._watch.idle and not self._watch.moving:
+                ring.forget(int(state["nHead"]), round(KEPT_S * self._options.rate_hz))
             raw = ring.pull(int(state["nHead"]))
         except RobotConnectionError:
             self._watch.faulty = True
@@ -202,6 +207,7 @@ class TwinCatRobot:
         controller = self._controller
         self._prepared = None
         if controller is not None:
+            self._watch.idle = True
             controller.stop()
 
     def close(self) -> None:
@@ -243,8 +249,10 @@ class TwinCatRobot:
             waiting = int(state["nHead"]) - ring.next
             now = time.monotonic()
             if not self._watch.advanced(int(state["nHead"])) and self._watch.moving:
+                # Both are there when it goes on: the stop, and the silence of our heartbeat.
                 self._watch.faulty = True
                 controller.beat.hush()
+                controller.stop()
                 raise self._watch.stands_still(controller.where)
             if waiting >= wanted or waiting < 0 or (waiting and now >= enough):
                 return state

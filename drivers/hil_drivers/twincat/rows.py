@@ -69,11 +69,11 @@ def reading_topic(rate_hz: float) -> Topic:
     """
     fields = [
         ("device_time", "<f8"), ("host_time", "<f8"), ("sequence", "<i8"), ("gaps", "<i4"),
-        ("lost", "<i4"), ("torn", "<i4"), ("waited", "<i4"),
+        ("lost", "<i4"), ("skipped", "<i4"), ("waited", "<i4"),
     ]  # fmt: skip
     units = {
         "device_time": "s", "host_time": "s (Unix time)", "sequence": "row, from 0",
-        "gaps": "so far", "lost": "rows so far", "torn": "blocks read again so far",
+        "gaps": "so far", "lost": "rows so far", "skipped": "rows so far, not wanted",
         "waited": "rows in the block",
     }  # fmt: skip
     return Topic(
@@ -98,5 +98,5 @@ def reading_rows(rows: StructArray, raw: StructArray, ring: Ring, topic: Topic) 
     told = topic.blank(len(rows))
     told["device_time"], told["host_time"] = rows["device_time"], rows["host_time"]
     told["sequence"], told["waited"] = raw["nSequence"], len(rows)
-    told["gaps"], told["lost"], told["torn"] = ring.gaps, ring.lost, ring.torn
+    told["gaps"], told["lost"], told["skipped"] = ring.gaps, ring.lost, ring.skipped
     return told

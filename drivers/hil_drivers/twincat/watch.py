@@ -24,6 +24,8 @@ class Watch:
         problem: What the next read raises.
         faulty: Whether nothing is obeyed any more, until connected again.
         moving: Whether a segment was started and no row has shown its end.
+        idle: Whether nothing was started since the connection was made, or the arm was stopped:
+            rows that nobody reads for long may be left out then.
     """
 
     def __init__(self, session: int, late_s: float) -> None:
@@ -32,10 +34,11 @@ class Watch:
         self._segment = -1
         self.problem: HilError | None = None
         self.faulty = self.moving = False
+        self.idle = True
 
     def begun(self, segment: int) -> None:
         """A segment was started."""
-        self._segment, self.moving = segment, True
+        self._segment, self.moving, self.idle = segment, True, False
         self._since = time.monotonic()
 
     def advanced(self, head: int) -> bool:

@@ -51,7 +51,7 @@ class Loop:
     def run(self) -> None:
         """Until `end`."""
         began = last = time.monotonic()
-        passed = 0
+        passed = 0.0
         try:
             while not self._ending:
                 self._links.serve(last + ROUND_S - time.monotonic())
@@ -59,10 +59,12 @@ class Loop:
                 late = now - began - passed / self._cycles_per_s
                 if late > LATEST_S:
                     began += late - ROUND_S
-                due = int((now - began) * self._cycles_per_s) - passed
+                due = int((now - began) * self._cycles_per_s - passed)
                 if now - last >= ROUND_S and due > 0:
                     self._pass(due, min(now - last, LATEST_S))
                     passed, last = passed + due, now
+                    if self._changed_speed():
+                        began, passed = now, 0.0
         finally:
             self._links.cut()
             self._witness.close()
@@ -70,6 +72,13 @@ class Loop:
     def end(self) -> None:
         """Let `run` return; may be called by a signal handler."""
         self._ending = True
+
+    def _changed_speed(self) -> bool:
+        asked = None if self._side is None else self._side.speed
+        if self._side is None or asked is None:
+            return False
+        self._cycles_per_s, self._side.speed = asked / self._cycle_s, None
+        return True
 
     def _pass(self, cycles: int, wall_s: float) -> None:
         self._troubles.turn(cycles)

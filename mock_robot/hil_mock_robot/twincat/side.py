@@ -1,6 +1,7 @@
 """Requests to a mock PLC that runs: lines of JSON at the end of a file.
 
-`echo '{"kind": "emergency_stop", "for_s": 1}' >> side` begins a fault, `{"clear": true}` ends all.
+`echo '{"kind": "emergency_stop", "for_s": 1}' >> side` begins a fault, `{"clear": true}` ends all,
+`{"speed": 10}` lets device time pass ten times as fast.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from pathlib import Path
 from hil.errors import SpecError
 from hil_mock_robot.twincat.faults import fault_of
 from hil_mock_robot.twincat.troubles import Troubles
+from hil_mock_robot.ur.options import factor_of
 
 
 class SideFile:
@@ -19,10 +21,14 @@ class SideFile:
 
     Args:
         path: The file; it may not exist yet.
+
+    Attributes:
+        speed: Device seconds per second that were asked for last; None for no change.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._read = path, 0
+        self.speed: float | None = None
 
     def look(self, troubles: Troubles) -> None:
         """Do what was asked for since the last look."""
@@ -43,6 +49,8 @@ class SideFile:
             request = json.loads(line)
             if request == {"clear": True}:
                 troubles.clear()
+            elif isinstance(request, dict) and set(request) == {"speed"}:
+                self.speed = factor_of(str(request["speed"]))
             else:
                 troubles.add(fault_of(where, request))
         except (ValueError, SpecError) as error:
