@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from numba import types  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
 
 
+@cache
 def _library() -> ctypes.CDLL:
     """The libmujoco of the wheel, already loaded by `import mujoco`, so shared."""
     pattern = {"darwin": "libmujoco*.dylib", "win32": "mujoco.dll"}.get(

@@ -101,6 +101,7 @@ class Simulation:
         self.joints = self._build_joints()
         self._setpoint = np.zeros((COMMANDS, n))
         self._setpoint[0] = self.q
+        self._believed: Payload | None = None
         self._load(Payload(), Payload(), self.q, np.zeros(n))
 
     @property
@@ -213,7 +214,8 @@ class Simulation:
             self.setting.gravity, self._timing.dt,
         )  # fmt: skip
         self.plant.data.qpos[:], self.plant.data.qvel[:] = q, v
-        self._nominal = self._build_nominal(declared)
+        if declared != self._believed:
+            self._nominal, self._believed = self._build_nominal(declared), declared
         self._attach()
 
     def _build_nominal(self, payload: Payload) -> Plant:

@@ -20,6 +20,10 @@ from hil_mock_robot.cia402.unit import Unit
 
 SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004
+MOUNT_STEPS = 20
+"""Device time after the last write to a payload object before the load hangs at the flange: it is
+written in parts, and each change of the plant costs a few milliseconds."""
+
 TICK_STEPS = 5
 """How often heartbeats, event timers and the watch on the master are looked at, in device time."""
 
@@ -69,6 +73,7 @@ class Station:
         )
         self._routes = Routes(self.axes)
         self._tick_due = 0
+        self._mount_due: int | None = None
         self._period_s = DEFAULT_PERIOD_S
         for axis, seen in zip(self.axes, body.seen, strict=True):
             axis.drive.measured(seen)
@@ -140,6 +145,8 @@ class Station:
                 axis.line.passed(steps)
         if self.clock.steps >= self._tick_due:
             self._tick()
+        if self._mount_due is not None and self.clock.steps >= self._mount_due:
+            self._mount_declared()
         if self.body.faults:
             for number, code in self.body.faults.items():
                 axes[number].drive.fault(code)
@@ -170,5 +177,9 @@ class Station:
             return
         mass, x, y, z = values
         self.declared = Payload(max(0.0, mass), (x, y, z))
-        if self._mounted is None:
-            self.body.mount(self.declared)
+        self._mount_due = self.clock.steps + MOUNT_STEPS
+
+    def _mount_declared(self) -> None:
+        self._mount_due = None
+        if self.mounted != self.body.mounted:
+            self.body.mount(self.mounted)
