@@ -41,9 +41,9 @@ TEXTS = {
     0x0609_0036: "maximum below minimum",
     0x060A_0023: "resource not available",
     0x0800_0000: "general error",
-    0x0800_0020: "cannot be stored",
-    0x0800_0021: "cannot be stored: the device is under local control",
-    0x0800_0022: "cannot be stored in this state of the device",
+    0x0800_0020: "cannot be transferred or stored",
+    0x0800_0021: "not while the device is under local control",
+    0x0800_0022: "not in this state of the device",
     0x0800_0023: "no object dictionary",
     0x0800_0024: "no data",
 }
