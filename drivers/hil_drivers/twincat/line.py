@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from hil.errors import CommandRefused, PluginError, RobotConnectionError, RobotTimeout
-from hil_drivers.twincat.options import Options
+from hil_drivers.patience import once_listening
+from hil_drivers.twincat.options import Options, is_ip
 
 REACHED_WITHIN_S = 3.0
 """How long a TCP connection may take: the library itself waits for minutes [s]."""
@@ -124,11 +125,13 @@ class Line:
             PluginError: The PLC has none of that name.
             RobotError: As `read`.
         """
-        from pyads import pyads_ex
+        from pyads import constants, structs
 
-        connection = self._opened()
         with self._told(f"asked for {name}"):
-            entry = pyads_ex.adsGetSymbolInfo(connection._port, connection._adr, name)  # noqa: SLF001
+            entry = self._opened().read_write(
+                constants.ADSIGRP_SYM_INFOBYNAMEEX, 0, structs.SAdsSymbolEntry, name,
+                constants.PLCTYPE_STRING, return_ctypes=True,
+            )  # fmt: skip
             return Place(int(entry.iGroup), int(entry.iOffs), int(entry.size))
 
     def read(self, place: Place, start: int = 0, size: int | None = None) -> bytes:
@@ -209,10 +212,18 @@ def address_of(options: Options) -> str:
     """What the library connects to, once it is sure that somebody listens.
 
     Once, before anything is open: a PLC may let go of an older connection from this computer.
+    A mock that is still starting on this computer is waited for.
 
     Raises:
         RobotConnectionError: Nobody does.
     """
+    host, _ = options.host
+    if not is_ip(host):
+        return _found(options)
+    return once_listening(host, lambda: _found(options))
+
+
+def _found(options: Options) -> str:
     host, port = options.host
     try:
         with socket.create_connection((host, port), REACHED_WITHIN_S) as line:

@@ -111,7 +111,7 @@ def _address(value: Any) -> str:
     text = value.strip().lower() if isinstance(value, str) else ""
     host, _, port = text.partition(":")
     fits = not port or (port.isdigit() and 0 < int(port) < 65536)
-    if fits and (_is_ip(host) or (_HOST.fullmatch(host) and not re.fullmatch(r"[0-9.]+", host))):
+    if fits and (is_ip(host) or (_HOST.fullmatch(host) and not re.fullmatch(r"[0-9.]+", host))):
         return host if not port or int(port) == ADS_PORT else f"{host}:{int(port)}"
     hint = "give the IP address of the PLC"
     if value is None:
@@ -121,7 +121,7 @@ def _address(value: Any) -> str:
 
 def _ams_net_id(value: Any, address: str) -> str:
     host = address.partition(":")[0]
-    if value is None and _is_ip(host) and ipaddress.ip_address(host).is_loopback:
+    if value is None and is_ip(host) and ipaddress.ip_address(host).is_loopback:
         return f"{host}.1.1"
     hint = "six numbers such as 5.24.37.144.1.1: TwinCAT shows it under System, Routes"
     if value is None:
@@ -143,7 +143,8 @@ def _gains(value: Any, model: str) -> tuple[float, ...]:
     return tuple(map(float, numbers))
 
 
-def _is_ip(text: str) -> bool:
+def is_ip(text: str) -> bool:
+    """Whether this is an IPv4 address, no host name."""
     try:
         ipaddress.IPv4Address(text)
     except ValueError:

@@ -11,12 +11,12 @@ import numpy as np
 from hil.errors import HilError, RobotConnectionError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Identity, Limits
+from hil_drivers.patience import once_listening
 from hil_drivers.ur.configuration import JointLimits, told_by_primary
 from hil_drivers.ur.facts import limits_of
 from hil_drivers.ur.faults import occupied
 from hil_drivers.ur.host import found
 from hil_drivers.ur.options import Options
-from hil_drivers.ur.patience import once_listening
 from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.rows import PLAYING, program_state, require_source
 from hil_drivers.ur.session import Told, require_arm, require_ready, told_by_dashboard

@@ -1,7 +1,7 @@
 """A mock or simulator on this computer that is still starting: its ports are about to open.
 
 A controller across a network that refuses is off or has the interface disabled: nothing to wait
-for. On a loopback address the likely reason is `hil mock ur &` a moment ago.
+for. On a loopback address the likely reason is `hil mock … &` a moment ago.
 """
 
 from __future__ import annotations
