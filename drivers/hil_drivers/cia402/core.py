@@ -142,6 +142,7 @@ class Core:
             RobotFault: An axis is in fault, or becomes so.
             CommandRefused: `stop` came meanwhile, or they are enabled.
         """
+        self._require_bus()
         if self.phase is not Phase.OFF:
             raise CommandRefused(f"the axes cannot be enabled: they are {self.phase.value}")
         self._problem = ""
@@ -150,6 +151,7 @@ class Core:
 
     def switch(self, mode: int, within_s: float = 5.0) -> None:
         """Switch the mode of the enabled axes at rest; blocks, raises as `enable`."""
+        self._require_bus()
         if self.phase is not Phase.ENABLED:
             raise CommandRefused(f"the mode cannot be switched: the axes are {self.phase.value}")
         self._require_rest()
@@ -158,6 +160,7 @@ class Core:
 
     def reset_faults(self, within_s: float = 5.0) -> None:
         """Reset faults that somebody has looked at; blocks, raises as `enable`."""
+        self._require_bus()
         if self.phase is not Phase.OFF:
             raise CommandRefused(f"faults cannot be reset: the axes are {self.phase.value}")
         self._problem = ""
@@ -354,7 +357,7 @@ class Core:
 
     def _require_bus(self) -> None:
         if self._gone is not None:
-            raise self._gone
+            raise RobotConnectionError(self._gone.message, hint=self._gone.hint)
         if self._thread is None:
             raise RobotConnectionError("the bus is not open", hint="connect first")
 
