@@ -13,9 +13,9 @@ from ur_driver_parts import own_address
 from ur_mock import loopback
 
 from hil.errors import RobotConnectionError
-from hil_drivers.ur import patience
+from hil_drivers import patience
+from hil_drivers.patience import once_listening
 from hil_drivers.ur.dashboard import Dashboard
-from hil_drivers.ur.patience import once_listening
 from hil_drivers.ur.robot import UrRobot
 
 
