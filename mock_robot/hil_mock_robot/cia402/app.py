@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import signal
 import sys
@@ -70,6 +71,8 @@ def _run(given: argparse.Namespace) -> int:
     mock.loop.mishaps.contained = True
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: mock.loop.end())
+    gc.collect()
+    gc.freeze()  # what is here now stays: it is not looked through again between two SYNCs
     print(f"ready: {given.model} on {end.where}{_wire(given)}", flush=True)  # noqa: T201
     mock.loop.run()
     return 0

@@ -14,7 +14,7 @@ import can
 
 from hil.canbus.frame import ERROR, ERROR_BUS_OFF, EXTENDED, REMOTE, Frame
 from hil.canbus.hub import Hub
-from hil.errors import PluginError
+from hil.errors import PluginError, RobotConnectionError
 
 Heard = Callable[[int, bytes, float], None]
 """COB-ID, data, wall time (monotonic)."""
@@ -41,8 +41,14 @@ class BusEnd(Protocol):
     def send(self, can_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
 
-    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> None:
-        """Hear what has come; waits so long for it, or until one of `others` has something."""
+    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
+        """Hear what has come; waits so long for it, or until one of `others` has something.
+
+        Returns whether one of them has.
+
+        Raises:
+            RobotConnectionError: The bus is gone.
+        """
 
     def bus_off(self) -> None:
         """Put everybody else who is there now off the bus."""
@@ -81,13 +87,14 @@ class HubEnd:
         self.send = self.hub.local.send
         self.hub.local.heard = self._came
 
-    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> None:
+    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
         """See `BusEnd`."""
         due_s = self.hub.due_s
         if due_s is not None:
             timeout_s = min(timeout_s, due_s - time.monotonic())
-        select.select([self.hub, *others], [], [], max(0.0, timeout_s))
+        ready, _, _ = select.select([self.hub, *others], [], [], max(0.0, timeout_s))
         self.hub.serve()
+        return any(each is not self.hub for each in ready)
 
     def bus_off(self) -> None:
         """See `BusEnd`."""
@@ -135,14 +142,20 @@ class PythonCanEnd:
             if self.lost == 1:
                 print(f"{self.where}: frame lost: {error}", file=sys.stderr)  # noqa: T201
 
-    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> None:
-        """See `BusEnd`; `others` are looked at when it is over."""
-        for _ in range(BURST):
-            message = self._bus.recv(max(0.0, timeout_s))
-            if message is None:
-                return
-            self._came(message)
-            timeout_s = 0.0
+    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
+        """See `BusEnd`; it does not wait for `others`."""
+        try:
+            for _ in range(BURST):
+                message = self._bus.recv(max(0.0, timeout_s))
+                if message is None:
+                    break
+                self._came(message)
+                timeout_s = 0.0
+        except can.CanError as error:
+            raise RobotConnectionError(
+                f"{self.where} is gone: {error}", hint="is the interface still up?"
+            ) from error
+        return False
 
     def bus_off(self) -> None:
         """See `BusEnd`: an error frame, then silence both ways."""

@@ -15,11 +15,11 @@ from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.witness import Witness
 from hil_mock_robot.mishaps import Mishaps
 
-OWN_STEPS = 5
+OWN_STEPS = 10
 """Steps that the drives' own timer makes at once."""
 
 SIDE_S = 0.01
-"""Wall time between two looks at the side channel."""
+"""Wall time between two looks at the side channel while the bus is busy."""
 
 
 class Loop:
@@ -53,6 +53,7 @@ class Loop:
         self._woken, self._waker = socket.socketpair()
         for each in (self._woken, self._waker):
             each.setblocking(False)
+        self._beside_bus: list[socket.socket] = [self._woken]
         end.heard = self._heard
 
     def run(self) -> None:
@@ -86,14 +87,13 @@ class Loop:
 
     def turn(self) -> None:
         """Hear what has come; let the drives' own timer go on where there is no SYNC."""
-        now_s = time.monotonic()
-        wait_s = min(self._station.clock.wait_s(now_s, OWN_STEPS), SIDE_S)
-        self._end.serve(wait_s, [self._woken])
-        now_s = time.monotonic()
         clock = self._station.clock
+        wait_s = min(clock.wait_s(time.monotonic(), OWN_STEPS), SIDE_S)
+        asked = self._end.serve(wait_s, self._beside_bus)
+        now_s = time.monotonic()
         if clock.wait_s(now_s, OWN_STEPS) <= STEP_S / 10:
             self._lapse(now_s)
-        if self._asked or now_s >= self._side_due_s:
+        if asked or self._asked or now_s >= self._side_due_s:
             self._side_due_s = now_s + SIDE_S
             self._beside()
 
@@ -116,6 +116,7 @@ class Loop:
             self._asked.popleft()()
         if self._side is not None:
             self._side.serve()
+            self._beside_bus = [self._woken, *self._side.sockets]
 
     def _wake(self) -> None:
         with contextlib.suppress(OSError):
