@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from hil.canbus.frame import pack_frame
+from hil_drivers.cia402.bursts import sending
 from hil_drivers.cia402.collecting import Collector
 from hil_drivers.cia402.contracts import Inputs, News, Outputs
 from hil_drivers.cia402.mapping import SYNC_COB_ID, Mapping, tpdo_cob_id
@@ -25,7 +26,6 @@ PUMP_S = 0.01
 
 _OPERATIONAL = b"\x05"
 _MARKER = struct.Struct("<iH")
-_SYNC = pack_frame(SYNC_COB_ID, b"")
 _HEAD_BYTES = 5
 
 Log = Callable[[float, bytes], None]
@@ -64,6 +64,8 @@ class CanCyclic:
     ) -> None:
         self._port = port if log is None else LoggedPort(port, log)
         self._commands, self._answers = Commands(mapping, nodes), Answers(mapping, nodes)
+        sync = bytearray(pack_frame(SYNC_COB_ID, b""))
+        self._send_all = sending(self._port, [sync, *self._commands.frames])
         self.sent, self.answered = self._commands.data, self._answers.data
         self.counts = Counts()
         self._watch = NodeWatch(nodes, self._answers.cob_ids, self.counts, notify)
@@ -121,11 +123,7 @@ class CanCyclic:
         self._synced_s = time.monotonic()
         self._device_s += self._period_s
         self.sync_time = time.time()
-        send = self._port.send
-        full = not send(_SYNC)
-        for frame in self._commands.frames:
-            full |= not send(frame)
-        if full:
+        if not self._send_all():
             self._watch.overflow()
         if self._device_s >= self._beat_at:
             self._send_beat()

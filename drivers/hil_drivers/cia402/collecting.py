@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from hil_drivers.cia402.bursts import receiving
 from hil_drivers.cia402.contracts import Inputs
 from hil_drivers.cia402.node_watch import NodeWatch
 from hil_drivers.cia402.pdo_frames import Answers
@@ -36,6 +37,7 @@ class Collector:
 
     def __init__(self, port: FramePort, answers: Answers, watch: NodeWatch) -> None:
         self._port, self._answers, self._watch = port, answers, watch
+        self._take = receiving(port)
         self._counts, self._slot_of = watch.counts, answers.slots.get
         self._came: list[bytes | None] = [None] * len(answers)
         self._none_came: list[bytes | None] = [None] * len(answers)
@@ -87,25 +89,25 @@ class Collector:
 
     def _fill(self, synced_s: float, give_up_s: float) -> bool:
         """Take one answer for every slot; whether all came."""
-        came, receive, slot_of = self._came, self._port.receive, self._slot_of
+        came, take, slot_of = self._came, self._take, self._slot_of
         came[:] = self._none_came
-        left, until_s = len(came), 0.0
-        while left:
-            raw = receive(until_s)
-            if raw is None:
-                if until_s:
-                    return False
-                until_s = give_up_s
-                continue
-            slot = slot_of(raw[:_HEAD_BYTES])
-            if slot is None:
-                self._watch.heard(raw)
-            elif came[slot] is None:
-                came[slot] = raw
-                left -= 1
-            else:
-                self._second(slot, raw)
-        if until_s:
+        left, waited = len(came), False
+        while True:
+            for raw in take():
+                slot = slot_of(raw[:_HEAD_BYTES])
+                if slot is None:
+                    self._watch.heard(raw)
+                elif came[slot] is None:
+                    came[slot] = raw
+                    left -= 1
+                else:
+                    self._second(slot, raw)
+            if not left:
+                break
+            if not self._port.wait(give_up_s):
+                return False
+            waited = True
+        if waited:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
             self._nap_s *= NAP_SHORTER

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from hil.canbus.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
 from hil.errors import RobotConnectionError
 
-_FULL = frozenset({errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS})
+FULL = frozenset({errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS})
 """No room in the transmit queue: what AF_UNIX and SocketCAN say."""
 
 _NOW = socket.MSG_DONTWAIT
@@ -46,9 +46,13 @@ class SocketPort:
     Args:
         line: The socket.
         name: Of the bus, for messages.
+
+    Attributes:
+        line: As given.
     """
 
     def __init__(self, line: socket.socket, name: str) -> None:
+        self.line = line
         self._send, self._recv = line.send, line.recv
         self._lines, self._name = [line], name
 
@@ -57,9 +61,9 @@ class SocketPort:
         try:
             self._send(frame, _NOW)
         except OSError as error:
-            if error.errno in _FULL:
+            if error.errno in FULL:
                 return False
-            raise self._gone(error.strerror or str(error)) from error
+            raise self.gone(error.strerror or str(error)) from error
         return True
 
     def receive(self, until_s: float) -> bytes | None:
@@ -69,9 +73,9 @@ class SocketPort:
         except BlockingIOError:
             return self.receive(0.0) if until_s and self.wait(until_s) else None
         except OSError as error:
-            raise self._gone(error.strerror or str(error)) from error
+            raise self.gone(error.strerror or str(error)) from error
         if not raw:
-            raise self._gone("its host has ended, or frames were not taken fast enough")
+            raise self.gone("its host has ended, or frames were not taken fast enough")
         return raw
 
     def wait(self, until_s: float) -> bool:
@@ -80,7 +84,8 @@ class SocketPort:
         wait_s = until_s - time.monotonic()
         return bool(select.select(self._lines, (), (), wait_s if wait_s > 0.0 else 0.0)[0])
 
-    def _gone(self, why: str) -> RobotConnectionError:
+    def gone(self, why: str) -> RobotConnectionError:
+        """What to raise when the bus is not there any more."""
         return _gone(self._name, why)
 
 
@@ -155,7 +160,7 @@ def _raw(message: Any) -> bytes:
 
 def _is_full(error: Exception) -> bool:
     code = getattr(error, "error_code", None) or getattr(error, "errno", None)
-    return code in _FULL or "full" in str(error).lower()
+    return code in FULL or "full" in str(error).lower()
 
 
 def _gone(name: str, why: str) -> RobotConnectionError:
