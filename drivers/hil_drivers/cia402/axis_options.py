@@ -1,4 +1,4 @@
-"""What a station may say about each axis: the fields of `AxisProfile`, angles in degrees."""
+"""What a station may say about each axis: fields of `AxisProfile` (angles in degrees), gains."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ RANGES: dict[str, must.Range] = {
     "rated_torque_nm": (1e-4, 100_000.0),
     "torque_constant_nm_a": (1e-5, 1000.0),
     "offset_deg": (-1e6, 1e6),
+    "stiffness_nm_rad": (0.0, 1e6),
+    "damping_nms_rad": (0.0, 1e5),
 }
 WHOLE: dict[str, must.Range] = {
     "encoder_increments": (1, 2**32 - 1),

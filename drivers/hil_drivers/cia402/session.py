@@ -6,28 +6,21 @@ import contextlib
 import time
 
 from hil.arms import load_arm
-from hil.canbus.frame import pack_frame
-from hil.errors import HilError, RobotConnectionError
-from hil_drivers.cia402.bus_log import BusLog
-from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
+from hil.errors import HilError
 from hil_drivers.cia402.commissioning import MODES, commission
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.emergencies import emergency_text
+from hil_drivers.cia402.gains import gains_of
+from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.left_faults import LeftFault, faults_left, require_resettable
 from hil_drivers.cia402.mapping import MAPPINGS
-from hil_drivers.cia402.opening import open_bus
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.player import Player
-from hil_drivers.cia402.ports import port_of
 from hil_drivers.cia402.pumping import pumping
 from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Supervisor
-
-ROOM_S = 0.5
-"""How long room in the transmit queue is waited for by what is no process data [s]."""
 
 LOOK_S = 0.002
 
@@ -57,14 +50,14 @@ class Session:
     def __init__(self, model: str, options: Options) -> None:
         self.options, self.arm = options, load_arm(model)
         self.mapping = MAPPINGS[options.mapping]
-        self._leaving = contextlib.ExitStack()
+        self._joined = Joined(options, self.arm.joint_names)
+        self.acyclic = self._joined.acyclic
         try:
-            self._join()
-            with pumping(self._cyclic):
+            with pumping(self._joined.cyclic):
                 self._set_up()
             self.core, self.player = self._core()
         except BaseException:
-            self._leaving.close()
+            self._joined.leave()
             raise
 
     def begin(self) -> None:
@@ -82,8 +75,7 @@ class Session:
 
     def flush(self) -> None:
         """Write what the log of the bus has kept."""
-        if self._log is not None:
-            self._log.flush()
+        self._joined.flush()
 
     def leave(self, *, rest_s: float) -> None:
         """Come to rest, switch all axes off, leave the bus; never raises.
@@ -97,32 +89,12 @@ class Session:
             self.core.rest()
             self.acyclic.released()
         self.core.close()
-        with contextlib.suppress(HilError):
-            self._leaving.close()
-
-    def _join(self) -> None:
-        options = self.options
-        bus = open_bus(options.bus)
-        self._leaving.callback(bus.shutdown)
-        self._log = BusLog(options.candump, options.bus.channel) if options.candump else None
-        if self._log is not None:
-            self._leaving.callback(self._log.close)
-        self._port, names = port_of(bus), self.arm.joint_names
-        self.acyclic = CanopenAcyclic(self._send, options.nodes, names, options.eds)
-        self._cyclic = CanCyclic(
-            self._port,
-            self.mapping,
-            options.nodes,
-            options.period_s,
-            master_id=options.master_id,
-            notify=self.acyclic.heard,
-            log=self._log,
-        )
+        self._joined.leave()
 
     def _set_up(self) -> None:
         self.acyclic.preoperational()
         self.drives: Commissioned = commission(self.acyclic, self.options, self.arm)
-        self.were_reset: list[LeftFault] = faults_left(self.acyclic, self.drives)
+        self.were_reset: list[LeftFault] = faults_left(self.acyclic)
         require_resettable(self.were_reset)
         self.acyclic.map(self.mapping)
 
@@ -142,9 +114,10 @@ class Session:
             options.period_s,
             [drive.profile.rad_per_increment for drive in self.drives.drives],
             feed_forward=options.feed_forward,
+            gains=gains_of(options.axes, self.drives.drives, self.arm),
         )
         core = Core(
-            self._cyclic,
+            self._joined.cyclic,
             supervisor,
             player,
             outputs,
@@ -159,16 +132,3 @@ class Session:
         until = time.monotonic() + within_s
         while self.player.moving and time.monotonic() < until:
             time.sleep(LOOK_S)
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        """For what is no process data; waits for room."""
-        frame, until = pack_frame(can_id, data), time.monotonic() + ROOM_S
-        while not self._port.send(frame):
-            if time.monotonic() > until:
-                raise RobotConnectionError(
-                    f"the bus has had no room for a frame for {ROOM_S:g} s",
-                    hint="see to cable, termination and bit rate: does any drive acknowledge?",
-                )
-            time.sleep(LOOK_S)
-        if self._log is not None:
-            self._log(time.time(), frame)
