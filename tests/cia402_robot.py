@@ -21,7 +21,8 @@ SLOWER = 100
 def options(mock: MockCan, **more: Any) -> dict[str, Any]:
     """Of the driver, for a mock."""
     bus = {"interface": "hil_unix", "channel": mock.channel}
-    return {"bus": bus, "payload_object": 0x2100, "temperature_object": 0x2110} | more
+    mocks = {"payload_object": 0x2100, "temperature_object": 0x2110, "late_cycles": 25}
+    return {"bus": bus} | mocks | more
 
 
 class BusEar:

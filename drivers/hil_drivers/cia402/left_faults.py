@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hil.errors import RobotFault
+from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
-from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.emergencies import error_text
 from hil_drivers.cia402.inspection import errors_of
-from hil_drivers.cia402.states import State, state_of
+from hil_drivers.cia402.states import DISABLE_VOLTAGE, FAULT_RESET, State, state_of
 
 MONITORING = 0x8000
 _CLASS = 0xF000
@@ -52,14 +52,21 @@ class LeftFault:
         )
 
 
-def faults_left(acyclic: CanopenAcyclic, drives: Commissioned) -> list[LeftFault]:
+def faults_left(acyclic: CanopenAcyclic) -> list[LeftFault]:
     """The axes that are in fault, with their errors; raises what SDO raises."""
-    faulty = [
-        axis
-        for axis, drive in enumerate(drives.drives)
-        if state_of(drive.objects.get("statusword", 0)) in (State.FAULT, State.FAULT_REACTION)
-    ]
+    faulty = [axis for axis in range(len(acyclic.nodes)) if _is_faulty(acyclic, axis)]
     return [LeftFault(a, acyclic.name_of(a), tuple(errors_of(acyclic, a))) for a in faulty]
+
+
+def reset(acyclic: CanopenAcyclic, fault: LeftFault) -> bool:
+    """Reset a fault that a person has seen to, by SDO; whether it is gone.
+
+    Raises:
+        CommandRefused, RobotTimeout: The drive does not take it.
+    """
+    for controlword in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):  # the rising edge counts
+        acyclic.download(fault.axis, od.CONTROLWORD, controlword)
+    return not _is_faulty(acyclic, fault.axis)
 
 
 def require_resettable(faults: list[LeftFault]) -> None:
@@ -70,3 +77,7 @@ def require_resettable(faults: list[LeftFault]) -> None:
     """
     if grave := [str(fault) for fault in faults if not fault.is_monitoring]:
         raise RobotFault("; ".join(grave), hint=HINT)
+
+
+def _is_faulty(acyclic: CanopenAcyclic, axis: int) -> bool:
+    return state_of(acyclic.upload(axis, od.STATUSWORD)) in (State.FAULT, State.FAULT_REACTION)

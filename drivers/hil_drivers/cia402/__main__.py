@@ -1,0 +1,71 @@
+"""`python -m hil_drivers.cia402 reset STATION ROBOT`: faults that a person has seen to."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from hil.arms import load_arm
+from hil.errors import HilError, SpecError
+from hil.robot.lease import leased
+from hil.spec.load import load_station
+from hil.spec.station import StationRobot
+from hil_drivers.cia402.joining import Joined
+from hil_drivers.cia402.left_faults import LeftFault, faults_left, reset
+from hil_drivers.cia402.options import options_of
+from hil_drivers.cia402.pumping import pumping
+from hil_drivers.cia402.robot import Cia402Robot
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Show the drives in fault, with their errors, and reset them; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m hil_drivers.cia402", description=__doc__)
+    parser.add_argument("do", choices=["reset"], help="reset the faults of all drives")
+    parser.add_argument("station", type=Path, help="station file")
+    parser.add_argument("robot", help="its robot")
+    asked = parser.parse_args(arguments)
+    try:
+        return _reset(asked.station, asked.robot)
+    except HilError as error:
+        print(error, file=sys.stderr)  # noqa: T201
+        return error.exit_code
+
+
+def _reset(station: Path, name: str) -> int:
+    entry = _entry(station, name)
+    robot = Cia402Robot(name, entry.model, **entry.options)
+    with leased(robot, name=name, driver=entry.driver, station=str(station)):
+        left = _left(entry)
+    return 1 if left else 0
+
+
+def _left(entry: StationRobot) -> list[LeftFault]:
+    """Reset all; returns the faults that are still there."""
+    joined = Joined(options_of(entry.options, entry.model), load_arm(entry.model).joint_names)
+    try:
+        with pumping(joined.cyclic):
+            faults = faults_left(joined.acyclic)
+            left = [fault for fault in faults if not reset(joined.acyclic, fault)]
+    finally:
+        joined.leave()
+    for fault in faults:
+        print(f"{fault}: {'still there' if fault in left else 'reset'}")  # noqa: T201
+    if not faults:
+        print("no drive is in fault")  # noqa: T201
+    return left
+
+
+def _entry(station: Path, name: str) -> StationRobot:
+    robots = load_station(station).robots
+    if name not in robots or robots[name].driver != "cia402":
+        known = [each for each, robot in robots.items() if robot.driver == "cia402"]
+        raise SpecError(
+            f"{station} has no robot {name!r} on CiA 402 drives", hint=f"it has {', '.join(known)}"
+        )
+    return robots[name]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
