@@ -224,6 +224,18 @@ def test_positions_may_wrap_on_the_way() -> None:
     assert way[-1] < 0
 
 
+@pytest.mark.parametrize("mode", [CSV, CST])
+def test_led_by_velocity_or_torque_the_commanded_position_is_told_too(mode: int) -> None:
+    gains = Gains((0.0, 0.0), (0.0, 0.0), (100.0, 100.0), (0.0, 0.0))
+    play = Play(mode, gains=gains)
+    play.outputs.mode[:] = [mode] * N
+    play.begin(track([0, 10, 20, 30]))
+    assert play.steps(3) == [0, 10, 20]
+    play.outputs.mode[:] = [CSP] * N  # switching: what the supervisor preloads is left alone
+    play.outputs.target_position[:] = [77, 77]
+    assert play.steps(1) == [77]
+
+
 def test_disengaged_player_has_no_motion_and_no_segment() -> None:
     play = Play()
     play.begin(track([0, 1, 2, 3]))

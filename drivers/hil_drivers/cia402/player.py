@@ -163,6 +163,10 @@ class Player:
             outputs.target_velocity[:] = self._led(inputs)
         elif self.mode == od.CST:
             outputs.target_torque[:] = self._controlled(inputs)
+        if self.mode == outputs.mode[0] != od.CSP:
+            # Drives do not look at it in these modes, recordings do. Not while the mode is
+            # switched: then what is preloaded is where the axes are.
+            outputs.target_position[:] = self.position
 
     def _set_out(self, track: Track) -> None:
         self._begin, self._track = None, track
