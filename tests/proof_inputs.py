@@ -23,6 +23,8 @@ FILES = (
     "tests/test_campaign_weighing.py",
     "tests/test_ur_driver_runs.py",
     "tests/test_ur_record_wire.py",
+    "tests/test_twincat_runs.py",
+    "tests/test_twincat_wire.py",
 )
 
 

@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,15 +35,19 @@ def shortened(folder: Path, address: str) -> tuple[Path, Path]:
     return paths
 
 
+def run(spec: Path, station: Path, folder: Path) -> dict[str, Any]:
+    asked = ("run", spec, "--station", station, "--runs", folder, "--json")
+    command = [sys.executable, "-m", "hil", *map(str, asked)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return dict(json.loads(done.stdout))
+
+
 def test_an_experiment_behind_a_plc_is_recorded_at_1_khz_without_a_gap(tmp_path: Path) -> None:
     with mock_plc(tmp_path, "--speed", "5") as running:
         spec, station = shortened(tmp_path, running.address)
-        asked = ("run", spec, "--station", station, "--runs", tmp_path / "runs", "--json")
-        command = [sys.executable, "-m", "hil", *map(str, asked)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+        said = run(spec, station, tmp_path / "runs")
         commands = {line["by"] for line in running.journal("command")}
-    assert done.returncode == 0, done.stderr[-3000:]
-    said = json.loads(done.stdout)
     assert (said["outcome"], said["verdict"]) == ("completed", "passed")
     assert (said["gaps"], said["duplicates"]) == (0, 0)
     recording = Path(said["run"]) / "recording" / "00.mcap"
@@ -52,3 +57,14 @@ def test_an_experiment_behind_a_plc_is_recorded_at_1_khz_without_a_gap(tmp_path:
     start = json.loads((Path(said["run"]) / "start.json").read_text())
     assert start["robot"]["identity"]["driver"] == "twincat"
     assert {"take", "load", "start", "payload", "release"} <= commands
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(600)
+def test_the_shipped_experiment_of_twelve_trajectories_passes(tmp_path: Path) -> None:
+    with mock_plc(tmp_path, "--speed", "5") as running:
+        _, station = shortened(tmp_path, running.address)
+        said = run(EXPERIMENTS / "twincat_fourier.yaml", station, tmp_path / "runs")
+    assert (said["outcome"], said["verdict"]) == ("completed", "passed")
+    assert (said["gaps"], said["duplicates"]) == (0, 0)
+    assert said["samples"] > 150_000
