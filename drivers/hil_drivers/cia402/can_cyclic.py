@@ -25,7 +25,8 @@ PUMP_S = 0.01
 """How long one wait of `pump` takes at most [s]."""
 
 _OPERATIONAL = b"\x05"
-_MARKER = struct.Struct("<iH")
+MARKER = struct.Struct("<iH")
+"""What the master announces: segment and status."""
 _HEAD_BYTES = 5
 
 Log = Callable[[float, bytes], None]
@@ -118,7 +119,7 @@ class CanCyclic:
         self._commands.pack(outputs)
         if (told := (outputs.segment, outputs.status)) != self._announced:
             self._announced = told
-            self._send(pack_frame(self._marker_id, _MARKER.pack(*told)))
+            self._send(pack_frame(self._marker_id, MARKER.pack(*told)))
         self._watch.cycle += 1
         self._synced_s = time.monotonic()
         self._device_s += self._period_s

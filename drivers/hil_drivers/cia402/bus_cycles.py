@@ -1,0 +1,138 @@
+"""Cycle records from the frames of a log: what the cyclic exchange would have left behind."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from hil.canbus.frame import Frame
+from hil.typing import StructArray
+from hil_drivers.cia402.can_cyclic import MARKER
+from hil_drivers.cia402.mapping import (
+    MOST_BYTES,
+    SYNC_COB_ID,
+    Mapping,
+    cycle_dtype,
+    rpdo_cob_id,
+    tpdo_cob_id,
+)
+from hil_drivers.cia402.node_watch import EMCY_COB_ID, SDO_ANSWER_COB_ID
+from hil_drivers.cia402.options import Options
+from hil_drivers.cia402.temperatures import Temperatures
+
+BLOCK = 4096
+"""Records that are given at a time."""
+
+
+class BusCycles:
+    """Follows a bus frame by frame.
+
+    A record is what one SYNC, the commands behind it and the answers to it have in common; what is
+    known beside process data is taken as it was when the last answer came.
+
+    Args:
+        options: Of the station.
+        mapping: What travels.
+    """
+
+    def __init__(self, options: Options, mapping: Mapping) -> None:
+        nodes = options.nodes
+        n, self._dtype = len(nodes), cycle_dtype(mapping, len(nodes))
+        self._sent = np.zeros((len(mapping.rpdos), n, MOST_BYTES), np.uint8)
+        self._answered = np.zeros((len(mapping.tpdos), n, MOST_BYTES), np.uint8)
+        self._commands = _slots(mapping.rpdos, nodes, rpdo_cob_id)
+        self._answers = _slots(mapping.tpdos, nodes, tpdo_cob_id)
+        self._emergencies = {EMCY_COB_ID + node: axis for axis, node in enumerate(nodes)}
+        self._sdo = {SDO_ANSWER_COB_ID + node for node in nodes}
+        self._marker_id = tpdo_cob_id(1, options.master_id)
+        self._temperatures = Temperatures(nodes, options.temperature_object)
+        self._faults: dict[int, int] = {}
+        self._announced = (-1, 0)
+        self._cycle, self._sync_time = -1, 0.0
+        self._told = self._announced
+        self._missing: set[int] = set()
+        self._beside: tuple[Any, int] = (self._temperatures.celsius.copy(), 0)
+
+    def blocks(self, frames: Iterable[Frame]) -> Iterator[StructArray]:
+        """Records of all cycles in which anything was answered or commanded, in order."""
+        kept: list[Any] = []
+        for frame in frames:
+            if frame.id == SYNC_COB_ID:
+                kept += self._closed()
+                self._open(frame)
+            else:
+                self._take(frame)
+            if len(kept) >= BLOCK:
+                yield self._block(kept)
+                kept = []
+        kept += self._closed()
+        if kept:
+            yield self._block(kept)
+
+    def _open(self, frame: Frame) -> None:
+        self._cycle, self._sync_time = self._cycle + 1, frame.time_s
+        self._told, self._missing = self._announced, set(self._answers)
+
+    def _take(self, frame: Frame) -> None:
+        can_id, data = frame.id, frame.data
+        if can_id in self._answers:
+            self._answer(can_id, data)
+        elif can_id in self._commands:
+            pdo, axis = self._commands[can_id]
+            self._sent[pdo, axis, : len(data)] = list(data)
+        elif can_id == self._marker_id and len(data) == MARKER.size:
+            segment, status = MARKER.unpack(data)
+            self._announced = (segment, status)
+        elif can_id in self._sdo:
+            self._temperatures.heard(can_id, data)
+        elif can_id in self._emergencies and len(data) == MOST_BYTES:
+            self._emergency(self._emergencies[can_id], struct.unpack_from("<H", data)[0])
+
+    def _answer(self, can_id: int, data: bytes) -> None:
+        pdo, axis = self._answers[can_id]
+        self._answered[pdo, axis, : len(data)] = list(data)
+        if can_id in self._missing:
+            self._missing.remove(can_id)
+            if not self._missing:
+                self._remember()
+
+    def _emergency(self, axis: int, code: int) -> None:
+        if code:
+            self._faults.setdefault(axis, code)
+        else:
+            self._faults.pop(axis, None)
+
+    def _remember(self) -> None:
+        code = next(iter(self._faults.values()), 0)
+        self._beside = self._temperatures.celsius.copy(), code
+
+    def _closed(self) -> list[Any]:
+        """The record of the cycle that is over, if there was one."""
+        if self._cycle < 0:
+            return []
+        flags = 0
+        if self._missing:
+            self._remember()
+            flags = sum({1 << self._answers[can_id][1] for can_id in self._missing})
+        celsius, code = self._beside
+        record = np.zeros((), self._dtype)
+        record["cycle"], record["host_time"] = self._cycle, self._sync_time
+        record["temperature"], record["fault_code"], record["flags"] = celsius, code, flags
+        record["segment"], record["status"] = self._told
+        record["rpdo"], record["tpdo"] = self._sent, self._answered
+        return [record]
+
+    def _block(self, records: list[Any]) -> StructArray:
+        return np.array(records, dtype=self._dtype)
+
+
+def _slots(pdos: Any, nodes: Iterable[int], cob_id_of: Any) -> dict[int, tuple[int, int]]:
+    """COB-ID → which PDO, which axis."""
+    return {
+        cob_id_of(pdo.number, node): (at, axis)
+        for at, pdo in enumerate(pdos)
+        for axis, node in enumerate(nodes)
+    }
