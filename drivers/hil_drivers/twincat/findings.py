@@ -11,7 +11,7 @@ from hil.payload import Payload
 from hil.robot import Finding, Limits
 from hil_drivers.twincat.beat import EVERY_S
 from hil_drivers.twincat.controller import Controller
-from hil_drivers.twincat.line import RUN, STATES
+from hil_drivers.twincat.return_codes import RUN, STATES
 from hil_drivers.twincat.ring import Ring
 from hil_drivers.twincat.symbols import CONTRACT, Phase
 

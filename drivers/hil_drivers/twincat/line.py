@@ -18,24 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, PluginError, RobotConnectionError, RobotTimeout
+from hil.errors import PluginError, RobotConnectionError
 from hil_drivers.patience import once_listening
 from hil_drivers.twincat.options import Options, is_ip
+from hil_drivers.twincat.return_codes import ROUTE, error_of, text_of
 
 REACHED_WITHIN_S = 3.0
 """How long a TCP connection may take: the library itself waits for minutes [s]."""
-
-RUN = 5
-STATES = {2: "RESET", 3: "INIT", 4: "START", 5: "RUN", 6: "STOP", 11: "ERROR", 15: "CONFIG"}
-"""ADS states of a runtime."""
-
-NO_RUNTIME, NO_SYMBOL, TIMED_OUT = (6, 7), (0x710,), (0x745, 0x274C)
-_ROUTE = (
-    "add a route to this computer on the PLC (TwinCAT: System, Routes), and see that ams_net_id "
-    "is the PLC's"
-)
-
-_LOST = "see to cable and PLC, then connect again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +79,7 @@ class Line:
         except (pyads.ADSError, RuntimeError) as error:
             connection.close()
             raise RobotConnectionError(
-                f"{self.where} cannot be reached: {_text(error)}", hint=_ROUTE
+                f"{self.where} cannot be reached: {text_of(error)}", hint=ROUTE
             ) from error
         self._connection, self._answered = connection, False
 
@@ -176,36 +165,13 @@ class Line:
             yield
             self._answered = True
         except pyads.ADSError as error:
-            raise self._error(error, what) from error
+            raise error_of(
+                error, self.where, what, timeout_s=self._timeout_s, answered=self._answered
+            ) from error
         except (RuntimeError, TypeError) as error:  # too few bytes; closed by another thread
             raise RobotConnectionError(
                 f"{self.where}: {what}: {error}", hint="connect again"
             ) from error
-
-    def _error(self, error: Any, what: str) -> Exception:
-        code = getattr(error, "err_code", None)
-        if code in NO_SYMBOL:
-            return PluginError(
-                f"{self.where} has no variable {what.removeprefix('asked for ')}",
-                hint="download the PLC program that docs/how-to/drive-twincat.md describes, or "
-                "mend the option prefix",
-            )
-        if code in TIMED_OUT:
-            return RobotTimeout(
-                f"{self.where} has not answered within {self._timeout_s:g} s: {what}",
-                hint=_LOST if self._answered else _ROUTE,
-            )
-        if code in NO_RUNTIME:
-            return RobotConnectionError(
-                f"{self.where}: no PLC runtime answers there: {what}",
-                hint="bring TwinCAT into run mode, log in, start the PLC; is port its runtime's?",
-            )
-        if code is None or code < 0 or code >= 0x1000 or code < 0x700:
-            return RobotConnectionError(
-                f"{self.where}: the connection is lost: {what}: {_text(error)}",
-                hint=_LOST,
-            )
-        return CommandRefused(f"{self.where}: {what}: {_text(error)}", hint="see the PLC's log")
 
 
 def address_of(options: Options) -> str:
@@ -265,7 +231,3 @@ def one(data: bytes, kind: np.dtype[Any]) -> np.void:
     """The structure that bytes hold."""
     found: np.void = np.frombuffer(data, kind)[0]
     return found
-
-
-def _text(error: Exception) -> str:
-    return str(getattr(error, "msg", None) or error).strip().rstrip(".")

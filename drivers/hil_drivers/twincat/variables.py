@@ -9,8 +9,9 @@ import numpy as np
 from hil.errors import PluginError, RobotConnectionError
 from hil.robot import Segment
 from hil_drivers.twincat.facts import require_contract
-from hil_drivers.twincat.line import RUN, STATES, Line, Place, one
+from hil_drivers.twincat.line import Line, Place, one
 from hil_drivers.twincat.options import Options
+from hil_drivers.twincat.return_codes import RUN, STATES
 from hil_drivers.twincat.ring import Ring
 from hil_drivers.twincat.symbols import Layout
 from hil_drivers.twincat.upload import set_points, sums_of, upload

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import HilError, RobotConnectionError, RobotFault, RobotTimeout
+from hil.errors import HilError, RobotFault, RobotTimeout
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.twincat.symbols import Phase
@@ -83,7 +83,3 @@ class Watch:
             f"{where} has written no rows for more than {self._late_s:g} s: its task stands still",
             hint="see to TwinCAT: is the PLC in run mode, at a breakpoint, or over its cycle time?",
         )
-
-    def lost(self, error: HilError) -> None:
-        """The line has failed in the middle of something."""
-        self.found(RobotConnectionError(error.message, hint=error.hint))
