@@ -16,8 +16,8 @@ NAP_LONGER, NAP_SHORTER = 1.05, 0.99
 """A nap that was too short becomes longer, one that was not shorter: five of six are long enough,
 and a single slow cycle changes little."""
 
-SETTLING_TIMES, LEAST_SETTLING_S = 4.0, 5e-4
-"""After so many times of what answers usually take, and this, no late one comes any more."""
+SOON_TIMES, SOON_S = 4.0, 5e-4
+"""An answer comes soon when it takes no longer than so many times what is usual, and this."""
 
 _HEAD_BYTES, _FRAME_BYTES = 5, 16
 
@@ -92,8 +92,13 @@ class Collector:
         came, take, slot_of = self._came, self._take, self._slot_of
         came[:] = self._none_came
         left, waited = len(came), False
-        while True:
-            for raw in take():
+        while left:
+            frames = take()
+            if not frames:
+                if not self._port.wait(give_up_s):
+                    return False
+                waited = True
+            for raw in frames:
                 slot = slot_of(raw[:_HEAD_BYTES])
                 if slot is None:
                     self._watch.heard(raw)
@@ -102,11 +107,6 @@ class Collector:
                     left -= 1
                 else:
                     self._second(slot, raw)
-            if not left:
-                break
-            if not self._port.wait(give_up_s):
-                return False
-            waited = True
         if waited:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
@@ -116,15 +116,13 @@ class Collector:
     def _settle(self, synced_s: float, give_up_s: float) -> bool:
         """Whether the answers are those to this SYNC, where earlier ones are owed.
 
-        The second is waited for as long as answers usually take, and then some; when none comes,
-        the owed one was lost, unless the first came as late as that. When nobody has answered
-        before, all are slow rather than lost: the second is waited for until the end.
+        The second is waited for as long as there is time. When none comes, the owed one was lost
+        if this one came as soon as answers usually do, and if others had answered before: when
+        nobody had, all are slow rather than lost.
         """
         now, nobody = time.monotonic(), len(self._owed) == len(self._came)
-        settled_s = synced_s + SETTLING_TIMES * self._nap_s + LEAST_SETTLING_S
-        until_s = give_up_s if nobody else min(settled_s, give_up_s)
         while self._owed:
-            raw = self._port.receive(until_s)
+            raw = self._port.receive(give_up_s)
             if raw is None:
                 break
             slot = self._slot_of(raw[:_HEAD_BYTES])
@@ -132,7 +130,8 @@ class Collector:
                 self._watch.heard(raw)
             else:
                 self._second(slot, raw)
-        if now <= settled_s and not nobody:
+        soon_s = synced_s + SOON_TIMES * self._nap_s + SOON_S
+        if now <= soon_s and not nobody:
             self._owed.clear()
         self._doubtful = bool(self._owed)
         return not self._owed
