@@ -305,3 +305,14 @@ def test_velocity_mode_sends_the_velocity_of_the_way_and_none_at_its_end() -> No
         play.inputs.position[:] = play.player.position
         said.append(play.player.velocity[0])
     assert said == [100_000, 100_000, 100_000, 0]
+
+
+def test_what_is_measured_is_compared_with_the_set_point_that_it_can_show() -> None:
+    """An axis that follows exactly, shown three cycles late, is not corrected."""
+    play = Play(CSV, gains=GAINS)
+    play.begin(track(np.arange(10) * 400))
+    way: list[list[int]] = [[0, 0]] * 3
+    for _ in range(9):
+        play.inputs.position[:] = way[-3]
+        assert play.step().target_velocity[0] == play.player.velocity[0]
+        way.append(play.player.position)

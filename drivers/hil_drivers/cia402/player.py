@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,10 @@ __all__ = ["Gains", "Player", "Track"]
 
 FADE_S = 0.5
 """A step in the feed-forward torque (a model that is off, a mode switch) goes over this time."""
+
+BEHIND = 3
+"""Cycles from writing a set-point to the answer that shows it: it is sent in the next one, applied
+at the SYNC after that, reached by the third."""
 
 BEGINS_WITHIN_RAD = 1e-4
 LONGEST_STOP_S = 5.0
@@ -75,6 +80,7 @@ class Player:
         self._at, self._pace, self._slower = 0.0, 1.0, 0.0
         self._bias, self._fading = [0.0] * len(self.scale), 0.0
         self.mode = 0
+        self._told: deque[tuple[list[int], list[int]]] = deque(maxlen=BEHIND + 1)
         self.segment, self.status = -1, 0
         self._at_rest([0] * len(self.scale), [0] * len(self.scale))
 
@@ -155,6 +161,7 @@ class Player:
             if self._track is not None:
                 self._advance(self._track)
         outputs.segment, outputs.status = self.segment, self.status
+        self._told.append((self.position, self.velocity))
         if self.mode == od.CSP:
             outputs.target_position[:] = self.position
             if self._feed_forward:
@@ -210,6 +217,7 @@ class Player:
     def _at_rest(self, position: Sequence[int], torque: Sequence[int]) -> None:
         self.position, self.torque = list(position), list(torque)
         self.velocity = [0] * len(self.scale)
+        self._told.clear()
         self._bias, self._fading = [0.0] * len(self.scale), 0.0
 
     def _faded(self) -> list[int]:
@@ -226,10 +234,11 @@ class Player:
     def _led(self, inputs: Inputs) -> list[int]:
         gains = self._gains
         assert gains is not None, "CSV needs gains"
+        shown, _ = self._told[0]
         return [
             _within(velocity + round(kv * wrapped(wanted - is_at)), _MOST_VELOCITY)
             for velocity, kv, wanted, is_at in zip(
-                self.velocity, gains.kv, self.position, inputs.position, strict=True
+                self.velocity, gains.kv, shown, inputs.position, strict=True
             )
         ]
 
@@ -237,12 +246,13 @@ class Player:
         gains = self._gains
         assert gains is not None, "CST needs gains"
         torque = self._faded()
+        position, velocity = self._told[0]
         return [
             _within(
                 round(
                     torque[i]
-                    + gains.kp[i] * wrapped(self.position[i] - inputs.position[i])
-                    + gains.kd[i] * (self.velocity[i] - inputs.velocity[i])
+                    + gains.kp[i] * wrapped(position[i] - inputs.position[i])
+                    + gains.kd[i] * (velocity[i] - inputs.velocity[i])
                 ),
                 gains.limit[i],
             )
