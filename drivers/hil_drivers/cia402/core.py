@@ -24,7 +24,7 @@ from hil_drivers.cia402.track import farthest
 KEPT_S = 60.0
 """Device time of records that may wait to be taken [s]."""
 
-BATCH_S = 0.008
+BATCH_S = 0.016
 """Wall time of records that are handed over together, so that one wake-up serves several [s]."""
 
 FREE_BATCH = 16

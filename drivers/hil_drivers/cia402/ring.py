@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import struct
 import threading
 import time
 from typing import Any
@@ -11,6 +13,8 @@ import numpy as np
 from hil.typing import FloatArray, StructArray
 from hil_drivers.cia402.contracts import Cyclic
 from hil_drivers.cia402.mapping import Mapping, cycle_dtype
+
+_CODES = {"<i8": "q", "<f8": "d", "<i4": "i"}
 
 
 class Ring:
@@ -29,11 +33,12 @@ class Ring:
 
     def __init__(self, mapping: Mapping, n: int, capacity: int, batch: int = 1) -> None:
         self._rows = np.zeros(capacity, dtype=cycle_dtype(mapping, n))
-        self._columns: dict[str, Any] = {name: self._rows[name] for name in _names(self._rows)}
+        self._memory, self._row_bytes = self._rows.view(np.uint8).data, self._rows.itemsize
+        self._packing = _packing(self._rows.dtype)
         self._capacity, self._batch = capacity, batch
         self._written = self._taken = 0
         self._asleep = False
-        self._changed = threading.Condition()
+        self._bell, self._moving = threading.Lock(), threading.Lock()
         self.temperature: FloatArray = np.full(n, np.nan)
         self.forgotten = 0
 
@@ -51,51 +56,61 @@ class Ring:
             fault_code: See `mapping.cycle_dtype`.
             flags: Likewise.
         """
-        at, columns = self._written % self._capacity, self._columns
-        columns["cycle"][at] = cyclic.cycle
-        columns["host_time"][at] = cyclic.sync_time
-        columns["temperature"][at] = self.temperature
-        columns["segment"][at], columns["status"][at] = told
-        columns["fault_code"][at] = fault_code
-        columns["flags"][at] = flags
-        columns["rpdo"][at] = cyclic.sent
-        columns["tpdo"][at] = cyclic.answered
+        self._packing.pack_into(
+            self._memory,
+            self._written % self._capacity * self._row_bytes,
+            cyclic.cycle,
+            cyclic.sync_time,
+            self.temperature.tobytes(),
+            *told,
+            fault_code,
+            flags,
+            cyclic.sent.tobytes(),
+            cyclic.answered.tobytes(),
+        )
         self._written += 1  # from here on it is seen
         if self._asleep and self._written - self._taken >= self._batch:
             self.wake()
 
     def forget(self, count: int) -> None:
         """Let go of the oldest ones."""
-        with self._changed:
+        with self._moving:
             count = min(count, self._written - self._taken)
             self._taken += count
             self.forgotten += count
 
     def wake(self) -> None:
         """Let whoever waits in `take` have what there is."""
-        with self._changed:
-            self._asleep = False
-            self._changed.notify_all()
+        self._asleep = False
+        with contextlib.suppress(RuntimeError):  # it rings already
+            self._bell.release()
 
     def take(self, timeout_s: float) -> StructArray:
-        """All that wait, in order; none when none came in time."""
-        with self._changed:
-            self._asleep = self._written == self._taken
-            self._changed.wait_for(lambda: not self._asleep, timeout_s)
+        """All that wait, in order; none when none came in time. One thread at a time."""
+        if self._written == self._taken:
+            self._bell.acquire(blocking=False)
+            self._asleep = True
+            if self._written == self._taken:
+                self._bell.acquire(timeout=timeout_s)
             self._asleep = False
-            start, stop = self._taken, self._written
-            at = np.arange(start, stop) % self._capacity
-            block = self._rows[at]
-            self._taken = stop
-        return block
+        with self._moving:
+            start, self._taken = self._taken, self._written
+            return self._copy(start, self._taken)
 
     def wait_for_room(self, until_s: float) -> None:
         """Until there is room for a quarter of all, or that `time.monotonic`."""
         while self._written - self._taken > 0.75 * self._capacity and time.monotonic() < until_s:
             time.sleep(0.002)
 
+    def _copy(self, start: int, stop: int) -> StructArray:
+        first, last = start % self._capacity, stop % self._capacity
+        if first < last or start == stop:
+            return self._rows[first:last].copy()
+        return np.concatenate([self._rows[first:], self._rows[:last]])
 
-def _names(rows: StructArray) -> tuple[str, ...]:
-    names = rows.dtype.names
-    assert names is not None
-    return names
+
+def _packing(row: np.dtype[Any]) -> struct.Struct:
+    """Packs a whole record at once; arrays in it as bytes."""
+    fields = [row[name] for name in row.names or ()]
+    codes = [f"{field.itemsize}s" if field.shape else _CODES[field.str] for field in fields]
+    return struct.Struct("<" + "".join(codes))
