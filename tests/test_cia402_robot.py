@@ -201,22 +201,20 @@ def test_a_load_is_declared_to_the_first_drive_and_read_back():
 
 
 def test_temperatures_are_asked_in_turns():
-    drives, celsius = Objects(), np.full(3, np.nan)
-    Thermometer(drives, 0x2110, celsius).ask_all()
-    assert celsius == pytest.approx([20.0, 20.1, 20.2])
+    drives = Objects()
+    Thermometer(drives, 0x2110, 3).ask_all()
     assert drives.asked == [0, 1, 2]
 
 
 def test_drives_that_tell_no_temperature_are_not_asked():
     drives = Objects()
-    Thermometer(drives, 0, np.full(3, np.nan)).ask_all()
+    Thermometer(drives, 0, 3).ask_all()
     assert drives.asked == []
 
 
 def test_after_one_that_does_not_answer_nobody_is_asked_for_a_while():
-    drives, celsius = Objects(silent=(0,)), np.full(3, np.nan)
-    thermometer = Thermometer(drives, 0x2110, celsius)
+    drives = Objects(silent=(0,))
+    thermometer = Thermometer(drives, 0x2110, 3)
     for _ in range(5):
         thermometer.look()
     assert drives.asked == [0]
-    assert np.isnan(celsius).all()

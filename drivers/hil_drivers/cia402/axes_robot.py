@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
 from hil.record.topic import Topic
@@ -24,6 +26,7 @@ from hil_drivers.cia402.samples import Samples
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.thermometer import Thermometer
 from hil_drivers.cia402.torque_model import GRAVITY, TorqueModel
+from hil_drivers.cia402.track import Track
 from hil_drivers.cia402.tracks import track_of
 from hil_drivers.cia402.trouble import NEXT, Trouble
 
@@ -124,7 +127,7 @@ class AxesRobot:
         session = Session(self._model, self._options)
         samples = Samples(session, self._topic)
         thermometer = Thermometer(
-            session.acyclic, self._options.temperature_object, session.core.temperature
+            session.acyclic, self._options.temperature_object, len(self._options.nodes)
         )
         trouble = Trouble(self._name, session, samples)
         self._line = Line(session, samples, trouble, thermometer, torque)
@@ -146,11 +149,13 @@ class AxesRobot:
         require_liftable(payload, self.limits)
         if line.session.player.moving:
             raise CommandRefused("a load is declared at rest", hint="read until the arm holds")
+        told = payload
+        if self._options.payload_object:
+            told = declare(line.session.acyclic, self._options.payload_object, payload)
         if line.torque is not None:
             line.torque.mount(payload)
-        if self._options.payload_object:
-            return declare(line.session.acyclic, self._options.payload_object, payload)
-        return payload
+            self._hold_anew(line, line.torque)
+        return told
 
     def prepare(self, segment: Segment) -> None:
         """Check and keep the next segment.
@@ -223,6 +228,14 @@ class AxesRobot:
 
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to drives."""
+
+    def _hold_anew(self, line: Line, model: TorqueModel) -> None:
+        """Hold where the arm is, with the torques that its new load takes."""
+        player, scaling = line.session.player, line.session.drives.scaling
+        held = np.array([player.position])
+        torque = scaling.raw_torque(model.holding(scaling.position(held)))
+        line.session.core.prepare(Track(player.segment, held, np.zeros_like(held), torque))
+        line.session.core.start()
 
     @property
     def _drives(self) -> Commissioned | None:

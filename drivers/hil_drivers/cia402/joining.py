@@ -15,6 +15,7 @@ from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.opening import open_bus
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.ports import port_of
+from hil_drivers.cia402.temperatures import Temperatures
 
 ROOM_S = 0.5
 """How long room in the transmit queue is waited for by what is no process data [s]."""
@@ -32,6 +33,7 @@ class Joined:
     Attributes:
         acyclic: Objects of the drives; answered while somebody pumps or cycles go on.
         cyclic: Their process data.
+        temperatures: Heard from their answers.
 
     Raises:
         RobotConnectionError: There is no such bus, or its adapter is not there.
@@ -66,6 +68,7 @@ class Joined:
             self._log = BusLog(options.candump, options.bus.channel)
             self._leaving.callback(self._log.close)
         self._port = port_of(bus)
+        self.temperatures = Temperatures(options.nodes, options.temperature_object)
         self.acyclic = CanopenAcyclic(self._send, options.nodes, names, options.eds)
         self.cyclic = CanCyclic(
             self._port,
@@ -73,9 +76,14 @@ class Joined:
             options.nodes,
             options.period_s,
             master_id=options.master_id,
-            notify=self.acyclic.heard,
+            notify=self._heard,
             log=self._log,
         )
+
+    def _heard(self, can_id: int, data: bytes, time_s: float) -> None:
+        """What is no process data; by the thread that owns the bus."""
+        self.temperatures.heard(can_id, data)
+        self.acyclic.heard(can_id, data, time_s)
 
     def _send(self, can_id: int, data: bytes) -> None:
         """For what is no process data; waits for room."""

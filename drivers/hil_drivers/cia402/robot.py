@@ -6,10 +6,13 @@ hold `hil` up. When it does not stop the arm, this one tells the drives itself.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from hil.errors import RobotConnectionError, RobotTimeout
 from hil.robot.facts import Facts
+from hil.robot.logs import RecordedLog
 from hil.robot.process import RobotProcess
 from hil_drivers.cia402.direct_stop import stop_directly
 from hil_drivers.cia402.facts import capabilities_of, limits_of
@@ -49,6 +52,15 @@ class Cia402Robot(RobotProcess):
             checks=True,
         )
         super().__init__(DRIVER, name, model, options, known=known)
+
+    @classmethod
+    def read_log(
+        cls, log: Path, model: str, options: Mapping[str, Any], robot: Mapping[str, Any]
+    ) -> RecordedLog:
+        """See `hil.robot.logs.ReadsLogs`."""
+        from hil_drivers.cia402.replay import Replay
+
+        return Replay(log, model, options, robot)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Gravity in the base frame, for the torque model; before `connect`."""

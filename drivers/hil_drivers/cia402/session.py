@@ -7,6 +7,7 @@ import time
 
 from hil.arms import load_arm
 from hil.errors import HilError
+from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.commissioning import MODES, commission
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core
@@ -71,7 +72,10 @@ class Session:
         self.core.run()
         if self.were_reset:
             self.core.reset_faults()
-        self.core.enable(MODES[self.options.trajectory_mode])
+        self.core.enable(od.CSP)
+        if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
+            # Led by torque, an arm that is only now enabled would fall until the spring holds it.
+            self.core.switch(mode)
 
     def flush(self) -> None:
         """Write what the log of the bus has kept."""
@@ -126,6 +130,7 @@ class Session:
             period_s=options.period_s,
             wall_period_s=options.wall_period_s,
         )
+        self._joined.temperatures.celsius = core.temperature
         return core, player
 
     def _await_rest(self, within_s: float) -> None:
