@@ -266,10 +266,10 @@ def test_a_cycle_that_nobody_has_seen_costs_one_more_and_no_further() -> None:
     assert inputs.position == [30, 30]
 
 
-def test_answer_that_comes_twice_is_counted_and_the_first_is_used() -> None:
+def test_answer_that_comes_twice_is_counted_and_the_newest_is_used() -> None:
     cycles = Cycles()
     inputs = cycles.cycle([tpdo1(3, 1), tpdo1(3, 2), *all_answers(3)[1:]])
-    assert inputs.position[0] == 1
+    assert inputs.position[0] == 2
     assert cycles.cyclic.counts.doubled == 1
 
 

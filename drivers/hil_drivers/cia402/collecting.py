@@ -137,20 +137,19 @@ class Collector:
         return not self._owed
 
     def _second(self, slot: int, raw: bytes) -> None:
-        """Another frame for a slot that has one: the first one was late."""
-        if self._was_owed(slot):
-            self._came[slot] = raw
+        """Another frame for a slot that has one: the newest is that of this cycle."""
+        self._was_owed(slot)
+        self._came[slot] = raw
 
-    def _was_owed(self, slot: int) -> bool:
+    def _was_owed(self, slot: int) -> None:
         """Count a frame as late if one was owed, else as doubled."""
         owed = self._owed.pop(slot, 0)
         if not owed:
             self._counts.doubled += 1
-            return False
+            return
         self._counts.late += 1
         if owed > 1:
             self._owed[slot] = owed - 1
-        return True
 
     def _miss(self, inputs: Inputs) -> None:
         """Fill empty slots with what was there before, and keep in mind who owes what."""

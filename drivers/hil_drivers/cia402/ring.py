@@ -94,8 +94,10 @@ class Ring:
                 self._bell.acquire(timeout=timeout_s)
             self._asleep = False
         with self._moving:
-            start, self._taken = self._taken, self._written
-            return self._copy(start, self._taken)
+            stop = self._written
+            block = self._copy(self._taken, stop)
+            self._taken = stop  # not before: a full ring is written to again from here on
+        return block
 
     def wait_for_room(self, until_s: float) -> None:
         """Until there is room for a quarter of all, or that `time.monotonic`."""
