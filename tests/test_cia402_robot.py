@@ -167,6 +167,16 @@ def test_what_drives_would_follow_with_a_jump_is_refused(asked, said):
         track(asked)
 
 
+def test_an_arm_led_by_a_spring_first_goes_to_where_the_segment_begins():
+    asked, standing = segment(np.full((2, 6), 0.03)), np.zeros(6)
+    made = track_of(asked, limits_of("lab6"), standing, 250.0, SCALING, None, led=True)
+    q = SCALING.position(made.position)
+    assert q[0] == pytest.approx(standing, abs=1e-7)
+    assert q[-1] == pytest.approx(asked.q[-1], abs=1e-7)
+    assert np.abs(np.diff(q, axis=0)).max() * 250.0 < 0.2
+    assert SCALING.velocity(made.velocity) == pytest.approx(np.gradient(q, axis=0) * 250, abs=5e-3)
+
+
 # -- torques and loads
 
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,21 @@ def test_rows_in_which_an_axis_ignores_set_points_are_masked(mock, axes) -> None
     rows = until_masked(axes)
     assert (rows["status"] & int(Status.MASKED)).any()
     assert "joint_4" in until_it_raises(axes).message
+
+
+def test_an_arm_led_by_torque_moves_is_stopped_and_moves_again(mock) -> None:
+    mock.tell("clear")
+    more = {"trajectory_mode": "cst", "rate_hz": 200}
+    with closing(AxesRobot("arm", "lab6", **options(mock, **more))) as led:
+        led.connect()
+        segment = move(led, 0.4)
+        begin(led, segment)
+        led.stop()
+        settle(led)
+        rows = follow(led, move(led, 0.05))
+    assert (rows["mode"] == 10).all()
+    assert np.abs(rows["q"] - rows["q_target"]).max() < 0.06
+    assert np.abs(rows["effort_target"] - rows["effort"]).max(axis=0)[1] < 10.0
 
 
 # -- loads, temperatures, raw integers

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
@@ -18,39 +15,17 @@ from hil_drivers.checks import require_liftable
 from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of
 from hil_drivers.cia402.findings import findings_of
+from hil_drivers.cia402.line import Line, line_to
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.payload_object import declare
 from hil_drivers.cia402.rows import raw_topic
-from hil_drivers.cia402.samples import Samples
-from hil_drivers.cia402.session import Session
-from hil_drivers.cia402.thermometer import Thermometer
-from hil_drivers.cia402.torque_model import GRAVITY, TorqueModel
-from hil_drivers.cia402.track import Track
+from hil_drivers.cia402.torque_model import GRAVITY
 from hil_drivers.cia402.tracks import track_of
-from hil_drivers.cia402.trouble import NEXT, Trouble
+from hil_drivers.cia402.trouble import NEXT
 
 REST_S = 2.0
 """How long an arm that was stopped is waited for before its axes are switched off [s]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """What there is while the arm is connected.
-
-    Attributes:
-        session: To the drives.
-        samples: Of their cycles.
-        trouble: What is wrong with them.
-        thermometer: Asks them beside the cycles.
-        torque: The model, where drives are told torques.
-    """
-
-    session: Session
-    samples: Samples
-    trouble: Trouble
-    thermometer: Thermometer
-    torque: TorqueModel | None
 
 
 class AxesRobot:
@@ -123,18 +98,13 @@ class AxesRobot:
         if self._line is not None and not self._line.trouble.is_there:
             return
         self.close()
-        torque = self._torque_model()
-        session = Session(self._model, self._options)
-        samples = Samples(session, self._topic)
-        thermometer = Thermometer(
-            session.acyclic, self._options.temperature_object, len(self._options.nodes)
+        line = self._line = line_to(
+            self._name, self._model, self._options, self._topic, self._gravity
         )
-        trouble = Trouble(self._name, session, samples)
-        self._line = Line(session, samples, trouble, thermometer, torque)
         try:
-            session.begin()
-            thermometer.ask_all()
-            samples.forget()
+            line.session.begin()
+            line.thermometer.ask_all()
+            line.samples.forget()
         except BaseException:
             self.close()
             raise
@@ -154,7 +124,7 @@ class AxesRobot:
             told = declare(line.session.acyclic, self._options.payload_object, payload)
         if line.torque is not None:
             line.torque.mount(payload)
-            self._hold_anew(line, line.torque)
+            line.hold_anew()
         return told
 
     def prepare(self, segment: Segment) -> None:
@@ -166,9 +136,16 @@ class AxesRobot:
         """
         line, stops = self._healthy(), self._stops
         self._prepared = False
-        scaling, rate_hz = line.session.drives.scaling, self._options.rate_hz
-        standing = scaling.position(line.session.player.position)
-        track = track_of(segment, self.limits, standing, rate_hz, scaling, line.torque)
+        scaling = line.session.drives.scaling
+        track = track_of(
+            segment,
+            self.limits,
+            scaling.position(line.session.player.position),
+            self._options.rate_hz,
+            scaling,
+            line.torque,
+            led=self._options.trajectory_mode != "csp",
+        )
         line.session.core.prepare(track)
         self._prepared = stops == self._stops
         if not self._prepared:  # a stop that has come meanwhile holds
@@ -229,22 +206,9 @@ class AxesRobot:
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to drives."""
 
-    def _hold_anew(self, line: Line, model: TorqueModel) -> None:
-        """Hold where the arm is, with the torques that its new load takes."""
-        player, scaling = line.session.player, line.session.drives.scaling
-        held = np.array([player.position])
-        torque = scaling.raw_torque(model.holding(scaling.position(held)))
-        line.session.core.prepare(Track(player.segment, held, np.zeros_like(held), torque))
-        line.session.core.start()
-
     @property
     def _drives(self) -> Commissioned | None:
         return self._line.session.drives if self._line else None
-
-    def _torque_model(self) -> TorqueModel | None:
-        if self._options.feed_forward or self._options.trajectory_mode == "cst":
-            return TorqueModel(self._model, self._options.urdf, self._gravity)
-        return None
 
     def _connected(self) -> Line:
         if self._line is None:

@@ -15,6 +15,12 @@ from hil_drivers.cia402.track import Track
 AT_SET_POINT_RAD = 1e-4
 """Set-points are followed without being smoothed: a segment begins where the last one ended."""
 
+LED_RAD = 0.05
+"""Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it; a segment
+that was planned from there is reached first."""
+
+REACHED_S = 0.4
+
 
 def track_of(
     segment: Segment,
@@ -23,6 +29,8 @@ def track_of(
     rate_hz: float,
     scaling: Scaling,
     model: TorqueModel | None,
+    *,
+    led: bool = False,
 ) -> Track:
     """A segment that can be executed, in the drives' integers.
 
@@ -33,24 +41,42 @@ def track_of(
         rate_hz: Rows per second of device time.
         scaling: Of the drives.
         model: Says the feed-forward torque; none is sent without.
+        led: The master leads the joints; it may have to be reached.
 
     Raises:
         CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
     """
-    require_executable(segment, limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
+    tolerance = LED_RAD if led else AT_SET_POINT_RAD
+    require_executable(segment, limits, standing, at_set_point_rad=tolerance)
     _require_no_jump(segment, limits, rate_hz)
+    q, qd, qdd = segment.q, segment.qd, segment.qdd
+    if np.abs(q[0] - standing).max() > AT_SET_POINT_RAD:
+        way = _way(standing, q[0], rate_hz)
+        q, qd, qdd = (np.vstack(pair) for pair in zip(way, (q, qd, qdd), strict=True))
     return Track(
         segment=segment.index,
-        position=scaling.raw_position(segment.q),
-        velocity=scaling.raw_velocity(segment.qd),
-        torque=_torque(segment, scaling, model),
+        position=scaling.raw_position(q),
+        velocity=scaling.raw_velocity(qd),
+        torque=_torque(q, qd, qdd, scaling, model),
     )
 
 
-def _torque(segment: Segment, scaling: Scaling, model: TorqueModel | None) -> IntArray:
+def _way(start: FloatArray, end: FloatArray, rate_hz: float) -> tuple[FloatArray, ...]:
+    """(N, n) positions, velocities, accelerations from rest to rest by a polynomial of degree 5."""
+    t = np.arange(round(REACHED_S * rate_hz))[:, None] / round(REACHED_S * rate_hz)
+    way = end - start
+    q = start + way * (10 * t**3 - 15 * t**4 + 6 * t**5)
+    qd = way * (30 * t**2 - 60 * t**3 + 30 * t**4) / REACHED_S
+    qdd = way * (60 * t - 180 * t**2 + 120 * t**3) / REACHED_S**2
+    return q, qd, qdd
+
+
+def _torque(
+    q: FloatArray, qd: FloatArray, qdd: FloatArray, scaling: Scaling, model: TorqueModel | None
+) -> IntArray:
     if model is None:
-        return np.zeros(segment.q.shape, dtype=np.int64)
-    return scaling.raw_torque(model.torque(segment.q, segment.qd, segment.qdd))
+        return np.zeros(q.shape, dtype=np.int64)
+    return scaling.raw_torque(model.torque(q, qd, qdd))
 
 
 def _require_no_jump(segment: Segment, limits: Limits, rate_hz: float) -> None:
