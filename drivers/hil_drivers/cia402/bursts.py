@@ -7,13 +7,12 @@ A frame a call costs more than everything else in a cycle. Linux takes and gives
 from __future__ import annotations
 
 import ctypes
-import os
 import socket
 import sys
 from collections.abc import Callable, Sequence
 
 from hil.canbus.frame import FRAME
-from hil_drivers.cia402.ports import FULL, FramePort, SocketPort
+from hil_drivers.cia402.ports import FramePort, SocketPort
 
 MOST = 64
 """Frames taken at once."""
@@ -46,19 +45,20 @@ class _Message(ctypes.Structure):
     _fields_ = (("header", _Header), ("length", ctypes.c_uint))
 
 
+_LENGTH_AT = _Message.length.offset // 4
+_STRIDE = ctypes.sizeof(_Message) // 4
+"""Of the lengths among all the numbers of messages, each of four bytes."""
+
+
 def _kernel_call(name: str) -> Callable[..., int] | None:
-    """A call that never waits, so it does not let go of the interpreter either."""
+    """A call that never waits, so it does not let go of the interpreter either.
+
+    Types of arguments are not declared: checking them costs more than the rest of the call, when
+    milliseconds have passed since the last one and nothing is cached any more.
+    """
     if sys.platform != "linux":
         return None
-    call = getattr(ctypes.PyDLL(None, use_errno=True), name, None)
-    if call is None:
-        return None
-    messages = ctypes.POINTER(_Message)
-    call.argtypes = [ctypes.c_int, messages, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
-    if name == "sendmmsg":
-        call.argtypes = call.argtypes[:-1]
-    call.restype = ctypes.c_int
-    return call  # type: ignore[no-any-return]
+    return getattr(ctypes.PyDLL(None), name, None)
 
 
 _send_many, _receive_many = _kernel_call("sendmmsg"), _kernel_call("recvmmsg")
@@ -105,11 +105,12 @@ class _Burst:
         self._port, self._call, self._number = port, call, len(frames)
         self._memory = [(ctypes.c_char * _SIZE).from_buffer(frame) for frame in frames]
         self._messages, self._vectors = _messages([ctypes.addressof(m) for m in self._memory])
+        self._at = ctypes.c_void_p(ctypes.addressof(self._messages))
 
     def send(self) -> bool:
-        sent = self._call(self._port.line.fileno(), self._messages, self._number, _NOW)
-        if sent < 0 and (code := ctypes.get_errno()) not in FULL:
-            raise self._port.gone(os.strerror(code))
+        sent = self._call(self._port.line.fileno(), self._at, self._number, _NOW)
+        if sent < 0:
+            return self._port.send(bytes(self._memory[0])) and False  # says why not
         return sent == self._number
 
 
@@ -120,21 +121,23 @@ class _Catch:
         self._held = (ctypes.c_char * len(self._memory)).from_buffer(self._memory)
         first = ctypes.addressof(self._held)
         self._messages, self._vectors = _messages([first + _SIZE * at for at in range(MOST)])
+        self._at = ctypes.c_void_p(ctypes.addressof(self._messages))
+        self._view = memoryview(self._memory)
+        self._lengths = memoryview(self._messages).cast("B").cast("I")[_LENGTH_AT::_STRIDE]
 
     def take(self) -> Sequence[bytes]:
-        number = self._call(self._port.line.fileno(), self._messages, MOST, _NOW, None)
-        if number <= 0:
-            if number < 0 and (code := ctypes.get_errno()) not in FULL:
-                raise self._port.gone(os.strerror(code))
-            return ()
-        if not self._messages[number - 1].length:
+        number = self._call(self._port.line.fileno(), self._at, MOST, _NOW, None)
+        if number < 0:  # there is none, or whoever receives one says what is wrong
+            raw = self._port.receive(0.0)
+            return () if raw is None else (raw,)
+        if not self._lengths[number - 1]:
             number = self._before_the_end(number)
-        memory = bytes(self._memory[: _SIZE * number])
+        memory = bytes(self._view[: _SIZE * number])
         return [memory[at : at + _SIZE] for at in range(0, len(memory), _SIZE)]
 
     def _before_the_end(self, number: int) -> int:
         """A packet without bytes is the end of the bus: what came before it still counts."""
-        lengths = [self._messages[at].length for at in range(number)]
+        lengths = self._lengths[:number].tolist()
         if not lengths[0]:
             raise self._port.gone("its host has ended, or frames were not taken fast enough")
         return lengths.index(0)
