@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
+from hil.campaign.experiment import mock_bench
 from hil.errors import SpecError
 from hil.payload import Payload
 from hil.spec import (
@@ -18,6 +19,7 @@ from hil.spec import (
     spec_hash,
 )
 from hil.spec.experiment import Dwell, Fourier
+from hil_drivers.cia402.options import options_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SHIPPED = sorted(EXPERIMENTS.glob("*.yaml"))
@@ -78,10 +80,20 @@ def test_the_loaded_experiment_judges_on_the_load_it_did_not_fit() -> None:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_experiment_runs_at_the_shipped_station(path: Path) -> None:
     spec = load_spec(path)
-    station = load_station(EXPERIMENTS / "stations" / "mock.yaml")
+    on_can = spec.robot == "lab6_can"
+    file = "lab6_can_mock.yaml" if on_can else "mock.yaml"
+    station = load_station(EXPERIMENTS / "stations" / file)
 
-    assert resolve_robot(spec, station).driver == "mock"
+    assert resolve_robot(spec, station).driver == ("cia402" if on_can else "mock")
     assert spec.name == path.stem.replace("_", "-")
+
+
+def test_the_built_in_bench_has_the_drives_of_the_shipped_station() -> None:
+    shipped = load_station(EXPERIMENTS / "stations" / "lab6_can_mock.yaml").robots["lab6_can"]
+    built_in = mock_bench().robots["lab6_can"]
+
+    assert (built_in.driver, built_in.model) == (shipped.driver, shipped.model)
+    assert options_of(built_in.options, "lab6") == options_of(shipped.options, "lab6")
 
 
 def test_the_mock_station_has_two_makes_of_arm() -> None:
