@@ -34,8 +34,10 @@ pytestmark = [pytest.mark.wire, pytest.mark.skipif(bool(missing()), reason=missi
 def test_an_arm_on_socketcan_follows(tmp_path: Path) -> None:
     side = str(tmp_path / "side")
     bus = {"interface": "socketcan", "channel": INTERFACE}
-    with mock_can("--interface", "socketcan", "--side", side, channel=INTERFACE):
-        with closing(Cia402Robot("arm", "lab6", bus=bus, late_cycles=25)) as robot:
-            robot.connect()
-            rows = follow(robot, move(robot, 0.1))
+    with (
+        mock_can("--interface", "socketcan", "--side", side, channel=INTERFACE),
+        closing(Cia402Robot("arm", "lab6", bus=bus, late_cycles=25)) as robot,
+    ):
+        robot.connect()
+        rows = follow(robot, move(robot, 0.1))
     assert np.abs(rows["q"] - rows["q_target"]).max() < 0.01
