@@ -269,6 +269,14 @@ def test_rest_switches_all_axes_off_step_by_step_and_ends_the_cycles(station: St
     assert station.drives.cycle == at
 
 
+def test_rest_of_an_arm_that_moves_brakes_it(station: Station) -> None:
+    station.ready()
+    station.move(rows=100_000)
+    station.core.rest()
+    assert QUICK_STOP in [words for words, _, _ in station.drives.sent_outputs]
+    assert [drive.status for drive in station.drives.drives] == [OFF] * N
+
+
 def test_cycles_can_begin_again_after_a_rest(station: Station) -> None:
     station.ready()
     station.core.rest()

@@ -1,37 +1,22 @@
-"""The thread that owns the bus: cycles at their time, answers judged, set-points sent, all kept."""
+"""What other threads ask of the cycles: run, enable, move, stop, and take what was recorded."""
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
 from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.typing import StructArray
-from hil_drivers.cia402.contracts import Cyclic, Inputs, Outputs
-from hil_drivers.cia402.mapping import LATE, Mapping
-from hil_drivers.cia402.player import Player, Track
-from hil_drivers.cia402.realtime import realtime
-from hil_drivers.cia402.ring import Ring
-from hil_drivers.cia402.schedule import Schedule
-from hil_drivers.cia402.supervisor import Phase, Supervisor
+from hil_drivers.cia402.cycling import Cycling
+from hil_drivers.cia402.phases import Phase
+from hil_drivers.cia402.player import Track
 from hil_drivers.cia402.track import farthest
 
-KEPT_S = 60.0
-"""Device time of records that may wait to be taken [s]."""
-
-BATCH_S = 0.016
-"""Wall time of records that are handed over together, so that one wake-up serves several [s]."""
-
-FREE_BATCH = 16
-PUMP_S = 0.02
 POLL_S = 0.002
 FIRST_ANSWER_S = 2.0
-CLEAN_UP_S = 5.0
 END_S = 1.5
 
 REST_RAD_S = 0.02
@@ -40,57 +25,12 @@ REST_WITHIN_S = 2.0
 """An arm is at rest when no joint has moved faster, on average over that time."""
 
 
-class Core:
-    """The cyclic exchange of all axes, in a thread of its own.
+class Core(Cycling):
+    """The cyclic exchange of all axes, in a thread of its own; `Cycling` says what it is made of.
 
     Until `run`, and after `rest`, it only takes what comes (`Cyclic.pump`), so that SDO requests of
     other threads are answered; between them cycles go on, enabled or not.
-
-    Args:
-        cyclic: The drives.
-        supervisor, player: Write to `outputs`.
-        outputs: What the drives are told.
-        schedule: When cycles begin.
-        mapping: Of every axis.
-        period_s: Device time of a cycle [s].
-        wall_period_s: Wall time of a cycle; 0 when cycles have no deadlines [s].
-        kept_s: Device time of records that may wait to be taken [s].
-
-    Attributes:
-        temperature: (n,) [°C], written by whoever asks the drives for it; goes into every record.
-        not_permitted: What the kernel refused of what real time needs, in words.
-        ring: The records.
-        schedule: When cycles began.
     """
-
-    def __init__(
-        self,
-        cyclic: Cyclic,
-        supervisor: Supervisor,
-        player: Player,
-        outputs: Outputs,
-        schedule: Schedule,
-        mapping: Mapping,
-        *,
-        period_s: float,
-        wall_period_s: float,
-        kept_s: float = KEPT_S,
-    ) -> None:
-        n = len(outputs.controlword)
-        self._cyclic, self._supervisor, self._player = cyclic, supervisor, player
-        self._outputs, self.schedule = outputs, schedule
-        self._period_s, self._free = period_s, wall_period_s <= 0.0
-        batch = FREE_BATCH if self._free else max(1, math.ceil(BATCH_S / wall_period_s))
-        self.ring = Ring(mapping, n, max(64, round(kept_s / period_s)), batch)
-        self.temperature = self.ring.temperature
-        self.not_permitted: list[str] = []
-        self._inputs = Inputs.none_yet(n)
-        self._asked: deque[Callable[[], None]] = deque()
-        self._cycling = self._ending = False
-        self._clean_up_at = 0
-        self._problem = ""
-        self._gone: RobotConnectionError | None = None
-        self._thread: threading.Thread | None = None
 
     @property
     def phase(self) -> Phase:
@@ -128,9 +68,13 @@ class Core:
         self._do(lambda: self._cyclic.watch(True))
 
     def rest(self) -> None:
-        """End the cycles, all axes off, and pump again."""
-        with contextlib.suppress(HilError):
-            self.disable()
+        """End the cycles, all axes off, and pump again; an arm that still moves is braked."""
+        if self._player.moving:
+            self.quick_stop()
+        else:
+            with contextlib.suppress(HilError):
+                self.disable()
+        self._let_pass(lambda: self._is_cycling and self.phase is not Phase.OFF, END_S)
         self._cyclic.watch(False)
         self._cycling = False
 
@@ -169,7 +113,7 @@ class Core:
 
     def disable(self, within_s: float = 5.0) -> None:
         """Switch all axes off, at rest; blocks, raises as `enable`."""
-        if self._cycling and self.phase is not Phase.OFF:
+        if self._is_cycling and self.phase is not Phase.OFF:
             self._do(self._supervisor.disable)
             self._wait_for(Phase.OFF, within_s, "the axes are not off")
 
@@ -217,109 +161,17 @@ class Core:
         thread = self._thread
         if thread is None:
             return
-        if self._cycling and thread.is_alive() and self.phase is not Phase.OFF:
+        if self._is_cycling and self.phase is not Phase.OFF:
             self.quick_stop()
-            self._let_pass(lambda: self.phase is not Phase.OFF, END_S)
+            self._let_pass(lambda: self._is_cycling and self.phase is not Phase.OFF, END_S)
         self._ending = True
         self.ring.wake()
         thread.join(END_S)
         self._thread = None
 
-    # -- the thread
-
-    def _run(self) -> None:
-        try:
-            while not self._ending:
-                if self._cycling:
-                    self._run_cycles()
-                else:
-                    self._cyclic.pump(time.monotonic() + PUMP_S)
-                    self._obey()
-        except RobotConnectionError as error:
-            self._fail(error)
-        except Exception as error:  # nobody would ever hear of it in this thread
-            self._last_words()
-            self._fail(RobotConnectionError(f"the cyclic exchange failed: {error!r}"))
-
-    def _run_cycles(self) -> None:
-        self.schedule.restart()
-        with realtime() as self.not_permitted:
-            while self._cycling and not self._ending:
-                self._cycle()
-                self.schedule.done()
-
-    def _cycle(self) -> None:
-        late = self.schedule.wait(self._cyclic.idle)
-        if self._asked:
-            self._obey()
-        outputs, supervisor, player = self._outputs, self._supervisor, self._player
-        told = outputs.segment, outputs.status
-        inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
-        if (news := self._cyclic.news()) is not None:
-            supervisor.hear(news)
-        supervisor.step(inputs, self._cyclic.cycle)
-        if supervisor.running:
-            if supervisor.phase is Phase.ENABLED and player.mode != supervisor.mode:
-                player.engage(supervisor.mode, outputs)
-            player.step(inputs, outputs)
-        else:
-            self._be_off()
-        self._keep(told, late)
-        if self.schedule.cycles >= self._clean_up_at:
-            self._clean_up()
-
-    def _keep(self, told: tuple[int, int], late: bool) -> None:
-        ring = self.ring
-        if ring.full:
-            self._make_room()
-        flags = LATE if late else 0
-        fresh = self._inputs.fresh
-        if not all(fresh):
-            flags |= sum(1 << axis for axis, came in enumerate(fresh) if not came)
-        ring.put(self._cyclic, told, self._supervisor.fault_code, flags)
-
-    def _make_room(self) -> None:
-        """Records of an arm at rest may go; those of a motion that nobody takes end it."""
-        if self._free:
-            self.ring.wait_for_room(time.monotonic() + 1.0)
-        if not self.ring.full:
-            return
-        if self._player.moving:
-            self._supervisor.quick_stop(
-                "the cycles' records were not taken: hil is held up (busy machine, slow disk)"
-            )
-        self.ring.forget(max(1, round(1.0 / self._period_s)))
-
-    def _be_off(self) -> None:
-        if self._player.mode:
-            self._player.disengage()
-        self._outputs.segment, self._outputs.status = -1, 0
-        if problem := self._supervisor.take_problem():
-            self._problem = problem
-            self.ring.wake()
-
-    def _clean_up(self) -> None:
-        """Collect young garbage now and then, as nobody else does while cycles go on."""
-        self._clean_up_at = self.schedule.cycles + round(CLEAN_UP_S / self._period_s)
-        gc.collect(0)
-
-    def _obey(self) -> None:
-        while self._asked:
-            self._asked.popleft()()
-
-    def _last_words(self) -> None:
-        """Quick stop to all, twice: the second SYNC applies the first's commands."""
-        with contextlib.suppress(Exception):
-            self._supervisor.quick_stop()
-            for _ in range(2):
-                self._cyclic.exchange(self._outputs, time.monotonic() + POLL_S)
-
-    def _fail(self, error: RobotConnectionError) -> None:
-        self._player.disengage()
-        self._gone = error
-        self.ring.wake()
-
-    # -- the other threads
+    @property
+    def _is_cycling(self) -> bool:
+        return self._cycling and self._gone is None
 
     def _do(self, action: Callable[[], None]) -> None:
         """Have the thread do it, and wait until it has."""

@@ -7,12 +7,13 @@ in cycles.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from enum import Enum
 
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402 import states
 from hil_drivers.cia402.complaints import Complaints
 from hil_drivers.cia402.contracts import Emergency, Inputs, News, Outputs
+from hil_drivers.cia402.judging import FAULTY, Judge, mode_text
+from hil_drivers.cia402.phases import RUNNING, WATCHED, WITHIN_S, Phase
 from hil_drivers.cia402.states import (
     Goal,
     State,
@@ -22,42 +23,13 @@ from hil_drivers.cia402.states import (
     told_by,
 )
 
-
-class Phase(Enum):
-    """Where all axes together are."""
-
-    OFF = "off"
-    RESETTING = "resetting faults"
-    MODE = "setting the mode"
-    ENABLING = "enabling"
-    ENABLED = "enabled"
-    SWITCHING = "switching the mode"
-    BRAKING = "quick stop"
-    DISABLING = "switching off"
-
-
-WITHIN_S = {
-    Phase.RESETTING: 2.0,
-    Phase.MODE: 2.0,
-    Phase.ENABLING: 5.0,
-    Phase.SWITCHING: 1.0,
-    Phase.BRAKING: 10.0,
-    Phase.DISABLING: 5.0,
-}
-"""How long a phase may take, by device time [s]; releasing brakes takes some of `ENABLING`."""
-
-FOLLOWS_WITHIN_S = 0.1
-"""How long after enabling or switching bit 12 may stay low [s]."""
+__all__ = ["Phase", "Supervisor"]
 
 SILENT_S = 1.0
 """How long quick stop is sent to axes that do not answer [s]."""
 
 TOLD_AFTER_S = 0.05
 """How long other news of the same mishap are waited for before it is told [s]."""
-
-_FAULTY = (State.FAULT, State.FAULT_REACTION)
-_RUNNING = (Phase.ENABLED, Phase.SWITCHING)
-_WATCHED = (Phase.MODE, Phase.ENABLING, Phase.ENABLED, Phase.SWITCHING, Phase.DISABLING)
 
 
 class Supervisor:
@@ -91,17 +63,13 @@ class Supervisor:
         said: Callable[[Emergency], str] = lambda emergency: f"EMCY {emergency.code:04X}h",
     ) -> None:
         self._n, self._period_s, self._outputs = len(nodes), period_s, outputs
-        self._mode_mapped, self._late_cycles, self._said = mode_mapped, late_cycles, said
+        self._said, self._judge = said, Judge(len(nodes), mode_mapped, late_cycles)
         names = names or [f"axis {axis + 1}" for axis in range(len(nodes))]
         self._complaints = Complaints(names, nodes)
         self._codes = [0] * self._n
-        self._missed = [0] * self._n
-        self._calm: list[int] = []
-        self._all_fresh = [True] * self._n
         self._states = [State.UNKNOWN] * self._n
         self._inputs = Inputs.none_yet(self._n)
         self._cycle = self._since = 0
-        self._follows = [False] * self._n
         self.phase, self.mode = Phase.OFF, 0
         self.overdue, self.fault_code = False, 0
         self._go_on: dict[Phase, Callable[[Inputs], None]] = {
@@ -118,7 +86,7 @@ class Supervisor:
     @property
     def running(self) -> bool:
         """Whether the drives follow set-points."""
-        return self.phase in _RUNNING
+        return self.phase in RUNNING
 
     @property
     def complains(self) -> bool:
@@ -131,7 +99,6 @@ class Supervisor:
         self.overdue = False
         self.mode = mode
         self._outputs.mode[:] = [mode] * self._n
-        self._missed = [0] * self._n
         self._enter(Phase.MODE)
 
     def switch(self, mode: int) -> None:
@@ -187,17 +154,19 @@ class Supervisor:
     def step(self, inputs: Inputs, cycle: int) -> None:
         """Judge what the drives answered, and write what they are told next."""
         self._cycle, self._inputs = cycle, inputs
-        if self.phase is Phase.ENABLED and self._is_calm(inputs):
+        judge = self._judge
+        if self.phase is Phase.ENABLED and judge.is_calm(inputs, self._outputs.mode):
             return
         self._states = [state_of(word) for word in inputs.statusword]
-        faulty = [code for code, s in zip(self._codes, self._states, strict=True) if s in _FAULTY]
+        faulty = [code for code, s in zip(self._codes, self._states, strict=True) if s in FAULTY]
         self.fault_code = faulty[0] if faulty else 0
-        self._count_missed(inputs.fresh)
-        if self.phase in _WATCHED:
-            self._judge(inputs)
+        judge.count(inputs)
+        if self.phase in WATCHED:
+            wrong = judge.judge(inputs, self._states, self.phase, self.mode, self._for_s())
+            for axis, what in list(wrong):
+                self._complain(axis, what)
         self._go_on[self.phase](inputs)
-        settled = self.phase is Phase.ENABLED and all(self._follows) and not any(self._missed)
-        self._calm = inputs.statusword.copy() if settled else []
+        judge.settle(inputs, self.phase)
 
     def take_problem(self) -> str:
         """What made it stop all axes, with all axes' states; told once, empty else."""
@@ -206,50 +175,15 @@ class Supervisor:
             return ""
         return self._complaints.take(self._states)
 
-    # -- what may be wrong
-
     def _complain(self, axis: int | None, what: str) -> None:
         """Note it; stop all when anything is on."""
-        if self.phase in _WATCHED:
+        if self.phase in WATCHED:
             self._complaints.add(axis, what, self._cycle)
             self.quick_stop()
         elif self._complaints:
             self._complaints.add(axis, what, self._cycle)
         elif axis is not None:
             self._complaints.keep(axis, what)
-
-    def _is_calm(self, inputs: Inputs) -> bool:
-        """Nothing is other than when it was judged last."""
-        return (
-            inputs.statusword == self._calm
-            and inputs.fresh == self._all_fresh
-            and (not self._mode_mapped or inputs.mode_display == self._outputs.mode)
-        )
-
-    def _count_missed(self, fresh: list[bool]) -> None:
-        self._missed = [
-            0 if came else missed + 1 for came, missed in zip(fresh, self._missed, strict=True)
-        ]
-
-    def _judge(self, inputs: Inputs) -> None:
-        for axis, state in enumerate(self._states):
-            word = inputs.statusword[axis]
-            if self._missed[axis] > self._late_cycles:
-                self._complain(axis, f"has not answered {self._missed[axis]} SYNCs in a row")
-            elif state in _FAULTY:
-                self._complain(axis, told_by(word))
-            elif self.running and state is not State.ENABLED:
-                self._complain(axis, f"has left operation enabled: {told_by(word)}")
-            elif self.phase is Phase.ENABLED:
-                self._judge_following(axis, word, inputs)
-
-    def _judge_following(self, axis: int, word: int, inputs: Inputs) -> None:
-        if self._mode_mapped and inputs.mode_display[axis] != self.mode:
-            self._complain(axis, f"has left mode {_mode(self.mode)} on its own")
-        elif word & states.FOLLOWS_COMMAND:
-            self._follows[axis] = True
-        elif self._follows[axis] or self._for_s() > FOLLOWS_WITHIN_S:
-            self._complain(axis, f"ignores set-points (bit 12 low): {told_by(word)}")
 
     # -- what comes next, by phase
 
@@ -262,15 +196,15 @@ class Supervisor:
         words = self._outputs.controlword
         for axis, state in enumerate(self._states):
             words[axis] = controlword_resetting(state, words[axis])
-        if not any(state in _FAULTY for state in self._states):
+        if not any(state in FAULTY for state in self._states):
             self._enter(Phase.OFF)
         elif self._is_overdue():
-            self._give_up([axis for axis in range(self._n) if self._states[axis] in _FAULTY])
+            self._give_up([axis for axis in range(self._n) if self._states[axis] in FAULTY])
 
     def _set_mode(self, inputs: Inputs) -> None:
         self._preload(range(self._n))
         self._steer(Goal.OFF)
-        wrong = self._in_wrong_mode(inputs)
+        wrong = self._judge.in_wrong_mode(inputs, self.mode)
         ready = [state is State.DISABLED for state in self._states]
         if not wrong and all(ready):
             self._enter(Phase.ENABLING)
@@ -298,7 +232,7 @@ class Supervisor:
         self._steer(Goal.ENABLED)
 
     def _go_on_switching(self, inputs: Inputs) -> None:
-        wrong = self._in_wrong_mode(inputs)
+        wrong = self._judge.in_wrong_mode(inputs, self.mode)
         if not wrong:
             self._enter(Phase.ENABLED)
         elif self._is_overdue():
@@ -307,7 +241,7 @@ class Supervisor:
     def _brake(self, inputs: Inputs) -> None:
         """Quick stop until no axis carries current; silent ones may hear it all the same."""
         carrying = [axis for axis in range(self._n) if self._states[axis] in states.POWERED]
-        answering = any(self._missed[axis] <= self._late_cycles for axis in carrying)
+        answering = any(self._judge.answers(axis) for axis in carrying)
         given_s = WITHIN_S[Phase.BRAKING] if answering else SILENT_S
         if not carrying or self._for_s() > given_s:
             self._enter(Phase.OFF)
@@ -328,8 +262,7 @@ class Supervisor:
 
     def _enter(self, phase: Phase) -> None:
         self.phase, self._since = phase, self._cycle
-        self._follows = [False] * self._n
-        self._calm = []
+        self._judge.enter(phase)
 
     def _for_s(self) -> float:
         return (self._cycle - self._since) * self._period_s
@@ -339,23 +272,18 @@ class Supervisor:
 
     def _give_up(self, axes: list[int]) -> None:
         """A phase has taken too long because of these axes."""
-        doing = self.phase.value
+        inputs, within_s = self._inputs, WITHIN_S[self.phase]
+        asks_mode = self.phase in (Phase.MODE, Phase.SWITCHING)
+        wrong = self._judge.in_wrong_mode(inputs, self.mode) if asks_mode else []
         for axis in axes:
-            what = told_by(self._inputs.statusword[axis])
-            if self.phase in (Phase.MODE, Phase.SWITCHING) and axis in self._in_wrong_mode(
-                self._inputs
-            ):
-                shown = _mode(self._inputs.mode_display[axis])
-                what = f"mode {_mode(self.mode)} was asked for, it shows {shown}; {what}"
-            text = f"{doing} took longer than {WITHIN_S[self.phase]:g} s: {what}"
+            what = told_by(inputs.statusword[axis])
+            if axis in wrong:
+                shown = mode_text(inputs.mode_display[axis])
+                what = f"mode {mode_text(self.mode)} was asked for, it shows {shown}; {what}"
+            text = f"{self.phase.value} took longer than {within_s:g} s: {what}"
             self._complaints.add(axis, text, self._cycle)
         self.overdue = True
         self.quick_stop()
-
-    def _in_wrong_mode(self, inputs: Inputs) -> list[int]:
-        if not self._mode_mapped:
-            return []
-        return [axis for axis, mode in enumerate(inputs.mode_display) if mode != self.mode]
 
     def _steer(self, goal: Goal) -> None:
         self._outputs.controlword[:] = [controlword_towards(s, goal) for s in self._states]
@@ -367,8 +295,3 @@ class Supervisor:
             outputs.target_position[axis] = inputs.position[axis]
             outputs.target_velocity[axis] = outputs.torque_offset[axis] = 0
             outputs.target_torque[axis] = 0
-
-
-def _mode(mode: int) -> str:
-    name = od.MODE_NAMES.get(mode)
-    return f"{mode} ({name})" if name else str(mode)
