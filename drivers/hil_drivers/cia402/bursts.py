@@ -88,11 +88,13 @@ def receiving(port: FramePort) -> Callable[[], Sequence[bytes]]:
         return _Catch(port, _receive_many).take
     receive = port.receive
 
-    def one() -> Sequence[bytes]:
-        raw = receive(0.0)
-        return () if raw is None else (raw,)
+    def one_by_one() -> Sequence[bytes]:
+        frames: list[bytes] = []
+        while len(frames) < MOST and (raw := receive(0.0)) is not None:
+            frames.append(raw)
+        return frames
 
-    return one
+    return one_by_one
 
 
 class _Burst:

@@ -91,13 +91,11 @@ class Collector:
         """Take one answer for every slot; whether all came."""
         came, take, slot_of = self._came, self._take, self._slot_of
         came[:] = self._none_came
-        left, waited = len(came), False
+        left, takes = len(came), 0
         while left:
-            frames = take()
-            if not frames:
-                if not self._port.wait(give_up_s):
-                    return False
-                waited = True
+            frames, takes = take(), takes + 1
+            if not frames and not self._port.wait(give_up_s):
+                return False
             for raw in frames:
                 slot = slot_of(raw[:_HEAD_BYTES])
                 if slot is None:
@@ -107,7 +105,7 @@ class Collector:
                     left -= 1
                 else:
                     self._second(slot, raw)
-        if waited:
+        if takes > 1:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
             self._nap_s *= NAP_SHORTER
