@@ -161,7 +161,7 @@ def test_one_axis_that_fails_stops_all_and_the_message_says_who_and_why(mock, ax
     row = axes.read()[-1]
     assert row["status"] & int(Status.FAULT)
     assert row["fault_code"] == 0x8611
-    with pytest.raises(RobotFault):
+    with pytest.raises(RobotFault, match=r"does not obey since a fault: joint_3"):
         axes.prepare(move(axes, 0.1))
     off_and_at_rest(mock)
     axes.connect()

@@ -220,5 +220,6 @@ class AxesRobot:
     def _healthy(self) -> Line:
         line = self._connected()
         if line.trouble.is_there:
-            raise RobotFault(f"{self._name} does not obey since a fault", hint=NEXT)
+            said = f"{self._name} does not obey since a fault: {line.trouble.said}"
+            raise RobotFault(said, hint=NEXT)
         return line

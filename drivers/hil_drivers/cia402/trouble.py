@@ -44,6 +44,11 @@ class Trouble:
         elif not self.is_there and (rows["status"] & int(Status.FAULT)).any():
             self._untold = self.is_there = True
 
+    @property
+    def said(self) -> str:
+        """What is wrong, as far as it was told by now."""
+        return self._said or "a drive is in fault"
+
     def raise_it(self) -> None:
         """Raise what was found, once.
 
@@ -54,8 +59,7 @@ class Trouble:
             return
         self._untold = False
         self._await_words()
-        said = self._said or "a drive is in fault"
-        raise RobotFault(f"{self._name}: {said}{self._codes()}", hint=NEXT)
+        raise RobotFault(f"{self._name}: {self.said}{self._codes()}", hint=NEXT)
 
     def _await_words(self) -> None:
         until = time.monotonic() + WORDS_S
