@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
-import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
-import can
-
-from hil.canbus.frame import ERROR, ERROR_BUS_OFF, EXTENDED, REMOTE, Frame
+from hil.canbus.frame import ERROR, EXTENDED, REMOTE, Frame
 from hil.canbus.hub import Hub
-from hil.errors import PluginError, RobotConnectionError
 
 Heard = Callable[[int, bytes, float], None]
 """COB-ID, data, wall time (monotonic)."""
 
 FLAGS = EXTENDED | REMOTE | ERROR
 HOSTED = "hil_unix"
-BURST = 64
-"""Frames taken at once before the others have their turn."""
 
 
 class Readable(Protocol):
@@ -113,70 +106,6 @@ class HubEnd:
             self.heard(frame.id, frame.data, time.monotonic())
 
 
-class PythonCanEnd:
-    """Any bus of python-can.
-
-    Args:
-        bus: The bus.
-        where: For messages.
-
-    Attributes:
-        where, heard: See `BusEnd`.
-        lost: Frames the bus would not take.
-    """
-
-    def __init__(self, bus: can.BusABC, where: str) -> None:
-        self._bus, self.where = bus, where
-        self.heard: Heard = ignored
-        self._off = False
-        self.lost = 0
-
-    def send(self, can_id: int, data: bytes) -> None:
-        """See `BusEnd`; what the bus does not take is lost, as on a wire nobody listens to."""
-        if self._off:
-            return
-        try:
-            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-        except can.CanError as error:
-            self.lost += 1
-            if self.lost == 1:
-                print(f"{self.where}: frame lost: {error}", file=sys.stderr)  # noqa: T201
-
-    def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
-        """See `BusEnd`; it does not wait for `others`."""
-        try:
-            for _ in range(BURST):
-                message = self._bus.recv(max(0.0, timeout_s))
-                if message is None:
-                    break
-                self._came(message)
-                timeout_s = 0.0
-        except can.CanError as error:
-            raise RobotConnectionError(
-                f"{self.where} is gone: {error}", hint="is the interface still up?"
-            ) from error
-        return False
-
-    def bus_off(self) -> None:
-        """See `BusEnd`: an error frame, then silence both ways."""
-        with contextlib.suppress(can.CanError):
-            self._bus.send(can.Message(arbitration_id=ERROR_BUS_OFF, is_error_frame=True, dlc=8))
-        self._off = True
-
-    def recover(self) -> None:
-        """See `BusEnd`."""
-        self._off = False
-
-    def close(self) -> None:
-        """See `BusEnd`."""
-        self._bus.shutdown()
-
-    def _came(self, message: can.Message) -> None:
-        data_frame = not (message.is_extended_id or message.is_remote_frame)
-        if data_frame and not message.is_error_frame and not self._off:
-            self.heard(message.arbitration_id, bytes(message.data), time.monotonic())
-
-
 def end_of(interface: str, channel: str, bitrate: float | None = None) -> BusEnd:
     """The drives' end of a bus.
 
@@ -190,15 +119,9 @@ def end_of(interface: str, channel: str, bitrate: float | None = None) -> BusEnd
     """
     if interface == HOSTED:
         return HubEnd(channel, bitrate)
-    more: dict[str, Any] = {} if bitrate is None else {"bitrate": round(bitrate)}
-    where = f"{interface} channel {channel}"
-    try:
-        return PythonCanEnd(can.Bus(channel=channel, interface=interface, **more), where)
-    except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
-        raise PluginError(
-            f"{where} cannot be opened: {error}",
-            hint=f"is the interface up? {HOSTED} needs no hardware and no kernel module",
-        ) from error
+    from hil_mock_robot.cia402.python_can_end import open_end
+
+    return open_end(interface, channel, bitrate)
 
 
 def side_path(interface: str, channel: str) -> str:
