@@ -1,13 +1,11 @@
 """The driver's cyclic core as it runs in a run: exchange, supervisor, player, records taken.
 
-`python -m benchmarks.can_bus.ours CHANNEL RATE_HZ SECONDS` prints its figures.
+`python -m benchmarks.can_bus.ours CHANNEL RATE_HZ SECONDS [ordinary]` prints its figures.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 import threading
 import time
 
@@ -15,7 +13,7 @@ import can
 import numpy as np
 
 from benchmarks.can_bus.drives import NODES
-from benchmarks.can_bus.timing import SETTLE_S, Stretch, Times, swing
+from benchmarks.can_bus.timing import SETTLE_S, Stretch, Times, swing, tell
 from hil_drivers.cia402.can_cyclic import CanCyclic
 from hil_drivers.cia402.contracts import Inputs, Outputs
 from hil_drivers.cia402.core import Core
@@ -105,4 +103,4 @@ def _take(core: Core, over: threading.Event, taken: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    print(json.dumps(measure(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]))), flush=True)
+    tell(measure)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import sys
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -67,6 +71,18 @@ class Stretch:
             "overrun_percent": 100.0 * (times.overrun - self._overrun) / cycles,
             "cpu_us": 1e6 * cpu_s / cycles,
         }
+
+
+def tell(measure: Callable[[str, float, float], dict[str, float]]) -> None:
+    """Measure what the command line says, and print it: CHANNEL RATE_HZ SECONDS, ordinary."""
+    channel, rate_hz, seconds, *more = sys.argv[1:]
+    if "ordinary" in more:
+        os.sched_setscheduler = _not_permitted
+    print(json.dumps(measure(channel, float(rate_hz), float(seconds))), flush=True)
+
+
+def _not_permitted(*_: object) -> None:
+    raise PermissionError("as on a machine on which nobody has permitted real-time priority")
 
 
 def swing(rate_hz: float, seconds: float, n: int) -> IntArray:

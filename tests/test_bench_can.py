@@ -1,0 +1,38 @@
+"""`hil bench can` measures what it says it does; how fast anything is, is no test."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil import benchmarking
+
+pytestmark = pytest.mark.wire
+
+EACH = (
+    "cycle_p50_us",
+    "cycle_p99_us",
+    "jitter_p50_us",
+    "jitter_p99_us",
+    "jitter_p999_us",
+    "overrun_percent",
+    "cpu_us",
+)
+
+
+def test_bench_can_gives_all_figures_of_all_ways_on_one_bus() -> None:
+    pytest.importorskip("canopen")
+    told = benchmarking.measure("can", seconds=0.1, rounds=1, rates_hz=(1000,))
+    for path in (
+        "ours",
+        "canopen",
+        "canopen_documented",
+        "ours_ordinary",
+        "canopen_documented_ordinary",
+        "canopen_virtual",
+    ):
+        here = {name: told["figures"][f"{path}_1000hz_{name}"] for name in EACH}
+        assert here["cpu_us"] > 0
+        assert 0 < here["cycle_p50_us"] <= here["cycle_p99_us"]
+        assert 0 <= here["overrun_percent"] <= 100
+    assert told["figures"]["ours_1000hz_drives_cpu_us"] > 0
+    assert set(told["ratios"]) == {"cpu_vs_canopen_1000hz", "cpu_vs_canopen_documented_1000hz"}
