@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from hil.campaign.experiment import Experiment
-from hil.campaign.sink import COUNTED, RunSink, counts_of
+from hil.campaign.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.campaign.weighed_before import Readings
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
@@ -91,6 +91,7 @@ def finish(
         "complete": complete.to_dict() if complete else {},
         "device_s": result.device_s + attempt.before.device_s,
         "wall_s": result.wall_s,
+        "recorded": recorded_span(recorder.counts[STATE_TOPIC]),
         "exit_code": exit_code_of(result.error) if result.error else 0,
         "problems": list(notes),
         **({"hint": result.error.hint} if result.error and result.error.hint else {}),

@@ -6,14 +6,18 @@ directory like any other, which says what it was made from.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil import plugins
-from hil.campaign.sink import counts_of
+from hil.campaign.sink import counts_of, recorded_span
 from hil.errors import DataError, HilError, PluginError
+from hil.record.continuity import Counts
 from hil.record.files import sha256_of
 from hil.record.lock import hold_run
 from hil.record.provenance import collect_provenance
@@ -24,6 +28,7 @@ from hil.record.writer import Attachment, McapWriter
 from hil.robot.logs import ReadsLogs, RecordedLog
 from hil.spec.load import load_station
 from hil.spec.station import StationRobot
+from hil.typing import StructArray
 
 COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
 COPIED_FACTS = (
@@ -31,6 +36,9 @@ COPIED_FACTS = (
     "commissioning", "waivers",
 )  # fmt: skip
 """What the start document of the new run has from the old one."""
+
+KEPT = ("complete", "unsettled", "steps_done")
+"""What the stop document of the new run has from the old one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +87,12 @@ def replay(source: Path, log: Path, runs: Path) -> Replayed:
     directory = RunDirectory.create(runs, str(run.start["robot_name"]), _name(run))
     with hold_run(directory.path):
         _begin(directory, run, log)
-        counts = _record(directory, opened)
         stop = run.stop or {}
-        kept = {key: stop[key] for key in ("complete", "unsettled", "steps_done") if key in stop}
-        directory.write_stop("completed", f"replayed from {log.name}", kept | counts)
+        found = _record(directory, opened, _span(stop))
+        counts = counts_of(found)
+        kept = {key: stop[key] for key in KEPT if key in stop}
+        told = kept | counts | {"recorded": recorded_span(found)}
+        directory.write_stop("completed", f"replayed from {log.name}", told)
     recorded = {key: stop[key] for key in counts if isinstance(stop.get(key), int)}
     return Replayed(directory.path, counts, recorded)
 
@@ -122,19 +132,30 @@ def _begin(directory: RunDirectory, run: RunDirectory, log: Path) -> None:
     )
 
 
-def _record(directory: RunDirectory, log: RecordedLog) -> dict[str, int]:
+def _span(stop: Mapping[str, Any]) -> tuple[float, float]:
+    """Device time that the run recorded [s]: a log holds what was before and after, too."""
+    told = stop.get("recorded") or (-math.inf, math.inf)
+    return float(told[0]), float(told[1])
+
+
+def _record(directory: RunDirectory, log: RecordedLog, span: tuple[float, float]) -> Counts:
     recorder = _recorder(directory, log)
     try:
         for rows, further in log.blocks():
-            recorder.put(STATE_TOPIC, rows)
+            recorder.put(STATE_TOPIC, _within(rows, span))
             for topic, more in further.items():
-                recorder.put(topic, more)
+                recorder.put(topic, _within(more, span))
     except HilError:
         recorder.close()
         directory.write_stop("failed", "the log could not be read to its end")
         raise
     recorder.close()
-    return counts_of(recorder.counts[STATE_TOPIC])
+    return recorder.counts[STATE_TOPIC]
+
+
+def _within(rows: StructArray, span: tuple[float, float]) -> StructArray:
+    at = rows["device_time"]
+    return np.asarray(rows[(at >= span[0]) & (at <= span[1])])
 
 
 def _recorder(directory: RunDirectory, log: RecordedLog) -> Recorder:

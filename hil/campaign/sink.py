@@ -59,3 +59,8 @@ class RunSink:
 def counts_of(counts: Counts) -> dict[str, int]:
     """The figures of a recording that stop documents and verdicts use."""
     return {name: int(getattr(counts, name)) for name in COUNTED}
+
+
+def recorded_span(counts: Counts) -> list[float]:
+    """Device time of the first and the last sample [s]; empty where there is none."""
+    return [counts.first_time, counts.last_time] if counts.samples else []

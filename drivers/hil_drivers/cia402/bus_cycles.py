@@ -30,8 +30,8 @@ BLOCK = 4096
 class BusCycles:
     """Follows a bus frame by frame.
 
-    A record is what one SYNC, the commands behind it and the answers to it have in common; what is
-    known beside process data is taken as it was when the last answer came.
+    A record is what one SYNC, the commands behind it and the answers to it have in common, with the
+    temperatures known at the SYNC and the fault known when the last answer came.
 
     Args:
         options: Of the station.
@@ -54,7 +54,7 @@ class BusCycles:
         self._cycle, self._sync_time = -1, 0.0
         self._told = self._announced
         self._missing: set[int] = set()
-        self._beside: tuple[Any, int] = (self._temperatures.celsius.copy(), 0)
+        self._celsius, self._fault_code = self._temperatures.celsius.copy(), 0
 
     def blocks(self, frames: Iterable[Frame]) -> Iterator[StructArray]:
         """Records of all cycles in which anything was answered or commanded, in order."""
@@ -75,6 +75,7 @@ class BusCycles:
     def _open(self, frame: Frame) -> None:
         self._cycle, self._sync_time = self._cycle + 1, frame.time_s
         self._told, self._missing = self._announced, set(self._answers)
+        self._celsius = self._temperatures.celsius.copy()
 
     def _take(self, frame: Frame) -> None:
         can_id, data = frame.id, frame.data
@@ -97,7 +98,7 @@ class BusCycles:
         if can_id in self._missing:
             self._missing.remove(can_id)
             if not self._missing:
-                self._remember()
+                self._fault_code = self._first_fault()
 
     def _emergency(self, axis: int, code: int) -> None:
         if code:
@@ -105,9 +106,8 @@ class BusCycles:
         else:
             self._faults.pop(axis, None)
 
-    def _remember(self) -> None:
-        code = next(iter(self._faults.values()), 0)
-        self._beside = self._temperatures.celsius.copy(), code
+    def _first_fault(self) -> int:
+        return next(iter(self._faults.values()), 0)
 
     def _closed(self) -> list[Any]:
         """The record of the cycle that is over, if there was one."""
@@ -115,12 +115,12 @@ class BusCycles:
             return []
         flags = 0
         if self._missing:
-            self._remember()
+            self._fault_code = self._first_fault()
             flags = sum({1 << self._answers[can_id][1] for can_id in self._missing})
-        celsius, code = self._beside
         record = np.zeros((), self._dtype)
         record["cycle"], record["host_time"] = self._cycle, self._sync_time
-        record["temperature"], record["fault_code"], record["flags"] = celsius, code, flags
+        record["temperature"], record["flags"] = self._celsius, flags
+        record["fault_code"] = self._fault_code
         record["segment"], record["status"] = self._told
         record["rpdo"], record["tpdo"] = self._sent, self._answered
         return [record]

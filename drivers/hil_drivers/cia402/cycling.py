@@ -112,6 +112,7 @@ class Cycling:
             self._obey()
         outputs, supervisor, player = self._outputs, self._supervisor, self._player
         told = outputs.segment, outputs.status
+        self.ring.begin()
         inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
         if (news := self._cyclic.news()) is not None:
             supervisor.hear(news)

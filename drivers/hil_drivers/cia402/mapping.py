@@ -100,7 +100,7 @@ ALL_MODES = Mapping(
     (_COMMAND, Pdo(2, (od.TARGET_VELOCITY, od.TARGET_TORQUE, od.TORQUE_OFFSET))),
     _STATE,
 )
-"""CSP with torque feed-forward, CSV, CST, and switching between them: 25 frames, 62 to 75 %."""
+"""CSP with torque feed-forward, CSV, CST, and switching between them: 25 frames, 65 to 79 %."""
 
 MINIMAL = Mapping(
     "minimal",
@@ -129,7 +129,7 @@ def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
     sent), `segment` and `status` (what the master announced, see `marker`), `fault_code` (of the
     EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `LATE`), then
     the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
-    answered to it, and `temperature` (n,) [°C], the newest known, NaN before.
+    answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN before.
     """
     return np.dtype(
         [

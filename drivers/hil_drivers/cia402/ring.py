@@ -27,7 +27,7 @@ class Ring:
         batch: So many are waited for before whoever takes is woken.
 
     Attributes:
-        temperature: (n,) [°C], goes into every record; written by whoever asks the drives for it.
+        temperature: (n,) [°C]; written by whoever hears the drives tell it.
         forgotten: Records let go because nobody took them.
     """
 
@@ -40,12 +40,21 @@ class Ring:
         self._asleep = False
         self._bell, self._moving = threading.Lock(), threading.Lock()
         self.temperature: FloatArray = np.full(n, np.nan)
+        self._celsius = self.temperature.tobytes()
         self.forgotten = 0
 
     @property
     def full(self) -> bool:
         """Whether the next record has no room."""
         return self._written - self._taken >= self._capacity
+
+    def begin(self) -> None:
+        """A cycle begins: what is known of temperatures now goes into its record.
+
+        Not what is known when it ends: a log of the bus tells what came before a SYNC, but not
+        when we were done with the answers to it.
+        """
+        self._celsius = self.temperature.tobytes()
 
     def put(self, cyclic: Cyclic, told: tuple[int, int], fault_code: int, flags: int) -> None:
         """Write what the last exchange has left behind; the ring is not full.
@@ -61,7 +70,7 @@ class Ring:
             self._written % self._capacity * self._row_bytes,
             cyclic.cycle,
             cyclic.sync_time,
-            self.temperature.tobytes(),
+            self._celsius,
             *told,
             fault_code,
             flags,
