@@ -21,7 +21,7 @@ SLOWER = 100
 def options(mock: MockCan, **more: Any) -> dict[str, Any]:
     """Of the driver, for a mock."""
     bus = {"interface": "hil_unix", "channel": mock.channel}
-    mocks = {"payload_object": 0x2100, "temperature_object": 0x2110, "late_cycles": 25}
+    mocks = {"payload_object": 0x2100, "temperature_object": 0x2110, "late_cycles": 50}
     return {"bus": bus} | mocks | more
 
 

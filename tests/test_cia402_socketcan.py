@@ -36,7 +36,7 @@ def test_an_arm_on_socketcan_follows(tmp_path: Path) -> None:
     bus = {"interface": "socketcan", "channel": INTERFACE}
     with (
         mock_can("--interface", "socketcan", "--side", side, channel=INTERFACE),
-        closing(Cia402Robot("arm", "lab6", bus=bus, late_cycles=25)) as robot,
+        closing(Cia402Robot("arm", "lab6", bus=bus, late_cycles=50)) as robot,
     ):
         robot.connect()
         rows = follow(robot, move(robot, 0.1))
