@@ -241,6 +241,17 @@ def test_rows_have_temperatures_and_every_integer_is_recorded(mock, axes) -> Non
     assert q == pytest.approx(rows["q"][-1], rel=1e-4, abs=1e-6)
 
 
+def test_what_was_looked_at_before_a_motion_is_told_with_its_figures(mock, axes) -> None:
+    found = {finding.name: finding for finding in axes.checks()}
+    assert set(found) >= {
+        "drives", "drives-enabled", "bus-load", "scaling", "joint-limits", "torque-limits",
+        "drives-watch", "temperatures", "cycle",
+    }  # fmt: skip
+    assert all(finding.passed for name, finding in found.items() if name != "cycle")
+    assert "49% to 59%" in found["bus-load"].message
+    assert "real-time" in found["cycle"].message
+
+
 # -- whole experiments
 
 
