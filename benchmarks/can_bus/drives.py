@@ -5,11 +5,11 @@ As a process it hosts the bus: `python -m benchmarks.can_bus.drives CHANNEL`, un
 
 from __future__ import annotations
 
-import select
 import sys
 import time
 from collections.abc import Callable
 
+from benchmarks.can_bus.ending import until_over
 from hil.canbus.frame import Frame
 from hil.canbus.hub import Hub
 from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
@@ -66,14 +66,7 @@ def main(channel: str) -> None:
     """Host the bus and the drives on it."""
     with Hub(channel) as hub, realtime():
         hub.local.heard = Drives(hub.local.send).heard
-        print("ready", flush=True)
-        over = select.poll()
-        over.register(sys.stdin, select.POLLIN | select.POLLHUP)
-        look_at = 0.0
-        while time.monotonic() < look_at or not over.poll(0):
-            if time.monotonic() >= look_at:
-                look_at = time.monotonic() + 0.2
-            hub.serve(0.2)
+        until_over(hub.serve)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 Deadlines, priorities and timers are ours (`Schedule`, `realtime`; its Notifier thread inherits
 them). Nothing is judged, answers are kept as they are decoded.
 `python -m benchmarks.can_bus.pdo_maps CHANNEL|virtual RATE_HZ SECONDS [documented] [ordinary]`
-prints its figures.
+prints its figures; on `virtual` those of both ends, with LocalNodes as drives.
 """
 
 from __future__ import annotations
@@ -12,27 +12,19 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
-import can
 import canopen
-from canopen.objectdictionary import datatypes
 
-from benchmarks.can_bus.drives import NODES, Drives
+from benchmarks.can_bus.drives import NODES
+from benchmarks.can_bus.local_nodes import Drive
+from benchmarks.can_bus.maps import dictionary, lay_out
 from benchmarks.can_bus.timing import SETTLE_S, Stretch, Times, swing, tell
-from hil.canbus.frame import Frame
-from hil_drivers.cia402.mapping import POSITION, Pdo, rpdo_cob_id, tpdo_cob_id
-from hil_drivers.cia402.objects import CSP, Entry
+from hil_drivers.cia402.mapping import POSITION, rpdo_cob_id, tpdo_cob_id
+from hil_drivers.cia402.objects import CSP
 from hil_drivers.cia402.realtime import realtime
 from hil_drivers.cia402.states import ENABLE
-
-_TYPES = {
-    "b": datatypes.INTEGER8,
-    "h": datatypes.INTEGER16,
-    "H": datatypes.UNSIGNED16,
-    "i": datatypes.INTEGER32,
-}
 
 
 class Master:
@@ -49,18 +41,19 @@ class Master:
         self._network, self._left = network, 0
         self._all_came = threading.Lock()
         self._all_came.acquire()
-        nodes = [canopen.RemoteNode(node, _dictionary()) for node in NODES]
+        nodes = [canopen.RemoteNode(node, dictionary()) for node in NODES]
         for node in nodes:
             network.add_node(node)
         self._nodes = nodes
-        self._commands = [self._map(node.rpdo[1], POSITION.rpdos[0], rpdo_cob_id) for node in nodes]
+        self._commands = [lay_out(node.rpdo[1], POSITION.rpdos[0], rpdo_cob_id) for node in nodes]
         answers = [
-            self._map(node.tpdo[pdo.number], pdo, tpdo_cob_id)
+            lay_out(node.tpdo[pdo.number], pdo, tpdo_cob_id)
             for pdo in POSITION.tpdos
             for node in nodes
         ]
         self._number = len(answers)
         for answer in answers:
+            answer.subscribe()
             answer.add_callback(self._came)
         self._values = [variable for answer in answers for variable in answer.map]
         self._targets = [command["target_position"] for command in self._commands]
@@ -86,16 +79,6 @@ class Master:
         self._left -= 1
         if not self._left and self._all_came.locked():  # else it is a late one
             self._all_came.release()
-
-    def _map(self, pdo_map: Any, pdo: Pdo, cob_id: Any) -> Any:
-        pdo_map.clear()
-        for entry in pdo.entries:
-            pdo_map.add_variable(entry.index)
-        pdo_map.cob_id = cob_id(pdo.number, pdo_map.pdo_node.node.id)
-        pdo_map.enabled = True
-        if cob_id is tpdo_cob_id:
-            pdo_map.subscribe()
-        return pdo_map
 
 
 class DocumentedMaster(Master):
@@ -150,51 +133,23 @@ def _sleep_until(until_s: float) -> None:
 
 @contextmanager
 def _network(channel: str) -> Iterator[Any]:
+    """The master's; on `virtual` the drives are in this process, on a network of their own."""
+    with ExitStack() as stack:
+        interface = "virtual" if channel == "virtual" else "hil_unix"
+        if interface == "virtual":
+            drives = stack.enter_context(_connected(interface, channel))
+            for node_id in NODES:
+                Drive(drives, node_id)
+        yield stack.enter_context(_connected(interface, channel))
+
+
+@contextmanager
+def _connected(interface: str, channel: str) -> Iterator[Any]:
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.1
-    if channel != "virtual":
-        network.connect(interface="hil_unix", channel=channel)
-        yield network
-        network.disconnect()
-        return
-    over = threading.Event()
-    answering = threading.Thread(target=_answer_on_virtual, args=(over,))
-    answering.start()
-    network.connect(interface="virtual", channel="hil-bench")
+    network.connect(interface=interface, channel=channel)
     yield network
     network.disconnect()
-    over.set()
-    answering.join()
-
-
-def _answer_on_virtual(over: threading.Event) -> None:
-    with can.Bus(interface="virtual", channel="hil-bench") as bus:
-
-        def send(can_id: int, data: bytes) -> None:
-            bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
-
-        drives = Drives(send)
-        while not over.is_set():
-            if (message := bus.recv(0.1)) is not None:
-                drives.heard(Frame(message.arbitration_id, bytes(message.data)))
-
-
-def _dictionary() -> Any:
-    told: Any = canopen.objectdictionary.ObjectDictionary()  # type: ignore[no-untyped-call]
-    for pdo in POSITION.pdos:
-        for entry in pdo.entries:
-            told.add_object(_variable(entry))
-    for pdos, base in ((POSITION.rpdos, 0x1400), (POSITION.tpdos, 0x1800)):
-        for pdo in pdos:
-            for index in (base + pdo.number - 1, base + 0x200 + pdo.number - 1):
-                told.add_object(canopen.objectdictionary.ODRecord(f"{index:04X}h", index))
-    return told
-
-
-def _variable(entry: Entry) -> Any:
-    variable = canopen.objectdictionary.ODVariable(entry.name, entry.index, entry.sub)
-    variable.data_type = _TYPES[entry.code]
-    return variable
 
 
 if __name__ == "__main__":

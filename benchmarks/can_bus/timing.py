@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.can_bus.ending import forbid_priority
 from hil.typing import IntArray
 from hil_drivers.cia402.histogram import Histogram
 from hil_drivers.cia402.schedule import Schedule
@@ -77,12 +77,8 @@ def tell(measure: Callable[[str, float, float], dict[str, float]]) -> None:
     """Measure what the command line says, and print it: CHANNEL RATE_HZ SECONDS, ordinary."""
     channel, rate_hz, seconds, *more = sys.argv[1:]
     if "ordinary" in more:
-        os.sched_setscheduler = _not_permitted
+        forbid_priority()
     print(json.dumps(measure(channel, float(rate_hz), float(seconds))), flush=True)
-
-
-def _not_permitted(*_: object) -> None:
-    raise PermissionError("as on a machine on which nobody has permitted real-time priority")
 
 
 def swing(rate_hz: float, seconds: float, n: int) -> IntArray:
