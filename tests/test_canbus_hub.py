@@ -134,11 +134,11 @@ def test_who_connects_while_the_hub_is_at_work_does_too(
     (a,) = ends(bench, stack, 1)
     late: list[socket.socket] = []
 
-    def batch(peer: peers.Peer, most: int) -> tuple[list[bytes], bool]:
+    def batch(peer: peers.Peer) -> tuple[list[bytes], bool]:
         if not late:
             late.append(stack.enter_context(raw_end(bench.hub.path)))
             a.send(frame(1, 8))
-        return real(peer, most)
+        return real(peer)
 
     real = peers.Peer.batch
     monkeypatch.setattr(peers.Peer, "batch", batch)

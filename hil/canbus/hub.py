@@ -2,6 +2,7 @@
 
 Single-threaded: its host calls `serve` whenever `fileno` is readable or `due_s` has come. It takes
 what participants send at once, so none is held up by another; who does not read is hung up on.
+What a round has for a participant goes to it in one burst, still one frame a packet.
 """
 
 from __future__ import annotations
@@ -29,9 +30,6 @@ from hil.canbus.paths import socket_path
 from hil.canbus.peers import Peer
 from hil.canbus.wire_model import Wire
 
-_BATCH = 32
-"""Frames taken from one participant before the others have their turn."""
-
 _OFF = pack_frame(ERROR | ERROR_BUS_OFF, bytes(8))
 _BACK = pack_frame(ERROR | ERROR_RESTARTED, bytes(8))
 _OVERFLOW = pack_frame(ERROR | ERROR_CONTROLLER, bytes([0, TX_OVERFLOW, 0, 0, 0, 0, 0, 0]))
@@ -51,7 +49,10 @@ class LocalEnd:
         self.dropped = 0
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Put a frame on the bus; who serves the hub may call it, from within `heard` too."""
+        """Put a frame on the bus; who serves the hub may call it.
+
+        From within `heard` it goes with all else of that round, or with `Hub.flush`.
+        """
         self._take(self, pack_frame(can_id, data))
 
 
@@ -83,7 +84,8 @@ class Hub:
         speed: float = 1.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.local = LocalEnd(self._take)
+        self.local = LocalEnd(self._put)
+        self._serving = False
         self._clock = clock
         self.wire = None if bitrate is None else Wire(bitrate, speed=speed)
         if self.wire:
@@ -120,11 +122,20 @@ class Hub:
             timeout_s = min(timeout_s, due_s - self._clock())
         ready = self._all.ready(timeout_s)
         self._accept()
-        for peer in ready:
-            self._attend(peer)
-        if self.wire:
-            for end, raw, _ in self.wire.passed(self._clock()):
-                self._pass_on(end, raw)
+        self._serving = True
+        try:
+            for peer in ready:
+                self._attend(peer)
+            if self.wire:
+                for end, raw, _ in self.wire.passed(self._clock()):
+                    self._pass_on(end, raw)
+        finally:
+            self._serving = False
+            self._all.flush()
+
+    def flush(self) -> None:
+        """Let participants have what this round has brought so far: the rest of it takes long."""
+        self._all.flush()
 
     def bus_off(self, peer: Peer | None = None) -> None:
         """Put a participant off the bus, as if its controller had seen too many errors.
@@ -138,6 +149,7 @@ class Hub:
                 each.off = True
                 if self.wire and each in self.peers:
                     self.wire.forget(each)
+        self._settle()
 
     def recover(self, peer: Peer | None = None) -> None:
         """Let it back on the bus, `None` for all."""
@@ -145,6 +157,7 @@ class Hub:
             if each.off:
                 each.off = False
                 self._all.give(each, _BACK)
+        self._settle()
 
     def close(self) -> None:
         """Hang up on everybody and let go of the channel. Idempotent."""
@@ -168,7 +181,7 @@ class Hub:
                 self.wire.join(peer)
 
     def _attend(self, peer: Peer) -> None:
-        frames, gone = peer.batch(_BATCH)
+        frames, gone = peer.batch()
         self._accept()  # who was connected when these were sent is to get them
         if gone:
             self._all.drop(peer)
@@ -177,6 +190,15 @@ class Hub:
                 self._take(peer, raw)
         if gone and self.wire:
             self.wire.leave(peer)
+
+    def _put(self, end: LocalEnd, raw: bytes) -> None:
+        self._take(end, raw)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Outside of a round nothing is waited for."""
+        if not self._serving:
+            self._all.flush()
 
     def _take(self, end: Peer | LocalEnd, raw: bytes) -> None:
         if self.wire is None:

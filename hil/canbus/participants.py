@@ -6,6 +6,7 @@ import contextlib
 import select
 import socket
 
+from hil.canbus import peers
 from hil.canbus.peers import Peer
 
 _IN, _OUT = select.EPOLLIN, select.EPOLLOUT
@@ -24,7 +25,10 @@ class Participants:
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
         self._peers: dict[int, Peer] = {}
+        self._given: dict[Peer, None] = {}
         self.ring: tuple[Peer, ...] = ()
+        self._door = select.poll()
+        self._door.register(listener.fileno(), select.POLLIN)
         self._epoll = select.epoll()
         self._epoll.register(listener.fileno(), _IN)
 
@@ -48,6 +52,8 @@ class Participants:
 
     def accept(self) -> Peer | None:
         """The next newcomer, `None` when there is none."""
+        if not self._door.poll(0):  # a twentieth of what it costs to be told that nobody is there
+            return None
         try:
             connection, _ = self._listener.accept()
         except OSError:
@@ -59,15 +65,23 @@ class Participants:
         return peer
 
     def give(self, peer: Peer, raw: bytes) -> None:
-        """Let one of them have a frame, as soon as its socket takes it."""
+        """Let one of them have a frame, with the next `flush`."""
         if peer.off or peer.deaf:
             return
-        waits = bool(peer.waiting)
-        try:
-            if not peer.give(raw) and not waits:
-                self._epoll.modify(peer.fd, _IN | _OUT)
-        except OSError:
-            self._give_up(peer)
+        if len(peer.waiting) >= peers.MOST_WAITING:
+            self._flush(peer)
+            if len(peer.waiting) >= peers.MOST_WAITING:
+                self._give_up(peer)
+                return
+        peer.waiting.append(raw)
+        self._given[peer] = None
+
+    def flush(self) -> None:
+        """Send all that was given, as far as sockets take it; the rest when they do."""
+        for peer in self._given:
+            if not peer.full and not peer.deaf:
+                self._flush(peer)
+        self._given.clear()
 
     def drop(self, peer: Peer) -> None:
         """Hang up on one of them. Idempotent."""
@@ -86,15 +100,17 @@ class Participants:
         self._epoll.close()
 
     def _flush(self, peer: Peer) -> None:
+        was_full = peer.full
         try:
-            if peer.flush():
-                self._epoll.modify(peer.fd, _IN)
+            peer.flush()
         except OSError:
             self._give_up(peer)
+        if peer.full != was_full:
+            self._epoll.modify(peer.fd, _IN | _OUT if peer.full else _IN)
 
     def _give_up(self, peer: Peer) -> None:
         """It gets no more; what it has sent is read up to its end, which is seen there."""
-        peer.deaf = True
+        peer.deaf, peer.full = True, False
         peer.waiting.clear()
         self._epoll.modify(peer.fd, _IN)
         with contextlib.suppress(OSError):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import struct
 from collections import deque
+from itertools import islice
 
+from hil.canbus.bursts import MOST, Burst, Catch
 from hil.canbus.frame import FRAME
+
+BATCH = 32
+"""Frames taken from one participant before the others have their turn."""
 
 MOST_WAITING = 65_536
 """Frames that wait for one who does not read; it is hung up on beyond that."""
@@ -26,7 +30,8 @@ class Peer:
         pid: Of its process.
         off: It is off the bus: nothing passes to or from it.
         deaf: It has gone, or was given up; what it has sent before still counts.
-        waiting: Frames that its socket had no room for.
+        waiting: Frames for it that are not in its socket yet.
+        full: Its socket had no room for all of them.
         dropped: Frames it wanted to send and its transmit queue had no room for.
     """
 
@@ -34,59 +39,37 @@ class Peer:
         connection.setblocking(False)
         self.socket, self.fd = connection, connection.fileno()
         self.pid = _pid_of(connection)
-        self.off = self.deaf = False
+        self.off = self.deaf = self.full = False
         self.waiting: deque[bytes] = deque()
         self.dropped = 0
+        self._catch = Catch(BATCH)
+        self._memory = bytearray(MOST * FRAME.size)
+        view = memoryview(self._memory)
+        self._burst = Burst([view[at : at + FRAME.size] for at in range(0, len(view), FRAME.size)])
 
-    def batch(self, most: int) -> tuple[list[bytes], bool]:
-        """The next frames it has sent, and whether that was all and it has gone."""
-        frames: list[bytes] = []
+    def batch(self) -> tuple[list[bytes], bool]:
+        """The next frames it has sent, at most `BATCH`; or that it has gone, and sent no more."""
         try:
-            while len(frames) < most and (raw := self.read()) is not None:
-                frames.append(raw)
+            return self._catch.take(self.socket), False
         except OSError:
-            return frames, True
-        return frames, False
+            return [], True
 
-    def read(self) -> bytes | None:
-        """The next frame it has sent, `None` when there is none yet.
-
-        Raises:
-            OSError: It has hung up, or does not speak in frames.
-        """
-        try:
-            raw = self.socket.recv(FRAME.size + 1)
-        except BlockingIOError:
-            return None
-        except ConnectionResetError:  # said once, and before the frames it has sent
-            return self.read()
-        if len(raw) != FRAME.size:
-            raise ConnectionError("hung up" if not raw else f"sent {len(raw)} bytes, no frame")
-        return raw
-
-    def give(self, raw: bytes) -> bool:
-        """Let it have a frame; whether its socket took all there was.
+    def flush(self) -> None:
+        """Send what waits, as far as its socket has room; `full` says whether some is left.
 
         Raises:
-            OSError: It has hung up, or too much waits for it.
+            OSError: It has hung up.
         """
-        if not self.waiting:
-            with contextlib.suppress(BlockingIOError):
-                self.socket.send(raw)
-                return True
-        if len(self.waiting) >= MOST_WAITING:
-            raise ConnectionError(f"does not read: {MOST_WAITING} frames wait for it")
-        self.waiting.append(raw)
-        return False
-
-    def flush(self) -> bool:
-        """Send what waits; whether all of it went. Raises `OSError` as `give`."""
-        waiting = self.waiting
-        with contextlib.suppress(BlockingIOError):
-            while waiting:
-                self.socket.send(waiting[0])
+        waiting, burst, memory = self.waiting, self._burst, self._memory
+        self.full = False
+        while waiting and not self.full:
+            frames = b"".join(islice(waiting, MOST))
+            memory[: len(frames)] = frames
+            wanted = len(frames) // FRAME.size
+            sent = burst.send(self.socket, wanted)
+            self.full = sent < wanted
+            for _ in range(sent):
                 waiting.popleft()
-        return not waiting
 
 
 def _pid_of(connection: socket.socket) -> int:

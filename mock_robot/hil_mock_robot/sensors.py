@@ -22,7 +22,7 @@ class Sensors:
         each = [joint.sensor for joint in truth.joints]
         self._rest = np.array([sensor.rest_a for sensor in each])
         self._moving = np.array([sensor.moving_a for sensor in each])
-        self._quantum = np.array([sensor.quantum_a for sensor in each])
+        self._ampere = Quanta(np.array([sensor.quantum_a for sensor in each]))
         self._q = np.array([sensor.q_rad for sensor in each])
         self._qd = np.array([sensor.qd_rad_s for sensor in each])
         self._qd_rest = np.array([sensor.qd_rest_rad_s for sensor in each])
@@ -40,12 +40,26 @@ class Sensors:
         return (
             q + noise[:, 0] * self._q,
             np.where(speed < self._qd_rest, 0.0, qd + noise[:, 1] * self._qd),
-            _quantised(current + noise[:, 2] * deviation, self._quantum),
-            _quantised(celsius + noise[:, 3] * CELSIUS_NOISE, CELSIUS_QUANTUM),
+            self._ampere.rounded(current + noise[:, 2] * deviation),
+            np.rint((celsius + noise[:, 3] * CELSIUS_NOISE) / CELSIUS_QUANTUM) * CELSIUS_QUANTUM,
         )
 
 
-def _quantised(values: FloatArray, quantum: FloatArray | float) -> FloatArray:
-    """Rounded to multiples of `quantum`; where it is 0, unchanged."""
-    step = np.where(np.asarray(quantum) > 0, quantum, 1.0)
-    return np.where(np.asarray(quantum) > 0, np.round(values / step) * step, values)
+class Quanta:
+    """Steps in which something is told.
+
+    Args:
+        quantum: (n,) one step; 0 where there are none.
+    """
+
+    def __init__(self, quantum: FloatArray) -> None:
+        stepped = quantum > 0
+        self._step = np.where(stepped, quantum, 1.0)
+        self._unstepped = None if stepped.all() else ~stepped
+
+    def rounded(self, values: FloatArray) -> FloatArray:
+        """(N, n) rounded to whole steps; unchanged where there are none."""
+        rounded: FloatArray = np.rint(values / self._step) * self._step
+        if self._unstepped is not None:
+            rounded[:, self._unstepped] = values[:, self._unstepped]
+        return rounded

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import errno
 import select
 import socket
 import time
 from typing import Any, Protocol
 
+from hil.canbus.bursts import FULL
 from hil.canbus.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
 from hil.errors import RobotConnectionError
-
-FULL = frozenset({errno.EAGAIN, errno.EWOULDBLOCK, errno.ENOBUFS})
-"""No room in the transmit queue: what AF_UNIX and SocketCAN say."""
 
 _NOW = socket.MSG_DONTWAIT
 

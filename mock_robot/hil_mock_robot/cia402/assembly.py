@@ -64,7 +64,7 @@ class Mock:
         body = Body(truth, pose_of(start_q_deg, load_arm(truth.arm)), mounted=mounted)
         clock = DeviceClock(time.monotonic(), patience_s)
         ids = nodes_of(nodes, body.arm, master_id)
-        self.station = Station(body, ids, end.send, clock, master_id, mounted)
+        self.station = Station(body, ids, end.send, clock, master_id, mounted, end.flush)
         self.motions = MotionWatch(self.station)
         witness = self._witness(end, journal)
         self.troubles = Troubles(self.station, self.motions, end, faults)

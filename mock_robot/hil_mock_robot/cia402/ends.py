@@ -34,6 +34,9 @@ class BusEnd(Protocol):
     def send(self, can_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
 
+    def flush(self) -> None:
+        """See that all which was sent goes now: what follows takes long."""
+
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
         """Hear what has come; waits so long for it, or until one of `others` has something.
 
@@ -77,7 +80,7 @@ class HubEnd:
         self.hub = Hub(channel, bitrate=bitrate)
         self.where = f"{HOSTED} channel {channel}"
         self.heard: Heard = ignored
-        self.send = self.hub.local.send
+        self.send, self.flush = self.hub.local.send, self.hub.flush
         self.hub.local.heard = self._came
 
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:

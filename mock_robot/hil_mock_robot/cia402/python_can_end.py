@@ -47,6 +47,9 @@ class PythonCanEnd:
             if self.lost == 1:
                 print(f"{self.where}: frame lost: {error}", file=sys.stderr)  # noqa: T201
 
+    def flush(self) -> None:
+        """See `BusEnd`; nothing is kept here."""
+
     def serve(self, timeout_s: float, others: Sequence[Readable] = ()) -> bool:
         """See `BusEnd`; it does not wait for `others`."""
         try:

@@ -42,6 +42,7 @@ class Station:
         clock: Device time.
         master_id: Node id under which the master announces what it does.
         mounted: What really hangs at the flange; what is declared when None.
+        flush: Lets the bus have what was put on it, before the arm is moved.
 
     Attributes:
         axes: The drives.
@@ -60,8 +61,9 @@ class Station:
         clock: DeviceClock,
         master_id: int = 127,
         mounted: Payload | None = None,
+        flush: Callable[[], None] = lambda: None,
     ) -> None:
-        self.body, self.clock = body, clock
+        self.body, self.clock, self._flush = body, clock, flush
         self.listeners: list[Event] = []
         self.passed: list[Callable[[int], None]] = []
         self.marker = Marker(master_id)
@@ -127,6 +129,7 @@ class Station:
         for axis in self.axes:
             if axis.synced:
                 axis.node.synced()
+        self._flush()  # the master reads the answers while the arm moves on
         if steps:
             self._advance(steps, synced=True)
 
