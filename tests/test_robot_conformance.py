@@ -63,9 +63,9 @@ PRIVATE = ["a_robot_in_wall_time_says_which_one_it_is"]
 @pytest.mark.parametrize(
     ("make_robot", "leave_out"),
     [
-        (mock_in_wall_time, PRIVATE),
+        pytest.param(mock_in_wall_time, PRIVATE, marks=pytest.mark.proof),
         (mock_in_wall_time_in_its_own_process, PRIVATE),
-        (other_arm_in_its_own_process, []),
+        pytest.param(other_arm_in_its_own_process, [], marks=pytest.mark.proof),
     ],
 )
 def test_a_robot_in_wall_time_conforms(

@@ -48,7 +48,7 @@ def first_stop(running: MockUr, asked: float) -> float | None:
     return next(stops, None)
 
 
-@pytest.mark.parametrize("model", ["ur5", "ur5e"])
+@pytest.mark.parametrize("model", ["ur5", pytest.param("ur5e", marks=pytest.mark.proof)])
 def test_the_driver_keeps_the_contract_of_a_robot(model: str, tmp_path: Path) -> None:
     with bench(model, tmp_path) as (make_robot, what_there_is):
         done = robot_conformance(make_robot, bench=what_there_is)

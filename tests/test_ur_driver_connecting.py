@@ -168,6 +168,7 @@ def test_what_was_looked_at_is_told_with_the_figures():
         assert told["speed-slider"].measured == 1.0
 
 
+@pytest.mark.proof
 def test_the_lines_are_in_the_runs_preflight_and_on_the_console(tmp_path):
     with mock_ur("--speed", "4") as running:
         station = yaml.safe_load((EXPERIMENTS / "stations" / "ur5_rtde_mock.yaml").read_text())
