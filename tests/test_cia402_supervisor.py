@@ -256,6 +256,19 @@ def test_axis_that_does_not_answer_any_more_stops_all() -> None:
     assert "axis 1 (node 11): has not answered 4 SYNCs in a row" in rig.problem()
 
 
+def test_no_axis_that_does_not_answer_is_said_to_have_stopped() -> None:
+    rig = Rig()
+    rig.enable()
+    for drive in rig.drives:
+        drive.silent = True
+    rig.supervisor.quick_stop("bus-off")
+    said = rig.problem(20)
+    assert said.startswith("bus-off")
+    assert "No axis answers" in said
+    assert "were stopped" not in said
+    assert "operation enabled" not in said
+
+
 def test_silent_axis_is_told_to_stop_for_a_second() -> None:
     rig = Rig()
     rig.enable()

@@ -6,6 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from hil_drivers.cia402.states import State
 
+STOPPED = "All axes were stopped"
+NOBODY = (
+    "No axis answers: quick stop may not arrive, but without a master drives stop by themselves"
+)
+SILENT = "no answer"
+
 
 class Complaints:
     """What made all axes stop, and what else came of it.
@@ -50,8 +56,12 @@ class Complaints:
         """It says that its errors are gone."""
         self._before.pop(axis, None)
 
-    def take(self, states: Sequence[State]) -> str:
-        """All in one message, the state of the other axes with it; nothing is left then."""
+    def take(self, states: Sequence[State | None]) -> str:
+        """All in one message, the state of the other axes with it; nothing is left then.
+
+        Args:
+            states: Per axis, None where it does not answer.
+        """
         parts = list(self._of_bus)
         parts += [
             f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
@@ -65,12 +75,14 @@ class Complaints:
         )
         self.clear()
         told = "; ".join(parts)
-        return f"{told}. All axes were stopped; {others}" if others else told
+        if not any(states):
+            return f"{told}. {NOBODY}"
+        return f"{told}. {STOPPED}; {others}" if others else told
 
 
-def _by_state(axes: Mapping[str, State]) -> str:
+def _by_state(axes: Mapping[str, State | None]) -> str:
     """`axis 1, axis 2: switch on disabled`, state by state."""
-    found: dict[State, list[str]] = {}
+    found: dict[str, list[str]] = {}
     for name, state in axes.items():
-        found.setdefault(state, []).append(name)
-    return "; ".join(f"{', '.join(names)}: {state.value}" for state, names in found.items())
+        found.setdefault(state.value if state else SILENT, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {state}" for state, names in found.items())

@@ -28,6 +28,9 @@ __all__ = ["Phase", "Supervisor"]
 SILENT_S = 1.0
 """How long quick stop is sent to axes that do not answer [s]."""
 
+QUIET = 2
+"""Answers in a row that are missing where the last known state is no news any more."""
+
 TOLD_AFTER_S = 0.05
 """How long other news of the same mishap are waited for before it is told [s]."""
 
@@ -173,7 +176,9 @@ class Supervisor:
         waited = self._cycle - self._complaints.since >= TOLD_AFTER_S / self._period_s
         if not self._complaints or not waited:
             return ""
-        return self._complaints.take(self._states)
+        missed = self._judge.missed
+        now = [None if missed[a] > QUIET else state for a, state in enumerate(self._states)]
+        return self._complaints.take(now)
 
     def _complain(self, axis: int | None, what: str) -> None:
         """Note it; stop all when anything is on."""
