@@ -140,6 +140,22 @@ def _clock_step(happened: Happened) -> None:
     time.time = lambda: true_time() + CLOCK_JUMP_S
 
 
+def _driver_killed(happened: Happened) -> None:
+    """The process that the robot's driver lives in ends without a word."""
+    (pid,) = (pid for pid in _children() if b"hil.robot.child" in _command_of(pid))
+    happened()
+    os.kill(pid, signal.SIGKILL)
+
+
+def _children() -> list[int]:
+    found = [path.read_text() for path in Path("/proc/self/task").glob("*/children")]
+    return [int(pid) for pids in found for pid in pids.split()]
+
+
+def _command_of(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
 FAULTS: dict[str, Callable[[Happened], None]] = {
     "SIGINT twice": _signal(signal.SIGINT, 2),
     "SIGTERM": _signal(signal.SIGTERM),
@@ -149,6 +165,7 @@ FAULTS: dict[str, Callable[[Happened], None]] = {
     "stalled disk": _stalled_disk,
     "recorder death": _recorder_death,
     "clock step": _clock_step,
+    "driver killed": _driver_killed,
 }
 """What is done to this process; the other faults are the mock robot's own."""
 

@@ -74,26 +74,33 @@ class WireEnding(Ending):
 
 def _fails(fault: str, within_s: float = 0.1, **more: Any) -> WireEnding:
     more = {"rest_within_s": 0.6, **more}
-    return WireEnding("failed", 4, within_s, fault=_asked(fault), **more)
+    return WireEnding("failed", 4, within_s, fault=asked(fault), **more)
 
 
 def _trips(fault: str, within_s: float, **more: Any) -> WireEnding:
-    return WireEnding("tripped", 5, within_s, fault=_asked(fault), rest_within_s=0.6, **more)
+    return WireEnding("tripped", 5, within_s, fault=asked(fault), rest_within_s=0.6, **more)
 
 
 def _goes_on(fault: str, why: str, **counts: int) -> WireEnding:
-    return WireEnding("completed", 0, None, why=why, fault=_asked(fault), counts=counts)
+    return WireEnding("completed", 0, None, why=why, fault=asked(fault), counts=counts)
 
 
 def _never_begins(fault: str, outcome: str, exit_code: int, **more: Any) -> WireEnding:
-    return WireEnding(outcome, exit_code, None, fault=_asked(fault), before=True, **more)
+    return WireEnding(outcome, exit_code, None, fault=asked(fault), before=True, **more)
 
 
-def _asked(fault: str) -> Mapping[str, Any]:
+def asked(fault: str) -> Mapping[str, Any]:
     """`kind key=value …` as the mock is asked for it."""
     kind, *keys = fault.split()
     pairs = (each.split("=") for each in keys)
-    return {"kind": kind, **{key: v if v.isalpha() else float(v) for key, v in pairs}}
+    return {"kind": kind, **{key: _value(text) for key, text in pairs}}
+
+
+def _value(text: str) -> str | int | float:
+    """A word, a whole number (also hexadecimal), or a number."""
+    if text.isalpha():
+        return text
+    return float(text) if "." in text else int(text, 0)
 
 
 FAULTS: Mapping[str, WireEnding] = {
