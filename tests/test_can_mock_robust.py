@@ -35,6 +35,9 @@ class NoBus:
         assert len(data) <= 8
         self.sent.append((can_id, data))
 
+    def flush(self) -> None:
+        """Nothing is kept."""
+
     def serve(self, timeout_s: float, others: object = ()) -> bool:
         return False
 

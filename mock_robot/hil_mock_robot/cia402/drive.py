@@ -88,14 +88,28 @@ class Drive:
         self._tell()
 
     def written(self, where: int) -> None:
-        """An object (`key`) was written by SDO; controlword, mode and scaling act at once.
-
-        What RPDOs write is seen by the next `advance`.
-        """
+        """An object (`key`) was written by SDO; controlword, mode and scaling act at once."""
         if where in SCALING and not self._power.powered:
             self._axis.rescale()
-        self._obey()
+        self.obey()
         self._tell()
+
+    def obey(self) -> None:
+        """Take over controlword and mode as they stand: RPDOs have come, or steps begin.
+
+        Each controlword is looked at, so that one that stands for less than a step counts; what
+        becomes of it is in the statusword after the next steps.
+        """
+        power = self._power
+        if power.obey():
+            self._mode.resume()
+        wanted = self.registers[keys.MODE]
+        if wanted != self._shown and self._takes(wanted):
+            self._shown = self.registers[keys.MODE_DISPLAY] = wanted
+            if power.state is ENABLED:
+                self._mode = mode_of(wanted, self._axis)
+        if power.state is ENABLED and power.stop is None:
+            self._mode.listen(self.deaf)
 
     def advance(self, steps: int, *, synced: bool = True) -> Demand:
         """What the axis asks of its motor for the next steps of `STEP_S`.
@@ -104,7 +118,7 @@ class Drive:
             steps: At least 1.
             synced: A SYNC begins them; False when the drives' own timer makes them.
         """
-        self._obey()
+        self.obey()
         axis, power = self._axis, self._power
         axis.limited = False
         self._unsynced = 0 if synced else self._unsynced + steps
@@ -167,16 +181,6 @@ class Drive:
         elif option in ABORT_COMMANDS:
             self._power.overrule(ABORT_COMMANDS[option])
             self._tell()
-
-    def _obey(self) -> None:
-        """Take over controlword and mode as they stand."""
-        if self._power.obey():
-            self._mode.resume()
-        wanted = self.registers[keys.MODE]
-        if wanted != self._shown and self._takes(wanted):
-            self._shown = self.registers[keys.MODE_DISPLAY] = wanted
-            if self._power.state is ENABLED:
-                self._mode = mode_of(wanted, self._axis)
 
     def _takes(self, mode: int) -> bool:
         """Whether 6061h follows: the mode is built, supported by 6502h, and not refused."""

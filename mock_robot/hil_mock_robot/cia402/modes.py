@@ -38,6 +38,9 @@ class Mode(Protocol):
             deaf: New set-points are not taken.
         """
 
+    def listen(self, deaf: bool) -> None:
+        """A controlword has come: an edge in it may be over before the next steps begin."""
+
     def resume(self) -> None:
         """Go on from where the set-point is now, after a halt."""
 
@@ -46,7 +49,7 @@ class Mode(Protocol):
         """Bits 10, 12 and 13 of the statusword as this mode has them."""
 
 
-class Idle:
+class Idle(Mode):
     """No mode, or one without set-points yet: the axis is held where it is."""
 
     bits = 0
@@ -68,7 +71,7 @@ class Idle:
         return Demand(rows, NAN, False, 0.0, axis.torque_limit)
 
 
-class CyclicPosition:
+class CyclicPosition(Mode):
     """CSP: to 607Ah + 60B0h, interpolated to be there at the next SYNC; torque 60B2h is added."""
 
     bits = MODE_BIT_12
@@ -93,7 +96,7 @@ class CyclicPosition:
         return Demand(rows, NAN, False, offset, axis.torque_limit)
 
 
-class CyclicVelocity:
+class CyclicVelocity(Mode):
     """CSV: velocity 60FFh + 60B1h, reached at the next SYNC; the position that follows is held."""
 
     bits = MODE_BIT_12
@@ -140,7 +143,7 @@ class CyclicVelocity:
         return allowed
 
 
-class CyclicTorque:
+class CyclicTorque(Mode):
     """CST: torque 6071h + 60B2h, cut to 6072h; the joint goes where it leads."""
 
     bits = MODE_BIT_12

@@ -53,7 +53,7 @@ class ProfilePosition:
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
         """See `Mode`."""
         axis, path = self._axis, self._path
-        self._listen(deaf)
+        self.listen(deaf)
         if path.done and self._waiting is not None:
             self._go(self._waiting)
             self._waiting = None
@@ -63,7 +63,8 @@ class ProfilePosition:
         self._settle(steps)
         return Demand(rows, math.nan, False, 0.0, axis.torque_limit)
 
-    def _listen(self, deaf: bool) -> None:
+    def listen(self, deaf: bool) -> None:
+        """See `Mode`."""
         word = self._axis.registers[keys.CONTROLWORD]
         asked = bool(word & NEW_SETPOINT_BIT)
         if asked and not self._asked and not deaf and self._waiting is None:
@@ -117,13 +118,17 @@ class Homing:
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
         """See `Mode`."""
+        self.listen(deaf)
         axis = self._axis
-        asked = bool(axis.registers[keys.CONTROLWORD] & NEW_SETPOINT_BIT)
+        axis.demand_qd = 0.0
+        return Demand(held(axis.demand_q, steps), math.nan, False, 0.0, axis.torque_limit)
+
+    def listen(self, deaf: bool) -> None:
+        """See `Mode`."""
+        asked = bool(self._axis.registers[keys.CONTROLWORD] & NEW_SETPOINT_BIT)
         if asked and not self._asked and not deaf:
             self._start()
         self._asked = asked
-        axis.demand_qd = 0.0
-        return Demand(held(axis.demand_q, steps), math.nan, False, 0.0, axis.torque_limit)
 
     def _start(self) -> None:
         axis, objects = self._axis, self._axis.registers

@@ -56,6 +56,7 @@ class Unit:
         self._told, self._on_written = told, written
         self.line = Line(node_id, put)
         hooks = Hooks(
+            applied=lambda: self.drive.obey(),
             written=self._written,
             nmt_changed=self._nmt_changed,
             booted=self._booted,
