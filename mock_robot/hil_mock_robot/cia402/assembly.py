@@ -9,7 +9,7 @@ from pathlib import Path
 from hil.arms import load_arm
 from hil.payload import Payload
 from hil_mock_robot.cia402.body import Body
-from hil_mock_robot.cia402.clock import LEAST_PATIENCE_S, DeviceClock
+from hil_mock_robot.cia402.clock import PATIENCE_S, DeviceClock
 from hil_mock_robot.cia402.ends import BusEnd
 from hil_mock_robot.cia402.faults import Fault
 from hil_mock_robot.cia402.loop import Loop
@@ -56,7 +56,7 @@ class Mock:
         start_q_deg: Sequence[float] = (),
         mounted: Payload | None = None,
         master_id: int = MASTER_ID,
-        patience_s: float = LEAST_PATIENCE_S,
+        patience_s: float = PATIENCE_S,
         faults: Sequence[Fault] = (),
         journal: Path | str | None = None,
         side: Path | str | None = None,

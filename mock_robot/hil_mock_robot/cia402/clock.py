@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from hil_mock_robot.cia402.contracts import STEP_S
 
-LEAST_PATIENCE_S = 0.02
-"""Wall time without SYNC that drives put up with before they go by their own timer."""
+PATIENCE_S = 0.2
+"""Wall time without SYNC before the drives go by their own timer. Until then their time stands
+still: a master that a busy computer held up goes on as if nothing had been."""
 
 PERIODS_MISSED = 2.0
 CARRIED = 1e-9
@@ -35,7 +36,7 @@ class DeviceClock:
         syncs: How many there were.
     """
 
-    def __init__(self, now_s: float, patience_s: float = LEAST_PATIENCE_S) -> None:
+    def __init__(self, now_s: float, patience_s: float = PATIENCE_S) -> None:
         self._patience_s = patience_s
         self.steps = self.syncs = 0
         self.synced = False
@@ -72,6 +73,10 @@ class DeviceClock:
         self._own_s += steps * STEP_S
         self.steps += steps
         return steps
+
+    def slept(self, lasted_s: float) -> None:
+        """For so long nobody looked whether there is SYNC: that time does not count."""
+        self._gives_up_s += lasted_s
 
     def wait_s(self, now_s: float, steps: int) -> float:
         """Wall time until the own timer has so many steps to make; 0 when it is due."""

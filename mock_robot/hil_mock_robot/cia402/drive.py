@@ -26,7 +26,7 @@ from hil_mock_robot.cia402.states import (
     Command,
     State,
 )
-from hil_mock_robot.cia402.stopping import option_of
+from hil_mock_robot.cia402.stopping import AT_REST_RAD_S, option_of
 from hil_mock_robot.cia402.watch import SYNC_LOST_STEPS, TOO_FAR, Watch, register_bits
 
 __all__ = ["Drive", "Emergency", "Joint", "joints_of"]
@@ -82,7 +82,7 @@ class Drive:
         axis.stay()
         self._shown = self.registers[keys.MODE_DISPLAY] = 0
         self._mode: Mode = mode_of(0, axis)
-        self._unsynced, self._limited = 0, False
+        self._unsynced, self._strayed, self._limited = 0, False, False
         self._watch.reset()
         self._power.switch_off()
         self._tell()
@@ -121,9 +121,7 @@ class Drive:
         self.obey()
         axis, power = self._axis, self._power
         axis.limited = False
-        self._unsynced = 0 if synced else self._unsynced + steps
-        if power.state is ENABLED and self._shown in CYCLIC and self._unsynced > SYNC_LOST_STEPS:
-            self.fault(SYNC_LOST)
+        self._watch_sync(steps, synced)
         if power.stop is not None:
             return self._slow_down(power.stop.ramp, steps)
         if power.state is ENABLED:
@@ -182,6 +180,19 @@ class Drive:
             self._power.overrule(ABORT_COMMANDS[option])
             self._tell()
 
+    def _watch_sync(self, steps: int, synced: bool) -> None:
+        """An error when SYNC stays away too long, or is back after the set-point left its path.
+
+        It would jump onto that path again; as it is, it comes to rest along a ramp.
+        """
+        cyclic = self._power.state is ENABLED and self._shown in CYCLIC
+        self._unsynced = 0 if synced else self._unsynced + steps
+        if cyclic and (self._strayed if synced else self._unsynced > SYNC_LOST_STEPS):
+            self.fault(SYNC_LOST)
+        moves = abs(self._axis.demand_qd) > AT_REST_RAD_S
+        missed = self._unsynced > self._axis.period_steps
+        self._strayed = cyclic and not synced and (self._strayed or (missed and moves))
+
     def _takes(self, mode: int) -> bool:
         """Whether 6061h follows: the mode is built, supported by 6502h, and not refused."""
         if mode not in MODE_BITS or mode in self.refused_modes:
@@ -189,7 +200,7 @@ class Drive:
         return bool(self.registers[keys.SUPPORTED_MODES] >> MODE_BITS[mode] & 1)
 
     def _begun(self) -> None:
-        self._unsynced = 0
+        self._unsynced, self._strayed = 0, False
         self._watch.reset()
         self._mode = mode_of(self._shown, self._axis)
 

@@ -21,6 +21,9 @@ OWN_STEPS = 10
 SIDE_S = 0.01
 """Wall time between two looks at the side channel while the bus is busy."""
 
+SLEPT_S = 0.05
+"""A turn that comes so much later: the computer had other things to do, for the master too."""
+
 
 class Loop:
     """Serves the bus and lets the drives' time pass.
@@ -50,6 +53,7 @@ class Loop:
         self._asked: deque[Callable[[], None]] = deque()
         self._ending = False
         self._side_due_s = 0.0
+        self._turned_s = time.monotonic()
         self._woken, self._waker = socket.socketpair()
         for each in (self._woken, self._waker):
             each.setblocking(False)
@@ -91,7 +95,11 @@ class Loop:
         wait_s = min(clock.wait_s(time.monotonic(), OWN_STEPS), SIDE_S)
         asked = self._end.serve(wait_s, self._beside_bus)
         now_s = time.monotonic()
+        if now_s - self._turned_s > SLEPT_S:
+            clock.slept(now_s - self._turned_s)
+        self._turned_s = now_s
         if clock.wait_s(now_s, OWN_STEPS) <= STEP_S / 10:
+            self._end.serve(0.0)  # a SYNC that had come by then counts
             self._lapse(now_s)
         if asked or self._asked or now_s >= self._side_due_s:
             self._side_due_s = now_s + SIDE_S

@@ -12,7 +12,7 @@ from hil.arms import ArmDescription, arm_names
 from hil.errors import SpecError
 from hil.payload import Payload
 from hil.typing import FloatArray
-from hil_mock_robot.cia402.clock import LEAST_PATIENCE_S
+from hil_mock_robot.cia402.clock import PATIENCE_S
 from hil_mock_robot.cia402.telling import add_tell
 
 OWN_COMMAND = "python -m hil_mock_robot can"
@@ -61,7 +61,7 @@ def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser
     announces = "node id under which the master announces what it does"
     add("--master-id", type=int, default=MASTER_ID, metavar="ID", help=announces)
     patience = "wall time without SYNC after which the drives go by their own timer"
-    add("--sync-patience-s", type=float, default=LEAST_PATIENCE_S, metavar="S", help=patience)
+    add("--sync-patience-s", type=float, default=PATIENCE_S, metavar="S", help=patience)
     side = f"socket of the side channel for tests, `{NO_SIDE}` for none; beside the bus without"
     add("--side", default="", metavar="PATH", help=side)
     add("--faults", type=Path, help="YAML file: what goes wrong, and when")
