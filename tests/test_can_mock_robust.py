@@ -38,9 +38,6 @@ class NoBus:
     def flush(self) -> None:
         """Nothing is kept."""
 
-    def flush(self) -> None:
-        """Nothing is kept."""
-
     def serve(self, timeout_s: float, others: object = ()) -> bool:
         return False
 

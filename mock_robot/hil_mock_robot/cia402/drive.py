@@ -189,9 +189,10 @@ class Drive:
         self._unsynced = 0 if synced else self._unsynced + steps
         if cyclic and (self._strayed if synced else self._unsynced > SYNC_LOST_STEPS):
             self.fault(SYNC_LOST)
-        moves = abs(self._axis.demand_qd) > AT_REST_RAD_S
-        missed = self._unsynced > self._axis.period_steps
-        self._strayed = cyclic and not synced and (self._strayed or (missed and moves))
+        if synced or not cyclic:
+            self._strayed = False
+        elif abs(self._axis.demand_qd) > AT_REST_RAD_S:
+            self._strayed = self._strayed or self._unsynced > self._axis.period_steps
 
     def _takes(self, mode: int) -> bool:
         """Whether 6061h follows: the mode is built, supported by 6502h, and not refused."""
