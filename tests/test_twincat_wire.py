@@ -31,6 +31,7 @@ from hil_drivers import patience
 from hil_drivers.twincat import orders
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_drivers.twincat.rows import TOPIC
+from hil_drivers.twincat.symbols import CONTRACT
 
 pytestmark = [pytest.mark.wire]
 
@@ -96,11 +97,10 @@ def test_other_ads_tools_see_symbols_and_values(plc):
 
     with pyads.Connection(f"{plc.address}.1.1", 851, plc.address) as tool:
         assert tool.read_state() == (pyads.ADSSTATE_RUN, 0)
-        assert tool.read_by_name("GVL_Hil.nContract", pyads.PLCTYPE_UDINT) == 1
+        assert tool.read_by_name("GVL_Hil.nContract", pyads.PLCTYPE_UDINT) == CONTRACT
         assert tool.get_symbol("gvl_hil.nstop").symbol_type == "UDINT"
-        assert (
-            tool.read_list_by_name(["GVL_Hil.nContract", "GVL_Hil.nStop"])["GVL_Hil.nContract"] == 1
-        )
+        told = tool.read_list_by_name(["GVL_Hil.nContract", "GVL_Hil.nStop"])
+        assert told["GVL_Hil.nContract"] == CONTRACT
         with pytest.raises(pyads.ADSError, match="symbol not found"):
             tool.read_by_name("GVL_Hil.nNothing", pyads.PLCTYPE_UDINT)
 
@@ -119,14 +119,15 @@ def until_it_raises(robot, kind, match):
         read_on(robot)
 
 
-IN_MAKE_TEST = ("emergency_stop", "cut")
+IN_MAKE_TEST = ("emergency_stop", "online_change")
 WRONG = (
     ({"kind": "emergency_stop"}, RobotFault, "fault 5: emergency stop"),
     ({"kind": "drive_fault", "code": 34321}, RobotFault, "fault 34321: drive fault 0x8611"),
     ({"kind": "freeze", "for_s": 2}, RobotTimeout, "its task stands still"),
-    ({"kind": "silence", "for_s": 3}, RobotTimeout, "has not answered within 1 s"),
+    ({"kind": "silence", "for_s": 3}, RobotTimeout, "has not answered within 0.5 s"),
     ({"kind": "cut"}, RobotError, "connection is lost|has not answered"),
     ({"kind": "config", "for_s": 1}, RobotConnectionError, "no PLC runtime answers"),
+    ({"kind": "online_change"}, RobotFault, "changed online"),
     ({"kind": "restart"}, RobotConnectionError, "was started anew"),
 )
 
@@ -288,7 +289,7 @@ def bare_plc(*, without=(), contract=None, model="lab6", cycle_s=0.001):
 @pytest.mark.parametrize(
     ("plc_is", "kind", "said"),
     [
-        ({"contract": 2}, PluginError, "keeps version 2 of the contract, this driver 1"),
+        ({"contract": 1}, PluginError, "keeps version 1 of the contract, this driver 2"),
         ({"without": ["aRing"]}, PluginError, "has no variable GVL_Hil.aRing"),
         ({"model": "ur5"}, RobotConnectionError, "it moves a ur5, the station says lab6"),
         ({"cycle_s": 0.002}, RobotConnectionError, "its cycle is 2 ms, rate_hz says 1"),

@@ -18,7 +18,7 @@ class Beat:
         session: Our number.
 
     Attributes:
-        problem: Why nothing is written any more; the PLC stops the arm then.
+        problem: What went wrong with the last beat that did; the PLC stops the arm without them.
     """
 
     def __init__(self, write: Callable[[int, int], None], session: int) -> None:
@@ -59,5 +59,5 @@ class Beat:
                 self.problem = error
                 if not isinstance(error, TimeoutError):
                     return
-                # It may answer again; whether that is too late, the PLC decides.
+                # It may answer again, or be less busy; whether that is too late, the PLC decides.
             self._over.wait(EVERY_S)

@@ -9,20 +9,26 @@ import time
 import numpy as np
 
 from hil.arms import load_arm
-from hil.errors import CommandRefused, HilError, RobotConnectionError, RobotFault
-from hil.robot import Identity
+from hil.errors import (
+    CommandRefused,
+    HilError,
+    RobotConnectionError,
+    RobotFault,
+)
+from hil.robot import Identity, Segment
 from hil_drivers.twincat.beat import Beat
 from hil_drivers.twincat.facts import identity_of, require_fit, text
-from hil_drivers.twincat.line import Line, address_of
+from hil_drivers.twincat.line import Line
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.orders import Orders
+from hil_drivers.twincat.orders import LOAD_S, Orders
+from hil_drivers.twincat.reach import address_of
+from hil_drivers.twincat.stopping import Stops
 from hil_drivers.twincat.symbols import Order, layout_of
 from hil_drivers.twincat.variables import Variables
 
 ANSWER_S, BEAT_S, STOP_S = 1.0, 0.2, 0.03
 """How long an answer may take: in general, to a beat, to a stop before it is written again [s]."""
 
-STOP_WITHIN_S = 0.08
 TAKE_S, SURE_S = 3.0, 0.5
 """How long a braking arm is waited for; a client that has died for so much longer than the PLC's
 watchdog takes to notice that [s]."""
@@ -46,7 +52,7 @@ class Controller:
         identity: Who it says to be.
         orders: Commands to it.
         session: Our number.
-        stops: Stops given, as the PLC counts them.
+        stops: To the PLC.
         beat: The heartbeat.
     """
 
@@ -63,15 +69,16 @@ class Controller:
             require_fit(self.where, self.info, model, options)
             self.identity: Identity = identity_of(self.info, options, model, self._device())
             self.session = secrets.randbelow(2**32 - 1) + 1
-            self.stops = int(self.variables.structure("nStop"))
+            self.stops = Stops(self.variables, self._stopping)
             self.orders = Orders(
                 layout,
-                lambda: self._main.read(self.variables.place("stAnswer")),
-                lambda data: self.variables.write("stCommand", data),
+                lambda: self.variables.read("stAnswer"),
+                self.variables.command,
                 self.session,
                 arm.joint_names,
             )
             self.beat = self._take(layout.types["stBeat"])
+            self.variables.moved = self.beat.hush
         except BaseException:
             self._hang_up()
             raise
@@ -99,30 +106,47 @@ class Controller:
         """ADS state of its runtime; raises as `Line.read`."""
         return self._main.state()
 
+    def wait_for(self, timeout_s: float | None = None) -> None:
+        """How long answers may take from now on, those to beats and stops left out [s]."""
+        self._main.wait_for(ANSWER_S if timeout_s is None else min(timeout_s, ANSWER_S))
+
     def stop(self) -> None:
-        """Tell the PLC to bring the arm to rest; by any thread.
+        """Tell the PLC to bring the arm to rest, and see that it does; by any thread.
 
         Raises:
-            RobotConnectionError: It could not be told; its watchdog does it then.
+            RobotConnectionError: It could not be told, or does not show that it has seen it; our
+                heartbeat has ended then, and its watchdog does it.
         """
-        self.stops = (self.stops + 1) % 2**32
-        place, value = self.variables.place("nStop"), self.stops.to_bytes(4, "little")
-        until = time.monotonic() + STOP_WITHIN_S
-        while True:
-            try:
-                self._stopping.write(place, value)
-                return
-            except HilError as error:
-                # Two threads that stop share a line, which then refuses one of them.
-                if time.monotonic() + STOP_S < until:
-                    time.sleep(0.001)
-                    continue
-                self.beat.hush()
-                raise RobotConnectionError(
-                    f"{self.where} could not be told to stop: {error.message}; its watchdog stops "
-                    f"the arm within {self.watchdog_s:g} s",
-                    hint="see to the robot itself, by its emergency stop if need be",
-                ) from error
+        try:
+            self.stops.give()
+        except HilError as error:
+            self.beat.hush()
+            raise RobotConnectionError(
+                f"{self.where} could not be told to stop: {error.message}; our heartbeat has "
+                f"ended, so its watchdog stops the arm within {self.watchdog_s:g} s",
+                hint="see to the robot itself, by its emergency stop if need be",
+            ) from error
+
+    def load(self, segment: Segment) -> None:
+        """Upload set-points and let the PLC check them.
+
+        Raises:
+            CommandRefused: There are too many, they leave the limits, or have arrived spoilt.
+            RobotError: As `Orders.give`.
+        """
+        room, rows = int(self.info["nSetPoints"]), len(segment.q)
+        if rows > room:
+            raise CommandRefused(
+                f"segment {segment.index} has {rows} set-points, the PLC has room for {room}",
+                hint="plan shorter motions, or raise SET_POINTS in the PLC",
+            )
+        fields = self.variables.upload(segment)
+        what = f"load segment {segment.index} ({segment.kind})"
+        answer = self.orders.give(Order.LOAD, what, LOAD_S, **fields)
+        if (answer["nSumA"], answer["nSumB"]) != (fields["nSumA"], fields["nSumB"]):
+            raise CommandRefused(
+                f"{what}: the PLC reads back other set-points than were sent", hint="try again"
+            )
 
     def fault(self, state: np.void) -> str:
         """What the PLC says about its fault."""
@@ -133,6 +157,7 @@ class Controller:
         """Release the arm and let go of the PLC; raises nothing."""
         with contextlib.suppress(HilError):
             self.orders.give(Order.RELEASE, "release the arm", 0.5)
+            self.variables.release()
         self.beat.end()
         self._hang_up()
 
@@ -163,7 +188,7 @@ class Controller:
                     fault = self.fault(self.state())
                     raise RobotFault(f"{self.where}: {fault}", hint=error.hint) from error
             time.sleep(0.05)
-        place = self.variables.place("stBeat")
+        place = self.variables.handle("stBeat")
         beat = Beat(
             lambda session, count: self._beats.write(
                 place, np.array([(session, count)], kind).tobytes()

@@ -8,37 +8,17 @@ any of them is closed: close all, then open anew.
 
 from __future__ import annotations
 
-import ctypes
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-from hil.errors import PluginError, RobotConnectionError
-from hil_drivers.patience import once_listening
-from hil_drivers.twincat.options import Options, is_ip
-from hil_drivers.twincat.return_codes import ROUTE, error_of, text_of
-
-REACHED_WITHIN_S = 3.0
-"""How long a TCP connection may take: the library itself waits for minutes [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a variable is.
-
-    Attributes:
-        group, offset: Index group and offset.
-        size: In bytes.
-    """
-
-    group: int
-    offset: int
-    size: int
+from hil.errors import RobotConnectionError
+from hil_drivers.twincat.options import Options
+from hil_drivers.twincat.places import VERSION, Place, block
+from hil_drivers.twincat.reach import library
+from hil_drivers.twincat.return_codes import ROUTE, error_of, error_of_code, text_of
 
 
 class Line:
@@ -74,6 +54,8 @@ class Line:
         options = self._options
         connection = pyads.Connection(options.ams_net_id, options.port, address)
         try:
+            if options.local_net_id:
+                pyads.set_local_address(options.local_net_id)
             connection.open()
             connection.set_timeout(round(self._timeout_s * 1000))
         except (pyads.ADSError, RuntimeError) as error:
@@ -123,6 +105,44 @@ class Line:
             )  # fmt: skip
             return Place(int(entry.iGroup), int(entry.iOffs), int(entry.size))
 
+    def handle(self, name: str) -> Place:
+        """A variable to be written by its handle.
+
+        A PLC whose program was changed online refuses an old handle, where it would let an old
+        offset change somebody else's memory.
+
+        Raises:
+            PluginError: The PLC has none of that name.
+            RobotError: As `read`.
+        """
+        from pyads import constants
+
+        size = self.place(name).size
+        with self._told(f"asked for {name}"):
+            handle = self._opened().read_write(
+                constants.ADSIGRP_SYM_HNDBYNAME, 0, constants.PLCTYPE_UDINT, name,
+                constants.PLCTYPE_STRING,
+            )  # fmt: skip
+        return Place(constants.ADSIGRP_SYM_VALBYHND, int(handle), size)
+
+    def release(self, handle: Place) -> None:
+        """Give a handle back; raises as `read`."""
+        from pyads import constants
+
+        self.write(
+            Place(constants.ADSIGRP_SYM_RELEASEHND, 0, 4), handle.offset.to_bytes(4, "little")
+        )
+
+    def version(self) -> int:
+        """Of the PLC's symbols: another one once its program was changed; raises as `read`."""
+        return self.read(VERSION)[0]
+
+    def wait_for(self, timeout_s: float) -> None:
+        """From now on an answer may take so long [s]."""
+        self._timeout_s = timeout_s
+        if self._connection is not None:
+            self._connection.set_timeout(max(1, round(timeout_s * 1000)))
+
     def read(self, place: Place, start: int = 0, size: int | None = None) -> bytes:
         """Bytes of a variable.
 
@@ -139,13 +159,39 @@ class Line:
         wanted = place.size - start if size is None else size
         with self._told(f"read {wanted} bytes"):
             data = self._opened().read(
-                place.group, place.offset + start, _block(wanted), return_ctypes=True
+                place.group, place.offset + start, block(wanted), return_ctypes=True
             )
             return bytes(data.bytes)
 
+    def read_versioned(
+        self, place: Place, start: int = 0, size: int | None = None
+    ) -> tuple[bytes, int]:
+        """Bytes of a variable and, read after them in the same request, the symbols' version.
+
+        Raises:
+            RobotError: As `read`.
+        """
+        from pyads import constants, structs
+
+        wanted = place.size - start if size is None else size
+        asked = (Place(place.group, place.offset + start, wanted), VERSION)
+        parts = (structs.SAdsSumRequest * len(asked))(
+            *((each.group, each.offset, each.size) for each in asked)
+        )
+        with self._told(what := f"read {wanted} bytes"):
+            told = bytes(
+                self._opened().read_write(
+                    constants.ADSIGRP_SUMUP_READ, len(asked), None, parts, None, return_ctypes=True
+                )
+            )
+        for code in np.frombuffer(told, "<u4", len(asked)).tolist():
+            if code:
+                raise error_of_code(code, self.where, what)
+        return told[8:-1], told[-1]
+
     def write(self, place: Place, data: bytes, start: int = 0) -> None:
         """Change bytes of a variable; raises as `read`."""
-        kind = _block(len(data))
+        kind = block(len(data))
         with self._told(f"write {len(data)} bytes"):
             self._opened().write(
                 place.group, place.offset + start, kind.from_buffer_copy(data), kind
@@ -172,62 +218,3 @@ class Line:
             raise RobotConnectionError(
                 f"{self.where}: {what}: {error}", hint="connect again"
             ) from error
-
-
-def address_of(options: Options) -> str:
-    """What the library connects to, once it is sure that somebody listens.
-
-    Once, before anything is open: a PLC may let go of an older connection from this computer.
-    A mock that is still starting on this computer is waited for.
-
-    Raises:
-        RobotConnectionError: Nobody does.
-    """
-    host, _ = options.host
-    if not is_ip(host):
-        return _found(options)
-    return once_listening(host, lambda: _found(options))
-
-
-def _found(options: Options) -> str:
-    host, port = options.host
-    try:
-        with socket.create_connection((host, port), REACHED_WITHIN_S) as line:
-            found = str(line.getpeername()[0])
-    except OSError as error:
-        why = error.strerror or str(error) or type(error).__name__
-        raise RobotConnectionError(
-            f"PLC {options.address}: nobody listens on port {port}: {why}",
-            hint="is it on, and is it this address? TwinCAT's ADS port 48898 must be open in its "
-            "firewall; the mock is started with: hil mock plc",
-        ) from error
-    return f"{found}:{port}"
-
-
-def library() -> Any:
-    """`pyads`.
-
-    Raises:
-        PluginError: It is not installed, or cannot be used here.
-    """
-    try:
-        import pyads
-    except (ImportError, OSError) as error:
-        raise PluginError(
-            f"the driver twincat needs pyads: {error}", hint='pip install "hil[ads]"'
-        ) from error
-    return pyads
-
-
-@cache
-def _block(size: int) -> type[ctypes.Structure]:
-    """So many bytes as one value: `pyads` takes arrays apart, byte by byte."""
-    return type(
-        f"Block{size}", (ctypes.Structure,), {"_fields_": [("bytes", ctypes.c_ubyte * size)]}
-    )
-
-
-def one(data: bytes, kind: np.dtype[Any]) -> np.void:
-    """The structure that bytes hold."""
-    found: np.void = np.frombuffer(data, kind)[0]
-    return found

@@ -17,7 +17,7 @@ RANGES = {
     "port": (1, 65535),
     "rate_hz": (10.0, 8000.0),
     "block_rows": (1, 4000),
-    "chunk_bytes": (1024, 4_000_000),
+    "chunk_bytes": (1024, 262_144),
     "late_s": (0.05, 5.0),
     "speed_share": (0.01, 1.0),
 }
@@ -37,6 +37,8 @@ class Options:
     Attributes:
         address: IP address or host name of the PLC, and a TCP port where it is not 48898.
         ams_net_id: Of the PLC; on this computer made of the address, as the mock's is.
+        local_net_id: Of this computer, where the route on the PLC says another one than what the
+            library takes, its address and `.1.1`.
         port: AMS port of the PLC's runtime.
         prefix: Where the contract's variables are.
         rate_hz: Cycles of the PLC's task per second.
@@ -50,6 +52,7 @@ class Options:
 
     address: str
     ams_net_id: str
+    local_net_id: str = ""
     port: int = 851
     prefix: str = DEFAULT_PREFIX
     rate_hz: float = 1000.0
@@ -62,8 +65,11 @@ class Options:
 
     @property
     def resource(self) -> str:
-        """Which arm this is, whatever a station calls it, and whatever way leads there."""
-        return f"ads://{self.ams_net_id}:{self.port}/{self.prefix.lower()}"
+        """The PLC, whatever a station calls it.
+
+        It keeps one TCP connection per computer: two programs here cannot have two of its arms.
+        """
+        return f"ads://{self.ams_net_id}"
 
     @property
     def host(self) -> tuple[str, int]:
@@ -101,6 +107,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
             **given,
             "address": address,
             "ams_net_id": _ams_net_id(given.get("ams_net_id"), address),
+            "local_net_id": _local_net_id(given.get("local_net_id")),
             "drive_gains_nm_a": _gains(given.get("drive_gains_nm_a"), model),
         }
     )
@@ -126,9 +133,18 @@ def _ams_net_id(value: Any, address: str) -> str:
     hint = "six numbers such as 5.24.37.144.1.1: TwinCAT shows it under System, Routes"
     if value is None:
         raise SpecError("the driver twincat lacks its option ams_net_id", hint=hint)
+    return _six_numbers("ams_net_id", value, hint)
+
+
+def _local_net_id(value: Any) -> str:
+    hint = "six numbers, those of the route to this computer on the PLC: System, Routes"
+    return "" if value is None else _six_numbers("local_net_id", value, hint)
+
+
+def _six_numbers(name: str, value: Any, hint: str) -> str:
     parts = value.strip().split(".") if isinstance(value, str) else []
     if len(parts) != 6 or not all(each.isdigit() and int(each) < 256 for each in parts):
-        raise _wrong("ams_net_id", value, hint)
+        raise _wrong(name, value, hint)
     return ".".join(str(int(each)) for each in parts)
 
 

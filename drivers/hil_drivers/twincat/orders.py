@@ -1,7 +1,8 @@
-"""Commands to the PLC and their answers: a counter says which answer belongs to which command."""
+"""Commands to the PLC and their answers, which say whose and which command they are to."""
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +15,7 @@ from hil_drivers.twincat.symbols import REASONS, Layout, Order, Result
 
 ANSWER_S = 2.0
 LOAD_S = 10.0
-"""How long the PLC may take; LOAD looks at every set-point, some thousand a cycle [s]."""
+"""How long the PLC may take; LOAD looks at every set-point, a hundred a cycle [s]."""
 
 POLL_S = 0.002
 
@@ -40,6 +41,7 @@ class Orders:
         self._command, self._answer = layout.types["stCommand"], layout.types["stAnswer"]
         self._read, self._write = read, write
         self._session, self._names = session, names
+        self._counter = secrets.randbelow(0xFFFFFFFF)
 
     def give(self, order: Order, what: str, within_s: float = ANSWER_S, **fields: Any) -> np.void:
         """Send a command and wait for its answer.
@@ -56,9 +58,8 @@ class Orders:
             RobotTimeout: It has not answered.
             RobotError: The line fails.
         """
-        before = np.frombuffer(self._read(), self._answer)[0]
+        counter = self._counter = self._counter % 0xFFFFFFFF + 1
         command = np.zeros(1, self._command)
-        counter = int(before["nCounter"]) % 0xFFFFFFFF + 1
         command["nCounter"] = command["nCounterEnd"] = counter
         command["nCommand"], command["nSession"] = order, self._session
         for name, value in fields.items():
@@ -67,7 +68,7 @@ class Orders:
         until = time.monotonic() + within_s
         while True:
             answer: np.void = np.frombuffer(self._read(), self._answer)[0]
-            if answer["nCounter"] == counter == answer["nCounterEnd"]:
+            if self._is_to(answer, counter, order):
                 self._require_done(answer, what)
                 return answer
             if time.monotonic() > until:
@@ -76,6 +77,14 @@ class Orders:
                     hint="is its program running? TwinCAT shows whether its cycle is",
                 )
             time.sleep(POLL_S)
+
+    def _is_to(self, answer: np.void, counter: int, order: Order) -> bool:
+        """Whether an answer is whole, and to this command of ours: others count, too."""
+        return bool(
+            answer["nCounter"] == counter == answer["nCounterEnd"]
+            and answer["nSession"] == self._session
+            and answer["nCommand"] == order
+        )
 
     def _require_done(self, answer: np.void, what: str) -> None:
         result, where = int(answer["nResult"]), int(answer["nWhere"])
@@ -90,6 +99,7 @@ class Orders:
             Result.HELD: "end the other client, or wait until the PLC's watchdog has noticed",
             Result.CHECKSUM: "try again; if it stays so, see to the connection",
             Result.BUSY: "read until it rests",
+            Result.STOPPED: "prepare it again; something else may write nStop as well",
         }
         raise CommandRefused(said, hint=hints.get(result, "plan again for this arm"))
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
-
-import numpy as np
 
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.payload import Payload
@@ -18,19 +16,14 @@ from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.facts import capabilities_of, limits_of
 from hil_drivers.twincat.findings import Looked, findings_of
 from hil_drivers.twincat.options import options_of
-from hil_drivers.twincat.orders import LOAD_S, payload_fields, payload_in
-from hil_drivers.twincat.ring import Ring
-from hil_drivers.twincat.rows import TOPIC, HostClock, reading_rows, reading_topic, state_rows
+from hil_drivers.twincat.orders import payload_fields, payload_in
+from hil_drivers.twincat.reading import Reading
+from hil_drivers.twincat.rows import reading_topic
 from hil_drivers.twincat.symbols import Order, Phase
 from hil_drivers.twincat.watch import Watch
 
 AT_SET_POINT_RAD = 1e-3
 """The PLC begins with the first set-point as it is: it has to be where the arm is held."""
-
-LEAST_NAP_S = 1e-3
-
-KEPT_S = 5.0
-"""Rows of an arm that nobody has moved or read: no more than these are told [s]."""
 
 
 class TwinCatRobot:
@@ -49,11 +42,8 @@ class TwinCatRobot:
         self._name, self._model = name, model
         self._options = options_of(options, model)
         self._controller: Controller | None = None
-        self._ring: Ring | None = None
-        self._watch = Watch(0, self._options.late_s)
-        self._clock = HostClock()
+        self._reading: Reading | None = None
         self._topic = reading_topic(self._options.rate_hz)
-        self._further: list[StructArray] = []
         self._prepared: tuple[Segment, int] | None = None
         self._declared: Payload | None = None
 
@@ -85,8 +75,7 @@ class TwinCatRobot:
 
     def drain(self) -> Mapping[str, StructArray]:
         """See `hil.robot.HasTopics`."""
-        further, self._further = self._further, []
-        return {TOPIC: np.concatenate(further)} if further else {}
+        return {} if self._reading is None else self._reading.drain()
 
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
@@ -98,7 +87,7 @@ class TwinCatRobot:
             self.limits,
             self._declared,
             payload_in(controller.variables.structure("stAnswer")),
-            self._reading(),
+            self._reading_on().ring,
         )
         return list(findings_of(looked))
 
@@ -116,10 +105,13 @@ class TwinCatRobot:
         if self._controller is not None and not self._watch.faulty:
             return
         self._let_go()
-        self._controller = Controller(self._model, self._options)
-        self._ring = self._controller.variables.ring()
-        self._watch = Watch(self._controller.session, self._options.late_s)
-        self._clock, self._further, self._declared = HostClock(), [], None
+        controller = Controller(self._model, self._options)
+        try:
+            self._reading = Reading(controller, self._options, self._topic)
+        except BaseException:
+            controller.close()
+            raise
+        self._controller, self._declared = controller, None
 
     def set_payload(self, payload: Payload) -> Payload:
         """Let the PLC compute with a load; returns what it says that it computes with.
@@ -129,7 +121,10 @@ class TwinCatRobot:
         """
         controller = self._healthy()
         require_liftable(payload, self.limits)
-        answer = controller.orders.give(Order.PAYLOAD, "declare a load", **payload_fields(payload))
+        with self._obeyed(controller):
+            answer = controller.orders.give(
+                Order.PAYLOAD, "declare a load", **payload_fields(payload)
+            )
         self._declared = payload
         return payload_in(answer)
 
@@ -142,15 +137,8 @@ class TwinCatRobot:
         """
         self._prepared = None
         controller = self._healthy()
-        stops = controller.stops
-        state = controller.state()
-        if state["nPhase"] in (Phase.PLAYING, Phase.STOPPING):
-            raise CommandRefused("the arm is still moving", hint="read until it is at rest")
-        standing = controller.variables.newest_row()["aQTarget"]
-        require_executable(segment, self.limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
-        if segment.kind != "hold":
-            self._load(controller, segment)
-        self._prepared = segment, stops
+        with self._obeyed(controller):
+            self._prepared = self._uploaded(controller, segment)
 
     def start(self) -> None:
         """Begin the prepared segment.
@@ -165,7 +153,8 @@ class TwinCatRobot:
         segment, stops = prepared
         order = Order.HOLD if segment.kind == "hold" else Order.START
         what = f"start segment {segment.index} ({segment.kind})"
-        controller.orders.give(order, what, nSegment=segment.index, nStop=stops)
+        with self._obeyed(controller):
+            controller.orders.give(order, what, nSegment=segment.index, nStop=stops)
         self._watch.begun(segment.index)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
@@ -179,24 +168,8 @@ class TwinCatRobot:
             RobotFault: The PLC has a fault, or has taken the arm away.
             RobotConnectionError: The connection is gone.
         """
-        controller, ring = self._connected(), self._reading()
-        problem, self._watch.problem = self._watch.problem, None
-        if problem is not None:
-            raise problem
-        try:
-            state = self._await_rows(controller, ring, timeout_s)
-            now = time.time()
-            if self._watch.idle and not self._watch.moving:
-                ring.forget(int(state["nHead"]), round(KEPT_S * self._options.rate_hz))
-            raw = ring.pull(int(state["nHead"]))
-        except RobotConnectionError:
-            self._watch.faulty = True
-            raise
-        rows = state_rows(raw, int(controller.info["nOffers"]))
-        self._clock.stamp(rows, now, 1.0 / self._options.rate_hz)
-        self._further.append(reading_rows(rows, raw, ring, self._topic))
-        self._watch.see(rows, state, controller.fault)
-        return rows
+        self._connected()
+        return self._reading_on().read(timeout_s)
 
     def stop(self) -> None:
         """Bring the arm to rest on the PLC's own ramp.
@@ -204,10 +177,10 @@ class TwinCatRobot:
         Raises:
             RobotConnectionError: The PLC could not be told; its watchdog does it then.
         """
-        controller = self._controller
+        controller, reading = self._controller, self._reading
         self._prepared = None
-        if controller is not None:
-            self._watch.idle = True
+        if controller is not None and reading is not None:
+            reading.watch.idle = True
             controller.stop()
 
     def close(self) -> None:
@@ -224,45 +197,30 @@ class TwinCatRobot:
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to this arm."""
 
-    def _load(self, controller: Controller, segment: Segment) -> None:
-        room, rows = int(controller.info["nSetPoints"]), len(segment.q)
-        if rows > room:
-            raise CommandRefused(
-                f"segment {segment.index} has {rows} set-points, the PLC has room for {room}",
-                hint="plan shorter motions, or raise SET_POINTS in the PLC",
-            )
-        fields = controller.variables.upload(segment)
-        what = f"load segment {segment.index} ({segment.kind})"
-        answer = controller.orders.give(Order.LOAD, what, LOAD_S, **fields)
-        if (answer["nSumA"], answer["nSumB"]) != (fields["nSumA"], fields["nSumB"]):
-            raise CommandRefused(
-                f"{what}: the PLC reads back other set-points than were sent", hint="try again"
-            )
+    def _uploaded(self, controller: Controller, segment: Segment) -> tuple[Segment, int]:
+        """Check and upload it; returns it and the `nStop` with which it may be started."""
+        state, stops = controller.stops.before_start()
+        if state["nPhase"] in (Phase.PLAYING, Phase.STOPPING):
+            raise CommandRefused("the arm is still moving", hint="read until it is at rest")
+        standing = controller.variables.newest_row()["aQTarget"]
+        require_executable(segment, self.limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
+        if segment.kind != "hold":
+            controller.load(segment)
+        return segment, stops
 
-    def _await_rows(self, controller: Controller, ring: Ring, timeout_s: float) -> np.void:
-        """The PLC's state once a block is there, or some rows and no time left for more."""
-        asked, wanted = time.monotonic(), self._options.block_rows
-        until = asked + timeout_s
-        enough = min(until, asked + 1.5 * wanted / self._options.rate_hz)
-        while True:
-            state = controller.state()
-            waiting = int(state["nHead"]) - ring.next
-            now = time.monotonic()
-            if not self._watch.advanced(int(state["nHead"])) and self._watch.moving:
-                # Both are there when it goes on: the stop, and the silence of our heartbeat.
-                self._watch.faulty = True
-                controller.beat.hush()
+    @contextmanager
+    def _obeyed(self, controller: Controller) -> Iterator[None]:
+        """A command that gets no answer might be obeyed later: stop, and give no more of them."""
+        try:
+            yield
+        except (RobotTimeout, RobotConnectionError):
+            self._watch.faulty = True
+            with suppress(RobotConnectionError):
                 controller.stop()
-                raise self._watch.stands_still(controller.where)
-            if waiting >= wanted or waiting < 0 or (waiting and now >= enough):
-                return state
-            if now >= until:
-                raise RobotTimeout(
-                    f"{controller.where} has written no rows within {timeout_s:g} s",
-                    hint="is its task running? TwinCAT shows its cycle",
-                )
-            nap = (wanted - waiting) / self._options.rate_hz / 2
-            time.sleep(max(LEAST_NAP_S, min(nap, until - now)))
+            raise
+        except RobotFault:
+            self._watch.faulty = True
+            raise
 
     def _connected(self) -> Controller:
         if self._controller is None:
@@ -271,9 +229,13 @@ class TwinCatRobot:
             )
         return self._controller
 
-    def _reading(self) -> Ring:
-        assert self._ring is not None
-        return self._ring
+    def _reading_on(self) -> Reading:
+        assert self._reading is not None
+        return self._reading
+
+    @property
+    def _watch(self) -> Watch:
+        return self._reading_on().watch
 
     def _healthy(self) -> Controller:
         controller = self._connected()
@@ -282,14 +244,16 @@ class TwinCatRobot:
                 f"{self._name} does not obey since a fault", hint="remove its cause, then connect()"
             )
         if not controller.beat.alive:
+            why = controller.beat.problem
             raise RobotConnectionError(
-                f"{controller.where} does not get our heartbeat any more",
+                f"{controller.where} does not get our heartbeat any more"
+                + (f": {why.message}" if why else ""),
                 hint="connect() again",
             )
         return controller
 
     def _let_go(self) -> None:
-        controller, self._controller, self._ring = self._controller, None, None
+        controller, self._controller, self._reading = self._controller, None, None
         self._prepared = None
         if controller is not None:
             controller.close()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-CONTRACT = 1
+CONTRACT = 2
 """Version of it; a PLC with another one is not driven."""
 
 DEFAULT_PREFIX = "GVL_Hil"
@@ -129,11 +129,11 @@ def layout_of(n: int) -> Layout:
     ]  # fmt: skip
     answer = [
         ("nCounter", "<u4"), ("nResult", "<u4"), *load, ("nSumA", "<u4"), ("nSumB", "<u4"),
-        ("nWhere", "<i4"), ("nCounterEnd", "<u4"),
+        ("nSession", "<u4"), ("nCommand", "<u4"), ("nWhere", "<i4"), ("nCounterEnd", "<u4"),
     ]  # fmt: skip
     state = [
         ("nHead", "<u8"), ("nSession", "<u4"), ("nStop", "<u4"), ("nPhase", "<u4"),
-        ("nFault", "<u4"), ("nBeat", "<u4"), ("nLoaded", "<u4"), ("sFault", "S80"),
+        ("nFault", "<u4"), ("sFault", "S80"),
     ]  # fmt: skip
     targets = ("aQ", "aQd", "aQdd")
     measured = (

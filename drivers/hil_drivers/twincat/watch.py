@@ -43,10 +43,14 @@ class Watch:
 
     def advanced(self, head: int) -> bool:
         """Whether the PLC has written rows since it was last asked, or was not silent for long."""
-        now = time.monotonic()
         if head != self._head:
-            self._head, self._since = head, now
-        return now - self._since <= self._late_s
+            self._head, self._since = head, time.monotonic()
+        return not self.silent
+
+    @property
+    def silent(self) -> bool:
+        """Whether it has not been seen to write rows for long."""
+        return time.monotonic() - self._since > self._late_s
 
     def found(self, problem: HilError) -> None:
         """Something is wrong: it is told by the next read, the first one only."""

@@ -15,19 +15,17 @@ from pyads import constants
 from pyads.testserver import AmsResponseData
 from pyads.testserver.handler import AbstractHandler
 
+from hil_mock_robot.twincat.entries import entry_of
 from hil_mock_robot.twincat.memory import DATA, Memory, Symbol
 
 RUN, CONFIG = constants.ADSSTATE_RUN, constants.ADSSTATE_CONFIG
 NO_SERVICE, NO_GROUP, NO_OFFSET, WRONG_SIZE, NO_SYMBOL = 0x701, 0x702, 0x703, 0x705, 0x710
+OTHER_VERSION = 0x711
 """ADS return codes."""
 
 NO_PORT = 6
 """AMS error: nobody has opened the port that a request is for."""
 
-BIG_TYPE = 65
-"""ADS data type of what is no elementary type."""
-
-ELEMENTARY = {"UDINT": 19, "DINT": 3, "LREAL": 5, "ULINT": 21}
 SHORT = 256
 """Commands and beats are shorter, set-points longer [bytes]."""
 
@@ -50,14 +48,16 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         port: AMS port of its runtime.
 
     Attributes:
+        memory: Of the PLC.
         state: ADS state it reports; other than RUN, its runtime is not there.
         spoils: Whether what is written arrives with a bit that is wrong, where it is long.
+        loses_stops: Whether what is written to `nStop` is acknowledged and lost.
     """
 
     def __init__(self, memory: Memory, port: int) -> None:
-        self._memory, self._port = memory, port
-        self.spoils = False
-        self._handles: dict[int, Symbol] = {}
+        self.memory, self._port = memory, port
+        self.spoils = self.loses_stops = False
+        self._handles: dict[int, tuple[Symbol, int]] = {}
         self.state = RUN
         self._services: dict[int, Callable[[bytes], bytes]] = {
             constants.ADSCOMMAND_READDEVICEINFO: self._device,
@@ -78,15 +78,23 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         if port != self._port or not running:
             return AmsResponseData(answered, struct.pack("<I", NO_PORT), b"")
         try:
-            service = self._services.get(command)
-            if service is None:
-                raise Refused(NO_SERVICE)
-            data = bytes(4) + service(header.data)
+            data = bytes(4) + self.serve(command, header.data)
         except Refused as refused:
             data = struct.pack("<I", refused.code) + bytes(8 * (command in _WITH_LENGTH))
         except (struct.error, UnicodeError):
             data = struct.pack("<I", WRONG_SIZE) + bytes(8 * (command in _WITH_LENGTH))
         return AmsResponseData(answered, bytes(4), data)
+
+    def serve(self, command: int, data: bytes) -> bytes:
+        """What one service answers, behind its return code.
+
+        Raises:
+            Refused: It answers with a return code.
+        """
+        service = self._services.get(command)
+        if service is None:
+            raise Refused(NO_SERVICE)
+        return service(data)
 
     def _device(self, data: bytes) -> bytes:
         return struct.pack("<BBH16s", 3, 1, 4024, b"hil mock plc")
@@ -110,7 +118,7 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         if group == constants.ADSIGRP_SYM_HNDBYNAME:
             read = struct.pack("<I", self._handle(given))
         elif group == constants.ADSIGRP_SYM_INFOBYNAMEEX:
-            read = _entry(self._symbol(given))
+            read = entry_of(self._symbol(given))
         elif group == constants.ADSIGRP_SUMUP_READ:
             read = self._sum_read(offset, given)
         elif group == constants.ADSIGRP_SUMUP_WRITE:
@@ -144,39 +152,49 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
         return struct.pack(f"<{count}I", *codes)
 
     def _bytes(self, group: int, offset: int, size: int) -> bytes:
+        if (group, offset, size) == (constants.ADSIGRP_SYM_VERSION, 0, 1):
+            return bytes([self.memory.version])
         start = self._place(group, offset, size)
-        return bytes(self._memory.bytes[start : start + size])
+        return bytes(self.memory.bytes[start : start + size])
 
     def _put(self, group: int, offset: int, value: bytes) -> None:
         if group == constants.ADSIGRP_SYM_RELEASEHND:
             self._handles.pop(struct.unpack("<I", value)[0], None)
             return
         start = self._place(group, offset, len(value))
-        self._memory.bytes[start : start + len(value)] = value
+        if self.loses_stops and start == self.memory.offset("nStop"):
+            return
+        self.memory.bytes[start : start + len(value)] = value
         if self.spoils and len(value) > SHORT:
-            self._memory.bytes[start + len(value) // 2] ^= 1
+            self.memory.bytes[start + len(value) // 2] ^= 1
 
     def _place(self, group: int, offset: int, size: int) -> int:
         if group == constants.ADSIGRP_SYM_VALBYHND:
-            if offset not in self._handles:
-                raise Refused(NO_SYMBOL)
-            symbol = self._handles[offset]
-            if size > symbol.size:
-                raise Refused(WRONG_SIZE)
-            return symbol.offset
-        if group != DATA:
+            offset = self._held(offset, size).offset
+        elif group != DATA:
             raise Refused(NO_GROUP)
-        if not self._memory.holds(offset, size):
+        start = self.memory.at(offset, size)
+        if start is None:
             raise Refused(NO_OFFSET)
-        return offset
+        return start
+
+    def _held(self, handle: int, size: int) -> Symbol:
+        if handle not in self._handles:
+            raise Refused(NO_SYMBOL)
+        symbol, version = self._handles[handle]
+        if version != self.memory.version:
+            raise Refused(OTHER_VERSION)
+        if size > symbol.size:
+            raise Refused(WRONG_SIZE)
+        return symbol
 
     def _handle(self, name: bytes) -> int:
         handle = 1 + max(self._handles, default=0)
-        self._handles[handle] = self._symbol(name)
+        self._handles[handle] = self._symbol(name), self.memory.version
         return handle
 
     def _symbol(self, name: bytes) -> Symbol:
-        symbol = self._memory.symbols.get(name.rstrip(b"\0").decode().lower())
+        symbol = self.memory.symbols.get(name.rstrip(b"\0").decode().lower())
         if symbol is None:
             raise Refused(NO_SYMBOL)
         return symbol
@@ -184,25 +202,3 @@ class PlcHandler(AbstractHandler):  # type: ignore[misc]
 
 _WITH_LENGTH = frozenset({constants.ADSCOMMAND_READ, constants.ADSCOMMAND_READWRITE})
 """Services whose answer has a length behind its return code."""
-
-
-def _entry(symbol: Symbol) -> bytes:
-    """A symbol entry: sizes, place, name, type and an empty comment."""
-    name, kind = symbol.name.encode(), symbol.type.encode()
-    texts = name + b"\0" + kind + b"\0\0"
-    head = struct.calcsize("<IIIIIIHHH")
-    return (
-        struct.pack(
-            "<IIIIIIHHH",
-            head + len(texts),
-            DATA,
-            symbol.offset,
-            symbol.size,
-            ELEMENTARY.get(symbol.type, BIG_TYPE),
-            0,
-            len(name),
-            len(kind),
-            0,
-        )
-        + texts
-    )

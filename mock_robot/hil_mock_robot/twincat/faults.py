@@ -15,13 +15,15 @@ KINDS: dict[str, tuple[str, ...]] = {
     "cut": ("for_s",),
     "config": ("for_s",),
     "restart": (),
+    "online_change": (),
+    "lose_stops": ("for_s",),
     "spoil": ("for_s",),
     "refuse": ("code",),
 }
 """What can go wrong, and which further keys each kind has (docs/how-to/drive-twincat.md)."""
 
 COUNTED = ("motion",)
-OWN_DURATION = {"drive_fault": 0.0, "restart": 0.0, "refuse": 0.0, "cut": 0.0}
+OWN_DURATION = {"drive_fault": 0.0, "restart": 0.0, "refuse": 0.0, "cut": 0.0, "online_change": 0.0}
 """How long these last when nothing is said; the others last until they are cleared."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
@@ -19,6 +19,9 @@ FIRST = 0x100
 """Offset of the first variable: 0 would hide a mix-up."""
 
 PREFIX = "GVL_Hil"
+MOVED = 64
+"""So many bytes farther on everything lies after an online change: what is written to where a
+variable was lands in its neighbour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,7 @@ class Memory:
 
     Attributes:
         symbols: Lower-case qualified name → symbol: TwinCAT's names have no case.
+        version: Of the symbols; another one after an online change.
     """
 
     def __init__(
@@ -54,6 +58,7 @@ class Memory:
     ) -> None:
         self.declarations = declarations or contract()
         self.symbols: dict[str, Symbol] = {}
+        self.version, self._moved = 1, 0
         self._types: dict[str, np.dtype[Any]] = {}
         self._offsets: dict[str, int] = {}
         end = FIRST
@@ -73,9 +78,26 @@ class Memory:
         base, shape = (kind.subdtype[0], kind.subdtype[1]) if kind.subdtype else (kind, (1,))
         return np.frombuffer(self.bytes, base, count=shape[0], offset=offset)
 
-    def holds(self, offset: int, size: int) -> bool:
-        """Whether so many bytes from there on are data."""
-        return offset >= FIRST and offset + size <= len(self.bytes)
+    def clear(self, name: str) -> None:
+        """All bytes of a variable become 0."""
+        view = self.view(name)
+        view[:] = np.zeros((), view.dtype)
+
+    def offset(self, name: str) -> int:
+        """Where in `bytes` a variable is."""
+        return self._offsets[name]
+
+    def online_change(self) -> None:
+        """The program is changed while it runs: every variable lies elsewhere for ADS."""
+        self.version = self.version % 255 + 1
+        self._moved += MOVED
+        for name, symbol in self.symbols.items():
+            self.symbols[name] = replace(symbol, offset=symbol.offset + MOVED)
+
+    def at(self, offset: int, size: int) -> int | None:
+        """Where in `bytes` an offset of ADS is; None where so many bytes are no data."""
+        start = offset - self._moved
+        return start if start >= FIRST and start + size <= len(self.bytes) else None
 
 
 def contract() -> Declarations:

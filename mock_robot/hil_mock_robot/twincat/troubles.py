@@ -79,7 +79,9 @@ class Troubles:
         elif fault.kind == "restart":
             program.restart()
         elif fault.kind == "refuse":
-            program.refuse = fault.code or 1
+            program.commands.refuse = fault.code or 1
+        elif fault.kind == "online_change":
+            self._handler.memory.online_change()
         elif fault.kind == "cut":
             self._links.cut()
 
@@ -87,8 +89,9 @@ class Troubles:
         lasting = {fault.kind for fault in self._schedule.lasting}
         self.frozen = "freeze" in lasting or "config" in lasting
         self._handler.spoils = "spoil" in lasting
+        self._handler.loses_stops = "lose_stops" in lasting
         self._links.silent = "silence" in lasting
         self._handler.state = CONFIG if "config" in lasting else RUN
-        self._program.cause_lasts = not lasting.isdisjoint(LASTING)
+        self._program.commands.cause_lasts = not lasting.isdisjoint(LASTING)
         if "cut" not in lasting:
             self._links.listen()
