@@ -93,6 +93,16 @@ def test_a_reader_that_is_overtaken_while_it_reads_counts_that_too():
     assert plc.ring.lost == seen[0]
 
 
+@pytest.mark.parametrize(("behind", "lost"), [(0, 0), (1, 1 + 256)])
+def test_a_ring_that_is_just_full_has_lost_nothing_and_one_row_later_it_has(behind, lost):
+    """After an overrun the rows that are gone by the time they are read are given up, too."""
+    plc = FakeRing()
+    plc.write(ROWS + behind)
+    seen = plc.pull()
+    assert seen == list(range(lost, plc.head))
+    assert (plc.ring.gaps, plc.ring.lost) == (min(lost, 1), lost)
+
+
 def test_a_row_that_is_being_written_is_read_again():
     plc = FakeRing()
     plc.write(50)
@@ -278,6 +288,8 @@ LOOPBACK = {"address": "127.0.0.1"}
         ({"address": "5.1.2"}, "address is '5.1.2'"),
         (LOOPBACK | {"ams_net_id": "1.2.3"}, "ams_net_id is '1.2.3'"),
         (LOOPBACK | {"ams_net_id": "1.2.3.4.1.256"}, "ams_net_id is"),
+        (LOOPBACK | {"local_net_id": "1.2.3"}, "local_net_id is '1.2.3'"),
+        (LOOPBACK | {"chunk_bytes": 262_145}, "chunk_bytes is 262145"),
         (LOOPBACK | {"rate": 500}, "no option rate"),
         (LOOPBACK | {"rate_hz": 1e6}, "rate_hz is 1000000.0"),
         (LOOPBACK | {"block_rows": 1.5}, "block_rows is 1.5"),
@@ -291,10 +303,11 @@ def test_an_option_that_cannot_be_is_named(given, said):
         options_of(given, "lab6")
 
 
-def test_one_plc_is_one_resource_however_it_is_written():
+def test_one_plc_is_one_resource_however_it_is_written_and_whatever_arm_of_it():
     written = (
         {"address": "PLC-7.lab", "ams_net_id": "5.1.2.3.1.1"},
         {"address": "192.168.0.7:48898", "ams_net_id": "05.1.2.3.1.1", "prefix": "gvl_hil"},
+        {"address": "192.168.0.7", "ams_net_id": "5.1.2.3.1.1", "port": 852, "prefix": "GVL_B"},
     )
     assert len({options_of(each, "lab6").resource for each in written}) == 1
 
