@@ -26,8 +26,8 @@ from typing import Any
 from hil.errors import RobotError
 
 RATES_HZ = (250, 500, 1000)
-SECONDS, QUICK_SECONDS = 0.8, 0.4
-ROUNDS, QUICK_ROUNDS = 3, 1
+SECONDS, QUICK_SECONDS = 0.8, 0.3
+ROUNDS, QUICK_ROUNDS = 2, 1
 OURS, TUNED, DOCUMENTED = ("ours",), ("pdo_maps",), ("pdo_maps", "documented")
 ORDINARY = "ordinary"
 PATHS = {
@@ -80,7 +80,7 @@ def run(
     """250, 500 and 1000 Hz; at 1000 Hz also both ends, and canopen's in one process.
 
     Args:
-        quick: 0.4 s of each once instead of three times 0.8 s.
+        quick: 0.3 s of each once instead of twice 0.8 s.
         seconds: So long instead.
         rounds: So often instead.
         rates_hz: These only; the last one is that of the ordinary priority, both ends and

@@ -14,7 +14,7 @@ from hil.typing import IntArray
 from hil_drivers.cia402.histogram import Histogram
 from hil_drivers.cia402.schedule import Schedule
 
-SETTLE_S = 0.5
+SETTLE_S = 0.4
 """From the first cycles to what is measured [s]."""
 
 AMPLITUDE = 30_000
