@@ -1,0 +1,104 @@
+"""What single options of a driver may be; errors say what would be right."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.errors import SpecError
+from hil.suggest import closest
+
+Range = tuple[float, float]
+
+
+class OptionChecks:
+    """Checks for one driver.
+
+    Args:
+        driver: Its name, for messages.
+    """
+
+    def __init__(self, driver: str) -> None:
+        self._driver = driver
+
+    def wrong_option(self, name: str, value: object, hint: str) -> SpecError:
+        """The error that says what one option was and what would be right."""
+        return SpecError(f"{self._driver} option {name} is {value!r}", hint=hint)
+
+    def lacking(self, name: str, hint: str) -> SpecError:
+        """The error for an option that has to be given."""
+        return SpecError(f"the driver {self._driver} lacks its option {name}", hint=hint)
+
+    def require_known(self, given: Iterable[str], known: Sequence[str], where: str = "") -> None:
+        """Refuse keys that there are not.
+
+        Args:
+            given: Keys as typed.
+            known: All there are.
+            where: Option that they belong to, such as `bus`; empty at the top.
+        """
+        unknown = sorted(str(name) for name in given if name not in known)
+        if not unknown:
+            return
+        meant = [repr(like) for name in unknown if (like := closest(name, known))]
+        guess = f"did you mean {', '.join(meant)}? " if meant else ""
+        of = f"the option {where} of the driver" if where else "the driver"
+        what = "key" if where else "option"
+        raise SpecError(
+            f"{of} {self._driver} has no {what} {', '.join(unknown)}",
+            hint=f"{guess}its {what}s are {', '.join(known)}",
+        )
+
+    def number(self, name: str, value: Any, between: Range, *, whole: bool = False) -> float:
+        """A number in a range; ends are in it."""
+        least, most = between
+        right = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+        if not right or not math.isfinite(value) or not least <= value <= most:
+            kind = "a whole number" if whole else "a number"
+            raise self.wrong_option(name, value, f"use {kind} from {least:.12g} to {most:.12g}")
+        return value if whole else float(value)
+
+    def choice(self, name: str, value: Any, among: Collection[Any]) -> Any:
+        """One of a few."""
+        if isinstance(value, bool) or value not in among:
+            like = closest(value, among) if isinstance(value, str) else None
+            guess = f"did you mean {like!r}? " if like else ""
+            raise self.wrong_option(
+                name, value, f"{guess}use {', '.join(str(each) for each in among)}"
+            )
+        return value
+
+    def truth(self, name: str, value: Any) -> bool:
+        """Yes or no."""
+        if not isinstance(value, bool):
+            raise self.wrong_option(name, value, "use true or false")
+        return value
+
+    def text(self, name: str, value: Any) -> str:
+        """Some text, not empty."""
+        if not isinstance(value, str) or not value.strip():
+            raise self.wrong_option(name, value, "give some text")
+        return value.strip()
+
+    def file(self, name: str, value: Any) -> str:
+        """The whole path of a file that is there."""
+        path = Path(self.text(name, value)).expanduser()
+        if not path.is_file():
+            raise self.wrong_option(name, value, f"there is no such file in {Path.cwd()}")
+        return str(path.resolve())
+
+    def per_axis(self, name: str, value: Any, n: int) -> Sequence[Any]:
+        """A value for every axis: the one that was given for all, or a list of n."""
+        if not isinstance(value, list | tuple):
+            return [value] * n
+        if len(value) != n:
+            raise self.wrong_option(name, value, f"give one value, or a list of {n}, one per joint")
+        return value
+
+    def mapping_of(self, name: str, value: Any) -> Mapping[str, Any]:
+        """Keys and values."""
+        if not isinstance(value, Mapping):
+            raise self.wrong_option(name, value, "give keys and values, as in {key: value}")
+        return value
