@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil_drivers.option_checks import OptionChecks
+from hil_drivers.option_checks import OptionChecks, Range
+
+__all__ = ["Range"]
 
 _CHECKS = OptionChecks("cia402")
 wrong_option, require_known = _CHECKS.wrong_option, _CHECKS.require_known
