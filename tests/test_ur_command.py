@@ -13,9 +13,10 @@ from ur_machine import Wire, machine_of
 from ur_mock import loopback, mock_ur
 
 from hil.errors import CommandRefused, PluginError, SpecError
+from hil_mock_robot.command_line import loopback_of
 from hil_mock_robot.ur.app import main
 from hil_mock_robot.ur.mode_codes import RobotMode, SafetyMode
-from hil_mock_robot.ur.options import loopback_of, serial_of
+from hil_mock_robot.ur.options import serial_of
 from hil_mock_robot.ur.pacing import LockStep
 from hil_mock_robot.ur.presses import PRESSES, pressed
 from hil_mock_robot.ur.side import SideService

@@ -9,8 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
-from hil.errors import SpecError
-from hil.suggest import closest
+from hil_drivers.option_checks import OptionChecks
 from hil_drivers.twincat.symbols import DEFAULT_PREFIX
 
 RANGES = {
@@ -22,6 +21,8 @@ RANGES = {
     "speed_share": (0.01, 1.0),
 }
 """Least and most of the options that are numbers."""
+
+_CHECKS = OptionChecks("twincat")
 
 WHOLE = ("port", "block_rows", "chunk_bytes")
 ADS_PORT = 48898
@@ -84,23 +85,16 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
     Raises:
         SpecError: One is missing, unknown, or cannot be.
     """
-    known = [field.name for field in fields(Options)]
-    if unknown := sorted(set(given) - set(known)):
-        meant = [repr(like) for name in unknown if (like := closest(name, known))]
-        said = f"did you mean {', '.join(meant)}? " if meant else ""
-        raise SpecError(
-            f"the driver twincat has no option {', '.join(unknown)}",
-            hint=f"{said}its options are {', '.join(known)}",
-        )
-    for name, (least, most) in RANGES.items():
-        if name in given and not _within(given[name], least, most, name in WHOLE):
-            kind = "a whole number" if name in WHOLE else "a number"
-            raise _wrong(name, given[name], f"use {kind} from {least:g} to {most:g}")
-    if given.get("effort", "torque") not in ("torque", "current"):
-        raise _wrong("effort", given["effort"], "use torque, or current")
+    _CHECKS.require_known(given, [field.name for field in fields(Options)])
+    for name, between in RANGES.items():
+        if name in given:
+            _CHECKS.number(name, given[name], between, whole=name in WHOLE)
+    _CHECKS.choice("effort", given.get("effort", "torque"), ("torque", "current"))
     prefix = given.get("prefix", DEFAULT_PREFIX)
     if not isinstance(prefix, str) or not _NAME.fullmatch(prefix):
-        raise _wrong("prefix", prefix, f"name the PLC's variable list, such as {DEFAULT_PREFIX}")
+        raise _CHECKS.wrong_option(
+            "prefix", prefix, f"name the PLC's variable list, such as {DEFAULT_PREFIX}"
+        )
     address = _address(given.get("address"))
     return Options(
         **{
@@ -122,8 +116,8 @@ def _address(value: Any) -> str:
         return host if not port or int(port) == ADS_PORT else f"{host}:{int(port)}"
     hint = "give the IP address of the PLC"
     if value is None:
-        raise SpecError("the driver twincat lacks its option address", hint=hint)
-    raise _wrong("address", value, hint)
+        raise _CHECKS.lacking("address", hint)
+    raise _CHECKS.wrong_option("address", value, hint)
 
 
 def _ams_net_id(value: Any, address: str) -> str:
@@ -132,7 +126,7 @@ def _ams_net_id(value: Any, address: str) -> str:
         return f"{host}.1.1"
     hint = "six numbers such as 5.24.37.144.1.1: TwinCAT shows it under System, Routes"
     if value is None:
-        raise SpecError("the driver twincat lacks its option ams_net_id", hint=hint)
+        raise _CHECKS.lacking("ams_net_id", hint)
     return _six_numbers("ams_net_id", value, hint)
 
 
@@ -144,7 +138,7 @@ def _local_net_id(value: Any) -> str:
 def _six_numbers(name: str, value: Any, hint: str) -> str:
     parts = value.strip().split(".") if isinstance(value, str) else []
     if len(parts) != 6 or not all(each.isdigit() and int(each) < 256 for each in parts):
-        raise _wrong(name, value, hint)
+        raise _CHECKS.wrong_option(name, value, hint)
     return ".".join(str(int(each)) for each in parts)
 
 
@@ -152,11 +146,9 @@ def _gains(value: Any, model: str) -> tuple[float, ...]:
     arm = load_arm(model)
     if value is None:
         return tuple(arm.drive_gains.tolist())
-    numbers = value if isinstance(value, list | tuple) else [value] * arm.n_joints
-    if len(numbers) != arm.n_joints or not all(_within(each, 1e-6, 1e6) for each in numbers):
-        hint = f"give {arm.n_joints} numbers above 0, torque at the joint per motor current"
-        raise _wrong("drive_gains_nm_a", value, hint)
-    return tuple(map(float, numbers))
+    name = "drive_gains_nm_a"
+    each = _CHECKS.per_axis(name, value, arm.n_joints)
+    return tuple(float(_CHECKS.number(name, one, (1e-6, 1e6))) for one in each)
 
 
 def is_ip(text: str) -> bool:
@@ -166,12 +158,3 @@ def is_ip(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _wrong(name: str, value: object, hint: str) -> SpecError:
-    return SpecError(f"twincat option {name} is {value!r}", hint=hint)
-
-
-def _within(value: Any, least: float, most: float, whole: bool = False) -> bool:
-    kinds = int if whole else (int, float)
-    return isinstance(value, kinds) and not isinstance(value, bool) and least <= value <= most

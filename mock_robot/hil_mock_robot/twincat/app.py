@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from hil.errors import HilError, SpecError
 from hil.payload import Payload
+from hil_mock_robot.command_line import factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth, published
 from hil_mock_robot.journal import Journal
 from hil_mock_robot.twincat.ads import PlcHandler
@@ -29,7 +30,6 @@ from hil_mock_robot.twincat.program import PlcProgram
 from hil_mock_robot.twincat.side import SideFile
 from hil_mock_robot.twincat.troubles import Troubles
 from hil_mock_robot.twincat.witness import Witness
-from hil_mock_robot.ur.options import factor_of, loopback_of
 
 CYCLE_S = 1.0 / RATE_HZ
 TEMPERATURES, EFFORT_TARGETS = 1, 2

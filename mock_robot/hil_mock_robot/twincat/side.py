@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from hil.errors import SpecError
+from hil_mock_robot.command_line import factor_of
 from hil_mock_robot.twincat.faults import fault_of
 from hil_mock_robot.twincat.troubles import Troubles
-from hil_mock_robot.ur.options import factor_of
 
 
 class SideFile:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from hil.errors import HilError
 from hil.payload import Payload
+from hil_mock_robot.command_line import factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.journal import Journal
 from hil_mock_robot.ur.body import Body
@@ -19,8 +20,6 @@ from hil_mock_robot.ur.loop import Loop, Pacer
 from hil_mock_robot.ur.machine import Machine
 from hil_mock_robot.ur.options import (
     OWN_COMMAND,
-    factor_of,
-    loopback_of,
     narrowed,
     parser_of,
     pose_of,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ipaddress
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,6 @@ from hil.typing import FloatArray
 from hil_mock_robot.ur.series import CB3, E_SERIES
 from hil_mock_robot.ur.telling import add_tell
 
-LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
 OWN_COMMAND = "python -m hil_mock_robot ur"
 UPRIGHT_DEG = (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)
 
@@ -82,44 +80,6 @@ def serial_of(given: str) -> str:
             hint="such as --serial 2022050001",
         )
     return given
-
-
-def factor_of(speed: str) -> float | None:
-    """Device seconds per second of wall time; None for `free` and `lock-step`.
-
-    Raises:
-        SpecError: It is none of these.
-    """
-    if speed in ("free", "lock-step"):
-        return None
-    try:
-        factor = float(speed.removeprefix("x").removeprefix("×"))
-    except ValueError:
-        factor = 0.0
-    if LEAST_FACTOR <= factor <= MOST_FACTOR:
-        return factor
-    raise SpecError(
-        f"--speed {speed!r} is no speed",
-        hint=f"give a number from {LEAST_FACTOR:g} to {MOST_FACTOR:g}, `free` or `lock-step`",
-    )
-
-
-def loopback_of(address: str) -> str:
-    """The address, if nobody outside this computer can reach it.
-
-    Raises:
-        SpecError: It is no loopback address: the mock obeys whoever connects.
-    """
-    try:
-        loopback = ipaddress.IPv4Address(address).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
-        raise SpecError(
-            f"--address {address!r} is no loopback address",
-            hint="use 127.0.0.1, or 127.0.0.2 and so on for several controllers at once",
-        )
-    return address
 
 
 def narrowed(
