@@ -16,7 +16,7 @@ from hil.arms import load_arm
 from hil.cli.app import app as hil
 from hil.errors import PluginError, SpecError
 from hil_mock_robot.cia402.app import main
-from hil_mock_robot.cia402.ends import end_of, side_path
+from hil_mock_robot.cia402.ends import HubEnd, end_of, side_path
 from hil_mock_robot.cia402.options import mounted_in, nodes_of, parser_of, pose_of
 
 ARM = load_arm("lab6")
@@ -65,6 +65,38 @@ def test_what_is_mounted_has_a_mass() -> None:
         mounted_in([-1.0, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("hil_unix", None, 10.0),
+        ("socketcan", 1e6, 10.0),
+        ("hil_unix", 1e6, 0.0),
+        ("hil_unix", 1e6, math.nan),
+        ("hil_unix", -1.0, None),
+        ("hil_unix", math.inf, None),
+    ],
+)
+def test_a_wire_that_cannot_be_is_refused(
+    given: tuple[str, float | None, float | None], tmp_path: Path
+) -> None:
+    interface, bitrate, speed = given
+    with pytest.raises(SpecError) as refused:
+        end_of(interface, str(tmp_path / "can.sock"), bitrate, speed)
+    assert refused.value.hint
+
+
+@pytest.mark.parametrize(("speed", "times"), [(None, 1), (10.0, 10)])
+def test_the_modelled_wire_goes_at_the_pace_of_the_master(
+    speed: float | None, times: int, tmp_path: Path
+) -> None:
+    end = end_of("hil_unix", str(tmp_path / "can.sock"), 1e6, speed)
+    end.send(0x181, bytes(8))
+    assert isinstance(end, HubEnd)
+    assert end.hub.wire is not None
+    assert end.hub.wire.busy_s == pytest.approx(135e-6 / times)
+    end.close()
+
+
 def test_the_side_channel_lies_beside_the_bus(tmp_path: Path) -> None:
     assert side_path("hil_unix", str(tmp_path / "a.sock")) == str(tmp_path / "a.side")
     assert side_path("virtual", "x").endswith("virtual-x.side")
@@ -105,6 +137,12 @@ def test_hil_mock_can_writes_the_truth_of_its_usual_arm(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["model"] == "lab6"
     assert json.loads(path.read_text())["arm"] == "lab6"
+
+
+def test_the_plc_of_the_bench_moves_lab6_too(tmp_path: Path) -> None:
+    path = tmp_path / "truth.json"
+    done = CliRunner().invoke(hil, ["mock", "plc", "--truth", str(path), "--json"])
+    assert json.loads(done.output)["model"] == "lab6"
 
 
 def test_other_mocks_keep_their_usual_arm(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import math
 import pytest
 
 from hil.errors import SpecError
+from hil_drivers.cia402.bus_options import SIMULATED
 from hil_drivers.cia402.options import options_of
 
 BUS = {"interface": "hil_unix", "channel": "can7"}
@@ -115,6 +116,12 @@ def test_feed_forward_belongs_to_position_control():
 def test_time_runs_at_another_pace_on_simulated_buses_only(pace):
     assert options(pace=pace).pace == (0.0 if pace == "free" else pace)
     assert "live in real time" in refused(bus=REAL, pace=pace).hint
+
+
+def test_simulated_drives_may_be_late_for_longer_than_real_ones():
+    assert options(bus=REAL).late_cycles == 3
+    assert {options(bus={**BUS, "interface": each}).late_cycles for each in SIMULATED} == {50}
+    assert options(late_cycles=7).late_cycles == options(bus=REAL, late_cycles=7).late_cycles == 7
 
 
 def test_cycles_of_a_faster_pace_take_less_wall_time_and_the_same_device_time():

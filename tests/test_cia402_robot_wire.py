@@ -16,6 +16,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 import yaml
@@ -242,6 +243,9 @@ def test_rows_have_temperatures_and_every_integer_is_recorded(mock, axes) -> Non
 
 
 def test_what_was_looked_at_before_a_motion_is_told_with_its_figures(mock, axes) -> None:
+    with mock.bus() as bus:
+        bus.send(can.Message(arbitration_id=0x1FE, data=[1], is_extended_id=False))
+    mock.wait_until(lambda _: "not ours" in {f.name: f for f in axes.checks()}["cycle"].message)
     found = {finding.name: finding for finding in axes.checks()}
     assert set(found) >= {
         "drives", "drives-enabled", "bus-load", "scaling", "joint-limits", "torque-limits",

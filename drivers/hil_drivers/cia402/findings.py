@@ -12,6 +12,7 @@ from hil_drivers.cia402.bus_load import MOST_CYCLIC, load_of
 from hil_drivers.cia402.commissioning import MASTER_SILENCE_MS
 from hil_drivers.cia402.facts import limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.supervisor import Phase
@@ -151,5 +152,20 @@ def _cycle(session: Session) -> Finding:
         f"{schedule.cycles} cycles, {late:.1%} overrun, woken within {1e6 * p99:.0f} µs (99 %); "
         + ("; ".join(refused) or "real-time priority is permitted")
     )
+    if wrong := counted(session.counts):
+        said += f"; {wrong}"
     hint = "free the computer of other work, permit real-time priority, or lower rate_hz"
     return Finding("cycle", late <= MOST_OVERRUN, said, round(late, 4), MOST_OVERRUN, hint)
+
+
+def counted(counts: Counts) -> str:
+    """What has gone wrong on the bus so far, in words; empty when nothing has."""
+    told = (
+        ("answers (TPDOs) missing", counts.missing),
+        ("of them late", counts.late),
+        ("doubled", counts.doubled),
+        ("of another length than mapped", counts.malformed),
+        ("frames of nodes that are not ours", counts.foreign),
+        ("without room in a queue", counts.overflows),
+    )
+    return ", ".join(f"{number} {what}" for what, number in told if number)

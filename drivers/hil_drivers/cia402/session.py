@@ -17,6 +17,7 @@ from hil_drivers.cia402.gains import gains_of
 from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.left_faults import LeftFault, faults_left, require_resettable
 from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.pumping import pumping
@@ -76,6 +77,11 @@ class Session:
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
             # Led by torque, an arm that is only now enabled would fall until the spring holds it.
             self.core.switch(mode)
+
+    @property
+    def counts(self) -> Counts:
+        """What has gone wrong on the bus since the connection was opened."""
+        return self._joined.cyclic.counts
 
     def flush(self) -> None:
         """Write what the log of the bus has kept."""

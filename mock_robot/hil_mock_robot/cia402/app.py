@@ -62,7 +62,7 @@ def _write_eds(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
-    end = end_of(given.interface, given.channel, given.bitrate)
+    end = end_of(given.interface, given.channel, given.bitrate, given.wire_speed)
     try:
         mock = _mock_of(given, end)
     except BaseException:
@@ -101,4 +101,5 @@ def _wire(given: argparse.Namespace) -> str:
     if given.bitrate is None:
         return ""
     modelled = ", modelled" if given.interface == HOSTED else ""
-    return f", {given.bitrate / 1000:g} kbit/s{modelled}"
+    faster = f" at {given.wire_speed:g} times real time" if given.wire_speed else ""
+    return f", {given.bitrate / 1000:g} kbit/s{modelled}{faster}"

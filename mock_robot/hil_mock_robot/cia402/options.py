@@ -50,6 +50,8 @@ def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser
     add("--interface", default=INTERFACE, help=interface)
     rate = f"of the bus [bit/s]; on {INTERFACE} the wire is modelled with it, without it is not"
     add("--bitrate", type=float, metavar="BIT_S", help=rate)
+    wire = "seconds of the modelled wire in one of the clock: the `pace` of the master; 1 without"
+    add("--wire-speed", type=float, metavar="FACTOR", help=wire)
     add("--model", default=MODEL, choices=arm_names(), help="of the arm")
     add("--seed", type=int, default=seed, help="which individual")
     add("--profile", default="full", choices=("full", "ideal"), help="of the physics")

@@ -13,6 +13,7 @@ class PlcMock:
     """A TwinCAT PLC in a process of its own, for drivers that speak ADS."""
 
     name = "plc"
+    model = "lab6"
     description = "a PLC that plays trajectories, by ADS on a loopback port (hil mock plc)"
 
     def write_truth(
