@@ -5,7 +5,6 @@ from can_drive_parts import ARM, CSP, CST, CSV, OneDrive
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.states import State
-from hil_mock_robot.cia402.watch import register_bits
 
 ENABLED, FAULT = State.OPERATION_ENABLED, State.FAULT
 BIT_13 = 0x2000
@@ -116,18 +115,63 @@ def test_a_hot_motor_warns_and_then_trips():
     assert one.state is FAULT
 
 
-def test_a_motor_that_is_still_hot_trips_again_when_it_is_enabled():
+def test_a_fault_is_not_reset_while_the_motor_is_too_hot():
     one = OneDrive().enabled(CSP)
     one.celsius = 115.0
-    one.cycles(50)
+    one.until(FAULT)
+    one.tell(0x00)
+    one.tell(0x80, cycles=3)
+    assert one.state is FAULT
+    assert one.status & 0x0080
+    one.celsius = 105.0
+    one.tell(0x80, cycles=3)
+    assert one.state is FAULT  # no edge
     one.tell(0x00)
     one.tell(0x80)
     assert one.state is State.SWITCH_ON_DISABLED
-    for word in (0x06, 0x07, 0x0F):
-        one.tell(word)
-    one.cycles(20)
+    assert [code for code, _ in one.emergencies] == [0x4310, 0]
+
+
+def test_a_reset_begins_the_watch_on_the_following_error_anew():
+    one = lagging(0.15)
+    one.until(FAULT)
+    one.lag = 0.0
+    one.tell(0x00)
+    one.tell(0x80)
+    assert not one.status & BIT_13
+
+
+def test_a_following_error_stays_told_while_the_reaction_takes_its_time():
+    one = lagging(0.0, timeout_ms=0)
+    for k in range(30):
+        one.lag = 0.15 * (k == 29)
+        target = one.registers[keys.TARGET_POSITION] + round(4e-3 * one.counts)
+        one.set(keys.TARGET_POSITION, target)
+        one.cycles(1)
+    one.cycles(3)
+    assert one.state is State.FAULT_REACTION_ACTIVE
+    assert one.status & BIT_13
+
+
+@pytest.mark.parametrize("window_rad", [0.1, 0.5, None])
+def test_an_injected_following_error_is_one_until_it_is_reset(window_rad):
+    one = OneDrive().enabled(CSP)
+    window = 0xFFFF_FFFF if window_rad is None else round(window_rad * one.counts)
+    one.set(keys.FOLLOWING_ERROR_WINDOW, window)
+    at = one.registers[keys.POSITION]
+    one.drive.slip()
+    one.cycles(2)
+    assert one.emergencies == [(0x8611, 0x21)]
     assert one.state is FAULT
-    assert [code for code, _ in one.emergencies] == [0x4310, 0, 0x4310]
+    assert one.status & BIT_13
+    error = one.registers[keys.FOLLOWING_ERROR]
+    assert error > (window_rad or 0.0) * one.counts
+    assert one.registers[keys.POSITION_DEMAND] - one.registers[keys.POSITION] == error
+    assert one.registers[keys.POSITION] == at
+    one.tell(0x00)
+    one.tell(0x80, cycles=2)
+    assert one.registers[keys.FOLLOWING_ERROR] == 0
+    assert not one.status & BIT_13
 
 
 def test_a_joint_that_runs_away_by_torque_is_too_fast():
@@ -152,14 +196,3 @@ def test_a_reset_says_that_there_is_no_error_any_more():
     one.tell(0x00)
     one.tell(0x80)
     assert one.emergencies == [(0xFF01, 0x81), (0, 0)]
-
-
-@pytest.mark.parametrize(
-    ("code", "bits"),
-    [
-        (0x2310, 0x03), (0x3210, 0x05), (0x4310, 0x09), (0x8130, 0x11), (0x8250, 0x11),
-        (0x8611, 0x21), (0x8700, 0x21), (0x7121, 0x21), (0xFF01, 0x81), (0x6320, 0x01),
-    ],
-)  # fmt: skip
-def test_the_error_register_says_what_kind_of_error_it_is(code, bits):
-    assert register_bits(code) == bits

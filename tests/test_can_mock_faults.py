@@ -35,6 +35,7 @@ def anew(running: tuple[HostedMock, Master]) -> tuple[HostedMock, Master]:
     drives, master = running
     drives.tell("clear")
     master.reset()
+    pass_time(drives, master, 60)  # who was moving is brought to rest
     return drives, master
 
 

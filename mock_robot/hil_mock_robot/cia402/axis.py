@@ -61,18 +61,19 @@ class Axis:
         shift: Increments that homing has added to the position.
         q, qd: Measured last [rad], [rad/s].
         demand_q, demand_qd: Where the set-point is at the end of the last block [rad], [rad/s].
+        slipped: Increments that the set-point has jumped away from the joint (injected).
         limited: A set-point was cut to what is allowed, in the last block.
     """
 
     __slots__ = (
         "counts", "current_counts", "demand_q", "demand_qd", "joint", "limited", "q", "qd",
-        "registers", "shift", "speed_counts", "torque_counts",
+        "registers", "shift", "speed_counts", "slipped", "torque_counts",
     )  # fmt: skip
 
     def __init__(self, registers: Registers, joint: Joint) -> None:
         self.registers, self.joint = registers, joint
         self.q = self.qd = self.demand_q = self.demand_qd = 0.0
-        self.shift = 0
+        self.shift = self.slipped = 0
         self.limited = False
         self.rescale()
 

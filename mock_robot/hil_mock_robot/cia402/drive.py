@@ -13,6 +13,7 @@ from collections.abc import Callable
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import SCALING, Axis, Joint, joints_of
 from hil_mock_robot.cia402.contracts import Demand, Measured, Registers
+from hil_mock_robot.cia402.errors import bits_of
 from hil_mock_robot.cia402.modes import CST, CYCLIC, FOLLOWING, MODE_BITS, Mode, mode_of
 from hil_mock_robot.cia402.paths import Ramp, held
 from hil_mock_robot.cia402.power import PowerStage
@@ -27,19 +28,22 @@ from hil_mock_robot.cia402.states import (
     State,
 )
 from hil_mock_robot.cia402.stopping import AT_REST_RAD_S, option_of
-from hil_mock_robot.cia402.watch import SYNC_LOST_STEPS, TOO_FAR, Watch, register_bits
+from hil_mock_robot.cia402.watch import NO_WINDOW, SYNC_LOST_STEPS, TOO_FAR, Watch
 
 __all__ = ["Drive", "Emergency", "Joint", "joints_of"]
 
 Emergency = Callable[[int, int], None]
 """Told an EMCY code (0: no error any more) and the bits of 1001h that belong to it."""
 
-SYNC_LOST, HEARTBEAT_LOST = 0x8700, 0x8130
+SYNC_LOST, HEARTBEAT_LOST, TAKEN_OFF = 0x8700, 0x8130, 0x8100
+"""Codes of errors; the last one: the NMT master has taken an enabled drive out of operation."""
+
 ABORT_FAULT = 1
 ABORT_COMMANDS = {2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}
 """6007h."""
 
 ENABLED = State.OPERATION_ENABLED
+LEAST_SLIP_RAD = 0.2
 
 
 class Drive:
@@ -77,12 +81,13 @@ class Drive:
     def reset(self) -> None:
         """Switched off and on: the brake closes, faults are forgotten; NMT reset node."""
         axis = self._axis
-        axis.shift = 0
+        axis.shift = axis.slipped = 0
         axis.rescale()
         axis.stay()
         self._shown = self.registers[keys.MODE_DISPLAY] = 0
         self._mode: Mode = mode_of(0, axis)
-        self._unsynced, self._strayed, self._limited = 0, False, False
+        self._unsynced, self._strayed = 0, False
+        self._limited = self._restarts = False
         self._watch.reset()
         self._power.switch_off()
         self._tell()
@@ -101,6 +106,8 @@ class Drive:
         becomes of it is in the statusword after the next steps.
         """
         power = self._power
+        if self._restarts:
+            return
         if power.obey():
             self._mode.resume()
         wanted = self.registers[keys.MODE]
@@ -142,11 +149,14 @@ class Drive:
         if not powered or (self._shown == CST and not stopping and power.halt is None):
             axis.demand_q, axis.demand_qd = measured.q, measured.qd
         error = write_readings(axis, measured)
+        self._watch.feel(measured.celsius)
         if powered:
             followed = power.state is ENABLED and self._shown in FOLLOWING and not stopping
-            if code := self._watch.look(error if followed else 0, measured, steps):
-                self.fault(code)
+            if power.state not in FAULTED:
+                self.fault(self._watch.look(error if followed else 0, measured, steps))
             power.look(axis.qd, steps)
+            if self._restarts and not power.powered:
+                self.reset()
         elif power.state is State.NOT_READY_TO_SWITCH_ON:
             power.enter(State.SWITCH_ON_DISABLED)
         self._limited = axis.limited or (measured.limited and powered)
@@ -155,18 +165,40 @@ class Drive:
     def fault(self, code: int) -> None:
         """Something is wrong (an EMCY code): fault reaction by 605Eh, then fault.
 
-        Without effect while there is a fault already.
+        Without effect while there is a fault already, and for 0.
         """
         axis, power = self._axis, self._power
-        if power.state in FAULTED:
+        if not code or power.state in FAULTED:
             return
         powered = power.powered
         power.enter(State.FAULT_REACTION_ACTIVE)
-        self._emergency(code, register_bits(code))
+        self._emergency(code, bits_of(code))
         if code == TOO_FAR:  # the set-point is where the joint is not
             axis.demand_q, axis.demand_qd = axis.q, axis.qd
         power.react(powered)
         self._tell()
+
+    def slip(self) -> None:
+        """Its set-point jumps out of the window around the joint (injected): 8611h."""
+        window = self.registers[keys.FOLLOWING_ERROR_WINDOW]
+        if self._power.state in FAULTED:
+            return
+        away = round(LEAST_SLIP_RAD * abs(self._axis.counts))
+        self._axis.slipped = away if window == NO_WINDOW else max(away, min(2 * window, 1 << 30))
+        self._watch.too_far = True
+        self.fault(TOO_FAR)
+
+    def taken_off(self) -> None:
+        """The NMT state operational is left, or a reset is to come: 6007h, where it has power."""
+        if self._power.powered:
+            self.connection_lost(TAKEN_OFF)
+
+    def restart(self) -> None:
+        """NMT reset node: `reset`, but a joint that is being stopped is brought to rest first."""
+        stops = self._power.powered and self._power.stop is not None
+        self._restarts = stops and abs(self._axis.qd) > AT_REST_RAD_S
+        if not self._restarts:
+            self.reset()
 
     def connection_lost(self, code: int = HEARTBEAT_LOST) -> None:
         """The master's heartbeat is overdue, or the bus is off: reaction by 6007h.
@@ -205,9 +237,14 @@ class Drive:
         self._watch.reset()
         self._mode = mode_of(self._shown, self._axis)
 
-    def _fault_reset(self) -> None:
+    def _fault_reset(self) -> bool:
+        """A master resets the fault; whether its cause is gone."""
+        if self._watch.hot:
+            return False
         self._watch.reset()
+        self._axis.slipped = 0
         self._emergency(0, 0)
+        return True
 
     def _slow_down(self, ramp: Ramp, steps: int) -> Demand:
         axis = self._axis

@@ -17,12 +17,14 @@ GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MAKER = (
 )
 """Bits of the error register."""
 
-_GROUPS = {0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x8: PROFILE, 0xF: MAKER}
-_COMMUNICATION = (0x81, 0x82, 0x87)
+_GROUPS = {
+    0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x7: PROFILE, 0x8: PROFILE, 0xF: MAKER,
+}  # fmt: skip
+_COMMUNICATION = (0x81, 0x82)
 
 
 def bits_of(code: int) -> int:
-    """What an error sets in the error register."""
+    """What an error sets in the error register (CiA 301); 7xxxh and 83xxh on are CiA 402's."""
     if code >> 8 in _COMMUNICATION:
         return GENERIC | COMMUNICATION
     return GENERIC | _GROUPS.get(code >> 12, 0)
@@ -69,6 +71,14 @@ class Errors:
             gone = self._active.pop(code, None) is not None
         if gone:
             self._tell(0, b"")
+
+    def told_late(self, code: int) -> None:
+        """An error that came while nobody could be told: it is there, or it was."""
+        if code in self._active:
+            self._tell(code, b"")
+        else:
+            self.report(code)
+            self.recovered(code)
 
     def forget(self) -> None:
         """The node was switched off and on."""

@@ -18,7 +18,7 @@ from hil_mock_robot.cia402.objects import Object
 from hil_mock_robot.cia402.sdo import SdoServer
 
 HEARTBEAT = 0x700
-HEARTBEAT_LOST = 0x8130
+HEARTBEAT_LOST, BUS_OFF = 0x8130, 0x8140
 SDO_BYTES = 8
 BOOT_UP = bytes([State.INITIALISING])
 TALKING = (State.PRE_OPERATIONAL, State.OPERATIONAL)
@@ -127,6 +127,14 @@ class MockNode(canopen.LocalNode):
         """That error is gone, or all are: EMCY 0000h."""
         self.errors.recovered(code)
 
+    def bus_off(self) -> None:
+        """Its CAN controller has given up: nobody hears it, and it reacts."""
+        self._react(BUS_OFF)
+
+    def bus_back(self) -> None:
+        """Its CAN controller is back: now it can say so."""
+        self.errors.told_late(BUS_OFF)
+
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
         """An object's data; the SDO server's way in."""
         entry = access.entry_of(index, subindex)
@@ -167,6 +175,7 @@ class MockNode(canopen.LocalNode):
         self._producer.restart(self._now_s + self.registers[keys.PRODUCER_HEARTBEAT] / 1000)
 
     def _reset(self, application: bool) -> None:
+        self.hooks.resetting(application)
         for entry in by_key().values():
             communication = 0x1000 <= entry.index < 0x2000
             stays = entry.kept or entry.index in _ERROR_STATE
@@ -199,6 +208,9 @@ class MockNode(canopen.LocalNode):
 
     def _lost_connection(self, code: int) -> None:
         self.errors.report(code)
+        self._react(code)
+
+    def _react(self, code: int) -> None:
         self.hooks.connection_lost(code)
         reaction = REACTIONS.get(self.registers[keys.COMMUNICATION_ERROR_REACTION])
         if reaction is not None and self._nmt.code is State.OPERATIONAL:

@@ -38,7 +38,7 @@ class PowerStage:
     Args:
         axis: What it powers.
         begun: Called when the operation is enabled, and when it goes on after a quick stop.
-        fault_reset: Called when a master resets a fault.
+        fault_reset: Called when a master resets a fault; whether it may, or its cause is there yet.
 
     Attributes:
         state: See `states`.
@@ -50,7 +50,7 @@ class PowerStage:
     """
 
     def __init__(
-        self, axis: Axis, begun: Callable[[], None], fault_reset: Callable[[], None]
+        self, axis: Axis, begun: Callable[[], None], fault_reset: Callable[[], bool]
     ) -> None:
         self._axis, self._begun, self._fault_reset = axis, begun, fault_reset
         self.switch_off()
@@ -140,8 +140,8 @@ class PowerStage:
             case Transition.DISABLE_FROM_ENABLED | Transition.QUICK_STOP_ENDED:
                 self._lose(to)
             case Transition.FAULT_RESET:
-                self.enter(to)
-                self._fault_reset()
+                if self._fault_reset():
+                    self.enter(to)
             case _:
                 self.enter(to)
 

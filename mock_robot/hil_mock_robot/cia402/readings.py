@@ -21,7 +21,8 @@ def write_readings(axis: Axis, measured: Measured) -> int:
     """
     objects = axis.registers
     torque = within(round(measured.torque * axis.torque_counts), INT16)
-    position, demand = axis.raw_position(measured.q), axis.raw_position(axis.demand_q)
+    position = axis.raw_position(measured.q)
+    demand = wrapped(axis.raw_position(axis.demand_q) + axis.slipped)
     error = wrapped(demand - position)
     objects[keys.POSITION], objects[keys.POSITION_DEMAND] = position, demand
     objects[keys.FOLLOWING_ERROR] = error

@@ -14,7 +14,7 @@ from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.unit import Unit
 from hil_mock_robot.schedule import Schedule
 
-FOLLOWING_ERROR, OVERCURRENT = 0x8611, 0x2310
+OVERCURRENT = 0x2310
 EVERY_MODE = frozenset(range(-128, 128))
 
 
@@ -55,7 +55,7 @@ class Troubles:
         self.listeners: list[Callable[[Fault, bool], None]] = []
         self._effects: dict[str, Callable[[Unit, Fault, bool], None]] = {
             "emergency": lambda axis, fault, begins: self._fail(axis, fault.code, begins),
-            "following_error": lambda axis, _, begins: self._fail(axis, FOLLOWING_ERROR, begins),
+            "following_error": _slip,
             "overcurrent": lambda axis, _, begins: self._fail(axis, OVERCURRENT, begins),
             "overheat": self._overheat,
             "heartbeat_loss": _mute,
@@ -139,6 +139,11 @@ class Troubles:
             raise CommandRefused(f"{where}: axis is {fault.axis}", hint=f"there are {count} axes")
         if fault.axis == MASTER and fault.kind != "bus_off":
             raise SpecError(f"{where}: axis is master", hint="only bus_off strikes the master")
+
+
+def _slip(axis: Unit, fault: Fault, begins: bool) -> None:
+    if begins:
+        axis.drive.slip()
 
 
 def _mute(axis: Unit, fault: Fault, begins: bool) -> None:

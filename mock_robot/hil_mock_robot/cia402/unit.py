@@ -17,8 +17,6 @@ Told = Callable[[int, str, int], None]
 """Axis from 0, what happened there (`emergency`, `nmt`, `booted`, `connection_lost`), a code."""
 
 NMT = 0x000
-BUS_OFF_CODE = 0x8140
-"""EMCY: what a drive says when it is back on the bus."""
 PERIOD = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
 LONGEST_PERIOD_S = 1.0
 
@@ -53,11 +51,13 @@ class Unit:
     ) -> None:
         self.number, self.node_id, self.registers = number, node_id, registers
         self.follows_sync = True
+        self._operational = False
         self._told, self._on_written = told, written
         self.line = Line(node_id, put)
         hooks = Hooks(
             applied=lambda: self.drive.obey(),
             written=self._written,
+            resetting=lambda _: self.drive.taken_off(),
             nmt_changed=self._nmt_changed,
             booted=self._booted,
             connection_lost=self._connection_lost,
@@ -83,12 +83,14 @@ class Unit:
         """Its CAN controller has given up: nothing passes, and the drive knows."""
         self.line.cuts.add("bus_off")
         self.line.look()
-        self.drive.connection_lost(BUS_OFF_CODE)
+        self.node.bus_off()
 
     def recover(self) -> None:
         """It is back on the bus."""
-        self.line.cuts.discard("bus_off")
-        self.line.look()
+        if "bus_off" in self.line.cuts:
+            self.line.cuts.discard("bus_off")
+            self.line.look()
+            self.node.bus_back()
 
     def power_off(self) -> None:
         """Nothing works any more, the brake is on."""
@@ -110,12 +112,14 @@ class Unit:
 
     def _nmt_changed(self, state: int) -> None:
         self._told(self.number, "nmt", state)
-        if state == State.STOPPED:
-            self.drive.connection_lost()
+        left, self._operational = self._operational, state == State.OPERATIONAL
+        if left or state == State.STOPPED:
+            self.drive.taken_off()
 
     def _booted(self, application: bool) -> None:
+        self._operational = False
         if application:
-            self.drive.reset()
+            self.drive.restart()
         self._told(self.number, "booted", int(application))
 
     def _connection_lost(self, code: int) -> None:

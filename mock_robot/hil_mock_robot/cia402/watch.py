@@ -16,19 +16,6 @@ SYNC_LOST_STEPS = 100
 NO_WINDOW = 0xFFFF_FFFF
 TOO_HOT, TOO_FAST, TOO_FAR = 0x4310, 0x8400, 0x8611
 
-GENERIC, CURRENT, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MAKER = (
-    0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x80,
-)  # fmt: skip
-_BY_FAMILY = {0x2: CURRENT, 0x3: VOLTAGE, 0x4: TEMPERATURE, 0x7: PROFILE, 0xF: MAKER}
-
-
-def register_bits(code: int) -> int:
-    """Bits of the error register (1001h) that belong to an EMCY code (CiA 301)."""
-    family = code >> 12
-    if family == 0x8:
-        return GENERIC | (COMMUNICATION if code >> 8 in (0x81, 0x82) else PROFILE)
-    return GENERIC | _BY_FAMILY.get(family, 0)
-
 
 class Watch:
     """The watch on one axis.
@@ -36,27 +23,31 @@ class Watch:
     Attributes:
         too_far: The following error is outside its window (bit 13), or was when it tripped.
         warns: The motor is warm (bit 7).
+        hot: It is too hot.
     """
 
     def __init__(self, axis: Axis) -> None:
         self._axis = axis
-        self.too_far = self.warns = False
+        self.too_far = self.warns = self.hot = False
         self._away = 0
 
     def reset(self) -> None:
         """Forget what was."""
         self.too_far, self._away = False, 0
 
+    def feel(self, celsius: float) -> None:
+        """The motor is so warm [°C], whether it has power or not."""
+        self.warns, self.hot = celsius >= WARM_C, celsius >= HOT_C
+
     def look(self, error: int, measured: Measured, steps: int) -> int:
-        """EMCY code of what is wrong, or 0.
+        """EMCY code of what is wrong with an axis that has power, or 0.
 
         Args:
             error: Following error [increments]; 0 where it does not matter.
             measured: After the last steps.
             steps: How many they were.
         """
-        self.warns = measured.celsius >= WARM_C
-        if measured.celsius >= HOT_C:
+        if self.hot:
             return TOO_HOT
         if abs(measured.qd) > OVERSPEED * self._axis.joint.qd_max:
             return TOO_FAST
