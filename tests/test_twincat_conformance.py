@@ -22,7 +22,7 @@ def first_stop(running: MockPlc, asked: float) -> float | None:
 
 
 def test_the_driver_keeps_the_contract_of_a_robot(tmp_path: Path) -> None:
-    with mock_plc(tmp_path) as running:
+    with mock_plc(tmp_path, "--speed", "6") as running:
         bench = Bench(
             move_ramp_rad_s2=STOP_RAD_S2,
             trajectory_ramp_rad_s2=STOP_RAD_S2,

@@ -44,7 +44,7 @@ def run(spec: Path, station: Path, folder: Path) -> dict[str, Any]:
 
 
 def test_an_experiment_behind_a_plc_is_recorded_at_1_khz_without_a_gap(tmp_path: Path) -> None:
-    with mock_plc(tmp_path, "--speed", "5") as running:
+    with mock_plc(tmp_path, "--speed", "20") as running:
         spec, station = shortened(tmp_path, running.address)
         said = run(spec, station, tmp_path / "runs")
         commands = {line["by"] for line in running.journal("command")}

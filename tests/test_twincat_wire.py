@@ -163,8 +163,20 @@ def connected_again(robot, within_s=8.0):
     return robot.connect()
 
 
+def test_nobody_is_waited_for_longer_than_was_asked_for(robot, plc):
+    plc.side(kind="silence", for_s=0.3)
+    time.sleep(0.05)
+    began = time.monotonic()
+    with pytest.raises(RobotTimeout, match=r"has not answered within 0\.05 s"):
+        robot.read(0.05)
+    assert time.monotonic() - began < 0.3
+    plc.side(clear=True)
+    time.sleep(0.3)
+    assert len(robot.read())
+
+
 def test_set_points_that_arrive_spoilt_are_not_played(robot, plc):
-    segment = move(robot, 0.2)
+    segment = move(robot, 0.05)
     plc.side(kind="spoil")
     time.sleep(0.05)
     with pytest.raises(CommandRefused, match="what it received is not what was sent"):

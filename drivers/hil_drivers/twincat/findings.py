@@ -113,5 +113,6 @@ def _ring(looked: Looked) -> Finding:
     ring, rows = looked.ring, int(looked.controller.info["nRingRows"])
     seconds = rows * float(looked.controller.info["fCycleS"])
     said = f"ring of {rows} rows ({seconds:.1f} s): {ring.lost} rows lost in {ring.gaps} gaps"
+    said += f", {ring.torn} blocks read again" if ring.torn else ""
     hint = "something kept hil from reading: look for other load on this computer"
     return Finding("ring", ring.lost == 0, said, ring.lost, 0, hint)
