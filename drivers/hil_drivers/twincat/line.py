@@ -16,7 +16,16 @@ import numpy as np
 
 from hil.errors import RobotConnectionError
 from hil_drivers.twincat.options import Options
-from hil_drivers.twincat.places import VERSION, Place, block
+from hil_drivers.twincat.places import (
+    HANDLE_BY_NAME,
+    INFO_BY_NAME,
+    RELEASE_HANDLE,
+    SUM_READ,
+    VALUE_BY_HANDLE,
+    VERSION,
+    Place,
+    block,
+)
 from hil_drivers.twincat.reach import library
 from hil_drivers.twincat.return_codes import ROUTE, error_of, error_of_code, text_of
 
@@ -100,7 +109,7 @@ class Line:
 
         with self._told(f"asked for {name}"):
             entry = self._opened().read_write(
-                constants.ADSIGRP_SYM_INFOBYNAMEEX, 0, structs.SAdsSymbolEntry, name,
+                INFO_BY_NAME, 0, structs.SAdsSymbolEntry, name,
                 constants.PLCTYPE_STRING, return_ctypes=True,
             )  # fmt: skip
             return Place(int(entry.iGroup), int(entry.iOffs), int(entry.size))
@@ -120,18 +129,14 @@ class Line:
         size = self.place(name).size
         with self._told(f"asked for {name}"):
             handle = self._opened().read_write(
-                constants.ADSIGRP_SYM_HNDBYNAME, 0, constants.PLCTYPE_UDINT, name,
+                HANDLE_BY_NAME, 0, constants.PLCTYPE_UDINT, name,
                 constants.PLCTYPE_STRING,
             )  # fmt: skip
-        return Place(constants.ADSIGRP_SYM_VALBYHND, int(handle), size)
+        return Place(VALUE_BY_HANDLE, int(handle), size)
 
     def release(self, handle: Place) -> None:
         """Give a handle back; raises as `read`."""
-        from pyads import constants
-
-        self.write(
-            Place(constants.ADSIGRP_SYM_RELEASEHND, 0, 4), handle.offset.to_bytes(4, "little")
-        )
+        self.write(Place(RELEASE_HANDLE, 0, 4), handle.offset.to_bytes(4, "little"))
 
     def version(self) -> int:
         """Of the PLC's symbols: another one once its program was changed; raises as `read`."""
@@ -171,7 +176,7 @@ class Line:
         Raises:
             RobotError: As `read`.
         """
-        from pyads import constants, structs
+        from pyads import structs
 
         wanted = place.size - start if size is None else size
         asked = (Place(place.group, place.offset + start, wanted), VERSION)
@@ -181,7 +186,7 @@ class Line:
         with self._told(what := f"read {wanted} bytes"):
             told = bytes(
                 self._opened().read_write(
-                    constants.ADSIGRP_SUMUP_READ, len(asked), None, parts, None, return_ctypes=True
+                    SUM_READ, len(asked), None, parts, None, return_ctypes=True
                 )
             )
         for code in np.frombuffer(told, "<u4", len(asked)).tolist():

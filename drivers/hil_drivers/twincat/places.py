@@ -24,6 +24,10 @@ class Place:
     size: int
 
 
+HANDLE_BY_NAME, VALUE_BY_HANDLE, RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
+INFO_BY_NAME, SUM_READ = 0xF009, 0xF080
+"""Index groups of ADS."""
+
 VERSION = Place(0xF008, 0, 1)
 """Version of the PLC's symbols: another one once its program was changed online."""
 

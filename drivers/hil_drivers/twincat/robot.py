@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
-from hil_drivers.checks import require_executable, require_liftable
+from hil_drivers.checks import require_liftable
+from hil_drivers.twincat import commanding
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.facts import capabilities_of, limits_of
 from hil_drivers.twincat.findings import Looked, findings_of
 from hil_drivers.twincat.options import options_of
-from hil_drivers.twincat.orders import payload_fields, payload_in
+from hil_drivers.twincat.orders import payload_in
 from hil_drivers.twincat.reading import Reading
 from hil_drivers.twincat.rows import reading_topic
-from hil_drivers.twincat.symbols import Order, Phase
 from hil_drivers.twincat.watch import Watch
-
-AT_SET_POINT_RAD = 1e-3
-"""The PLC begins with the first set-point as it is: it has to be where the arm is held."""
 
 
 class TwinCatRobot:
@@ -44,7 +40,7 @@ class TwinCatRobot:
         self._controller: Controller | None = None
         self._reading: Reading | None = None
         self._topic = reading_topic(self._options.rate_hz)
-        self._prepared: tuple[Segment, int] | None = None
+        self._prepared: commanding.Prepared | None = None
         self._declared: Payload | None = None
 
     @property
@@ -121,12 +117,9 @@ class TwinCatRobot:
         """
         controller = self._healthy()
         require_liftable(payload, self.limits)
-        with self._obeyed(controller):
-            answer = controller.orders.give(
-                Order.PAYLOAD, "declare a load", **payload_fields(payload)
-            )
+        computed = commanding.declare(controller, self._watch, payload)
         self._declared = payload
-        return payload_in(answer)
+        return computed
 
     def prepare(self, segment: Segment) -> None:
         """Check the next segment and upload it; the PLC checks it as well.
@@ -137,8 +130,7 @@ class TwinCatRobot:
         """
         self._prepared = None
         controller = self._healthy()
-        with self._obeyed(controller):
-            self._prepared = self._uploaded(controller, segment)
+        self._prepared = commanding.prepare(controller, self._watch, segment, self.limits)
 
     def start(self) -> None:
         """Begin the prepared segment.
@@ -150,12 +142,7 @@ class TwinCatRobot:
         controller = self._healthy()
         if prepared is None:
             raise CommandRefused("no segment is prepared", hint="call prepare() first")
-        segment, stops = prepared
-        order = Order.HOLD if segment.kind == "hold" else Order.START
-        what = f"start segment {segment.index} ({segment.kind})"
-        with self._obeyed(controller):
-            controller.orders.give(order, what, nSegment=segment.index, nStop=stops)
-        self._watch.begun(segment.index)
+        commanding.start(controller, self._watch, prepared)
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All rows since the last call, a block of `block_rows` where there is time for it.
@@ -196,31 +183,6 @@ class TwinCatRobot:
 
     def client_gone(self) -> None:
         """For drivers in a process of their own: nothing to be told to this arm."""
-
-    def _uploaded(self, controller: Controller, segment: Segment) -> tuple[Segment, int]:
-        """Check and upload it; returns it and the `nStop` with which it may be started."""
-        state, stops = controller.stops.before_start()
-        if state["nPhase"] in (Phase.PLAYING, Phase.STOPPING):
-            raise CommandRefused("the arm is still moving", hint="read until it is at rest")
-        standing = controller.variables.newest_row()["aQTarget"]
-        require_executable(segment, self.limits, standing, at_set_point_rad=AT_SET_POINT_RAD)
-        if segment.kind != "hold":
-            controller.load(segment)
-        return segment, stops
-
-    @contextmanager
-    def _obeyed(self, controller: Controller) -> Iterator[None]:
-        """A command that gets no answer might be obeyed later: stop, and give no more of them."""
-        try:
-            yield
-        except (RobotTimeout, RobotConnectionError):
-            self._watch.faulty = True
-            with suppress(RobotConnectionError):
-                controller.stop()
-            raise
-        except RobotFault:
-            self._watch.faulty = True
-            raise
 
     def _connected(self) -> Controller:
         if self._controller is None:

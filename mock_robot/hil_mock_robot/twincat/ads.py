@@ -1,8 +1,6 @@
 """What the ADS server of a PLC answers: symbols by name, and bytes of its data.
 
-A handler as pyads' own test server has them. Its other half, `AdsTestServer`, is not used: it takes
-whatever one `recv` of 4096 bytes gives for one request, keeps all requests in memory, and a
-request it cannot serve ends the conversation (`links` cuts the stream instead).
+A handler as pyads' own test server has them; its other half is not used, see `links`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""AMS over TCP: connections, and their byte streams cut into requests wherever they were split."""
+"""AMS over TCP: connections, and their byte streams cut into requests wherever they were split.
+
+pyads' `AdsTestServer` takes whatever one `recv` of 4096 bytes gives for one request, keeps all
+requests in memory, and a request it cannot serve ends the conversation.
+"""
 
 from __future__ import annotations
 
