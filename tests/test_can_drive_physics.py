@@ -83,6 +83,29 @@ def test_the_arm_does_not_drop_when_its_brakes_open():
     assert np.degrees(np.abs(arm.q - before).max()) < 0.05
 
 
+def test_a_torque_offset_that_is_there_when_brakes_open_counts_once():
+    arm = SixDrives(BENT)
+    before = arm.q
+    rated = np.array(arm.raw(keys.RATED_TORQUE)) * 1e-3 * ARM.gear_ratio
+    arm.set(keys.TORQUE_OFFSET, np.round(1000 * static_torque(before) / rated).astype(int))
+    arm.enabled(CSP)
+    arm.cycles(250)
+    assert np.degrees(np.abs(arm.q - before).max()) < 0.05
+
+
+def test_csp_after_cst_goes_on_with_the_torque_that_held_the_arm():
+    arm = SixDrives(BENT)
+    rated = np.array(arm.raw(keys.RATED_TORQUE)) * 1e-3 * ARM.gear_ratio
+    arm.set(keys.TARGET_TORQUE, np.round(1000 * static_torque(arm.q) / rated).astype(int))
+    arm.enabled(CST)
+    arm.cycles(5)
+    before = arm.q
+    arm.set(keys.TARGET_POSITION, arm.raw(keys.POSITION))
+    arm.set(keys.MODE, [CSP] * 6)
+    arm.cycles(25)
+    assert np.degrees(np.abs(arm.q - before).max()) < 0.05
+
+
 def test_on_its_brakes_the_arm_neither_moves_nor_takes_current():
     arm = SixDrives(BENT)
     before = arm.q

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import struct
 
+import canopen
 import pytest
 from can_node_parts import EMERGENCY, STOP, Bench
 
 OVERCURRENT, OVERVOLTAGE, FOLLOWING = 0x2310, 0x3210, 0x8611
+NO_DATA = 0x0800_0024
 
 
 @pytest.fixture
@@ -31,7 +33,8 @@ def history(bench: Bench) -> list[int]:
     [
         (0x1000, 0x01), (OVERCURRENT, 0x03), (0x2320, 0x03), (OVERVOLTAGE, 0x05), (0x3220, 0x05),
         (0x4310, 0x09), (0x5000, 0x01), (0x6320, 0x01), (0x7305, 0x21), (0x8130, 0x11),
-        (0x8210, 0x11), (0x8250, 0x11), (0x8700, 0x21), (FOLLOWING, 0x21), (0x8400, 0x21), (0xFF01, 0x81),
+        (0x8210, 0x11), (0x8250, 0x11), (0x8700, 0x21), (FOLLOWING, 0x21), (0x8400, 0x21),
+        (0x7121, 0x21), (0xFF01, 0x81),
     ],
 )  # fmt: skip
 def test_an_error_sets_the_bits_of_its_kind(bench, code, register):
@@ -98,8 +101,18 @@ def test_writing_0_to_its_number_clears_the_history(bench):
     bench.node.emergency(OVERCURRENT)
     bench.write(0x1003, 0, 0, 1)
     assert bench.read(0x1003) == 0
-    assert bench.read(0x1003, 1) == 0
     assert bench.read(0x1001) == 3
+    bench.node.emergency(OVERVOLTAGE)
+    assert history(bench) == [OVERVOLTAGE]
+
+
+def test_the_history_has_no_data_beyond_its_number(bench):
+    bench.node.emergency(OVERCURRENT)
+    assert bench.read(0x1003, 1) == OVERCURRENT
+    for sub in (2, 8):
+        with pytest.raises(canopen.SdoAbortedError) as refused:
+            bench.read(0x1003, sub)
+        assert refused.value.code == NO_DATA
 
 
 def test_a_stopped_node_sends_no_emergency_but_keeps_the_error(bench):

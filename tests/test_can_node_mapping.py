@@ -199,3 +199,17 @@ def test_vendor_objects_can_be_mapped(bench):
 
 def test_the_sync_identifier_is_the_predefined_one(bench):
     assert bench.read(0x1005) == SYNC
+
+
+def test_a_dummy_is_passed_over_in_what_comes(bench):
+    bench.map(2, [0x0005_0008, 0x0006_0010, TARGET], transmit=False)
+    bench.operational()
+    bench.node.heard(0x300 + NODE, bytes(3) + b"\x10\x00\x00\x00")
+    bench.node.synced()
+    assert bench.registers[key(0x607A)] == 0x10
+
+
+def test_a_dummy_of_another_length_or_in_a_tpdo_cannot_be_mapped(bench):
+    for index, entry in ((0x1401, 0x0005_0010), (0x1401, 0x0008_0020), (0x1801, 0x0005_0008)):
+        invalidated(bench, index)
+        assert bench.aborts(index + 0x200, 1, entry, 4) in (NO_OBJECT, INCOMPATIBLE)

@@ -14,6 +14,7 @@ from hil_mock_robot.cia402.contracts import key
 NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 WRITE_ONLY, READ_ONLY = 0x0601_0001, 0x0601_0002
 LENGTH, RANGE, STATE, INCOMPATIBLE = 0x0607_0010, 0x0609_0030, 0x0800_0022, 0x0604_0043
+UNKNOWN_COMMAND = 0x0504_0001
 ENABLED, SWITCHED_ON, QUICK_STOP = 0x0627, 0x0623, 0x0607
 
 
@@ -197,3 +198,66 @@ def test_no_frame_makes_the_node_stumble(bench, caplog):
         bench.node.heard(0x600 + NODE, data)
     assert [record.getMessage() for record in caplog.records if record.exc_info] == []
     assert bench.read(0x1000) == 0x20192
+
+
+def answers_to(bench, *requests):
+    answers = []
+    bench.network.subscribe(0x580 + NODE, lambda _, data, __: answers.append(bytes(data)))
+    for request in requests:
+        bench.node.heard(0x600 + NODE, bytes.fromhex(request).ljust(8, b"\x00"))
+    return answers
+
+
+def code_of(answer):
+    assert answer[0] == 0x80, answer.hex()
+    return int.from_bytes(answer[4:], "little")
+
+
+@pytest.mark.parametrize("segment", ["0101020304", "0701020304", "60", "70"])
+def test_a_segment_without_a_transfer_is_an_unknown_command(bench, caplog, segment):
+    assert code_of(answers_to(bench, segment)[-1]) == UNKNOWN_COMMAND
+    assert not [record for record in caplog.records if record.exc_info]
+
+
+def test_a_transfer_that_is_over_takes_no_further_segment(bench):
+    answers = answers_to(bench, "217a600004", "0711020304")
+    assert [answer[0] for answer in answers] == [0x60, 0x20]
+    bench.registers[key(0x607A)] = 7
+    assert code_of(answers_to(bench, "1f")[-1]) == UNKNOWN_COMMAND
+    assert bench.registers[key(0x607A)] == 7
+
+
+def test_an_upload_that_is_over_gives_no_further_segment(bench):
+    answers = answers_to(bench, "40081000", "60", "70", "60")
+    assert [answer[0] for answer in answers[:3]] == [0x41, 0x00, 0x11]
+    assert code_of(answers[3]) == UNKNOWN_COMMAND
+
+
+@pytest.mark.parametrize("announced", ["08", "03"])
+def test_a_length_that_cannot_be_is_refused_when_it_is_announced(bench, announced):
+    assert code_of(answers_to(bench, "217a6000" + announced)[-1]) == LENGTH
+
+
+@pytest.mark.parametrize(
+    ("value", "index"),
+    [(4, -3), (255, -3), (40, -4), (1, 0), (100, -2), (200, -5)],
+)
+def test_a_period_of_whole_milliseconds_is_taken(bench, value, index):
+    bench.write(0x60C2, 1, value, 1)
+    bench.write(0x60C2, 2, index, 1)
+    bench.write(0x1006, 0, 12_000, 4)
+
+
+def test_a_period_that_is_no_whole_number_of_milliseconds_is_refused(bench):
+    bench.write(0x60C2, 1, 25, 1)
+    assert bench.aborts(0x60C2, 2, -4, 1) == RANGE
+    bench.write(0x60C2, 1, 40, 1)
+    bench.write(0x60C2, 2, -4, 1)
+    assert bench.aborts(0x60C2, 1, 25, 1) == RANGE
+    assert bench.aborts(0x1006, 0, 2500, 4) == RANGE
+
+
+def test_a_period_of_more_than_a_second_is_refused(bench):
+    bench.write(0x60C2, 1, 11, 1)
+    assert bench.aborts(0x60C2, 2, -1, 1) == RANGE
+    assert bench.aborts(0x1006, 0, 1_001_000, 4) == RANGE

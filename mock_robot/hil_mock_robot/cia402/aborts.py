@@ -14,6 +14,7 @@ WRONG_LENGTH = 0x0607_0010
 NO_SUB_INDEX = 0x0609_0011
 OUT_OF_RANGE = 0x0609_0030
 DEVICE_STATE = 0x0800_0022
+NO_DATA = 0x0800_0024
 
 Abort = SdoAbortedError
 """Raised with one of the codes; the SDO server answers with it."""

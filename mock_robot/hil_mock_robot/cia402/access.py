@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 from hil_mock_robot.cia402 import cob_ids, heartbeat, keys, pdo_rules
 from hil_mock_robot.cia402.aborts import (
     DEVICE_STATE,
+    NO_DATA,
     NO_OBJECT,
     NO_SUB_INDEX,
     OUT_OF_RANGE,
@@ -18,7 +21,9 @@ from hil_mock_robot.cia402.contracts import Registers, key
 from hil_mock_robot.cia402.dictionary import by_key, indices
 from hil_mock_robot.cia402.objects import CODES, Object, real
 
-EMERGENCY_COB_ID = 0x1014
+ERROR_FIELD, EMERGENCY_COB_ID = 0x1003, 0x1014
+RHYTHM = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
+LONGEST_MS = 1000
 OPERATION_ENABLED = 1 << 2
 """Bit of the statusword that is set while the drive works, stops quickly or reacts to a fault."""
 
@@ -42,6 +47,8 @@ def read(registers: Registers, entry: Object, *, by_client: bool) -> bytes:
         Abort: A client may not read it.
     """
     require(entry.readable or not by_client, WRITE_ONLY)
+    if entry.index == ERROR_FIELD and by_client:
+        require(entry.sub <= registers[key(ERROR_FIELD)], NO_DATA)
     if entry.type == "text":
         return str(entry.default).encode("ascii")
     return entry.packing.pack(registers[entry.key])
@@ -68,5 +75,18 @@ def _check_rules(registers: Registers, entry: Object, value: int) -> None:
         pdo_rules.check(registers, entry, value)
     elif entry.index == EMERGENCY_COB_ID:
         cob_ids.check(registers[entry.key], value)
+    elif entry.key in RHYTHM:
+        _check_rhythm(registers, entry, value)
     elif entry.index == heartbeat.CONSUMERS:
         heartbeat.check_consumer(registers, entry.sub, value)
+
+
+def _check_rhythm(registers: Registers, entry: Object, value: int) -> None:
+    """SYNC comes with steps of the drives, which are of 1 ms, and once a second at least."""
+    if entry.key == keys.CYCLE_PERIOD:
+        millis = Fraction(value, 1000)
+    else:
+        pair = {where: registers[where] for where in RHYTHM} | {entry.key: value}
+        require(entry.allows(value), OUT_OF_RANGE)
+        millis = pair[RHYTHM[0]] * Fraction(10) ** (pair[RHYTHM[1]] + 3)
+    require(millis.denominator == 1 and millis <= LONGEST_MS, OUT_OF_RANGE)

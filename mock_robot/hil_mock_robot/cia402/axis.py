@@ -63,18 +63,21 @@ class Axis:
         demand_q, demand_qd: Where the set-point is at the end of the last block [rad], [rad/s].
         slipped: Increments that the set-point has jumped away from the joint (injected).
         limited: A set-point was cut to what is allowed, in the last block.
+        missed: SYNCs since the last RPDO with a set-point, where RPDOs bring them.
+        rhythm_told: A client has written 60C2h since the last reset.
     """
 
     __slots__ = (
-        "counts", "current_counts", "demand_q", "demand_qd", "joint", "limited", "q", "qd",
-        "registers", "shift", "speed_counts", "slipped", "torque_counts",
+        "counts", "current_counts", "demand_q", "demand_qd", "joint", "limited", "missed",
+        "q", "qd", "registers", "rhythm_told", "shift", "slipped", "speed_counts", "torque_counts",
     )  # fmt: skip
 
     def __init__(self, registers: Registers, joint: Joint) -> None:
         self.registers, self.joint = registers, joint
         self.q = self.qd = self.demand_q = self.demand_qd = 0.0
         self.shift = self.slipped = 0
-        self.limited = False
+        self.missed = 0
+        self.limited = self.rhythm_told = False
         self.rescale()
 
     def rescale(self) -> None:
@@ -109,6 +112,10 @@ class Axis:
             raw = low if raw < low else high
         return (raw - self.shift) / self.counts
 
+    def inside(self, q: float) -> float:
+        """A joint angle [rad], cut to the position limits (607Dh)."""
+        return self.target(round(q * self.counts) + self.shift)
+
     @property
     def torque_limit_counts(self) -> int:
         """‰ of rated torque that the drive may give; of 6072h, 60E0h and 60E1h the least."""
@@ -136,14 +143,23 @@ class Axis:
 
     @property
     def period_steps(self) -> int:
-        """Steps over which cyclic set-points are interpolated (60C2h), at least 1."""
+        """Steps from SYNC to SYNC, over which set-points are interpolated.
+
+        By 60C2h as it was written; by 1006h where it never was, or else by 60C2h's default.
+        """
         objects = self.registers
-        value = objects[keys.INTERPOLATION_VALUE]
-        seconds = value * POWERS[objects[keys.INTERPOLATION_INDEX]]
-        return max(1, round(seconds / STEP_S))
+        micros = objects[keys.CYCLE_PERIOD]
+        if micros and not self.rhythm_told:
+            seconds = micros * 1e-6
+        else:
+            power = POWERS.get(objects[keys.INTERPOLATION_INDEX], 0.0)
+            seconds = objects[keys.INTERPOLATION_VALUE] * power
+        return min(MOST_STEPS, max(1, round(seconds / STEP_S)))
 
 
-POWERS = {exponent: 10.0**exponent for exponent in range(-128, 64)}
+LONGEST_PERIOD_S = 1.0
+MOST_STEPS = round(LONGEST_PERIOD_S / STEP_S)
+POWERS = {exponent: 10.0**exponent for exponent in range(-6, 1)}
 """Of ten, by the index in 60C2h:2."""
 
 

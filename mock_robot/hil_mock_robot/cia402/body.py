@@ -119,6 +119,8 @@ class Body:
                 continue
             if brake.closed:
                 brake.closed = self._standing = False
+                # The integrator has the whole load; of that, what is added from now on is a part.
+                self._offsets[j] = demand.offset
             self._drive(j, demand)
             rows[:, :, j] = demand.setpoints
         return rows

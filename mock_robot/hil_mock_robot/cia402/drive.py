@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import SCALING, Axis, Joint, joints_of
-from hil_mock_robot.cia402.contracts import Demand, Measured, Registers
+from hil_mock_robot.cia402.contracts import STEP_S, Demand, Measured, Registers
 from hil_mock_robot.cia402.errors import bits_of
 from hil_mock_robot.cia402.modes import CST, CYCLIC, FOLLOWING, MODE_BITS, Mode, mode_of
 from hil_mock_robot.cia402.paths import Ramp, held
@@ -42,6 +42,7 @@ ABORT_FAULT = 1
 ABORT_COMMANDS = {2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}
 """6007h."""
 
+RHYTHM = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX)
 ENABLED = State.OPERATION_ENABLED
 LEAST_SLIP_RAD = 0.2
 
@@ -74,6 +75,13 @@ class Drive:
         self.reset()
 
     @property
+    def period_s(self) -> float:
+        """Time from SYNC to SYNC as a client has told it (60C2h, 1006h); 0 where none has."""
+        axis = self._axis
+        told = axis.rhythm_told or self.registers[keys.CYCLE_PERIOD]
+        return axis.period_steps * STEP_S if told else 0.0
+
+    @property
     def state(self) -> State:
         """Of the power state machine."""
         return self._power.state
@@ -82,6 +90,7 @@ class Drive:
         """Switched off and on: the brake closes, faults are forgotten; NMT reset node."""
         axis = self._axis
         axis.shift = axis.slipped = 0
+        axis.rhythm_told = False
         axis.rescale()
         axis.stay()
         self._shown = self.registers[keys.MODE_DISPLAY] = 0
@@ -96,6 +105,8 @@ class Drive:
         """An object (`key`) was written by SDO; controlword, mode and scaling act at once."""
         if where in SCALING and not self._power.powered:
             self._axis.rescale()
+        if where in RHYTHM:
+            self._axis.rhythm_told = True
         self.obey()
         self._tell()
 
@@ -118,16 +129,17 @@ class Drive:
         if power.state is ENABLED and power.stop is None:
             self._mode.listen(self.deaf)
 
-    def advance(self, steps: int, *, synced: bool = True) -> Demand:
+    def advance(self, steps: int, *, synced: bool = True, missed: int = 0) -> Demand:
         """What the axis asks of its motor for the next steps of `STEP_S`.
 
         Args:
             steps: At least 1.
             synced: A SYNC begins them; False when the drives' own timer makes them.
+            missed: How many SYNCs in a row brought no set-point, where RPDOs bring them.
         """
         self.obey()
         axis, power = self._axis, self._power
-        axis.limited = False
+        axis.limited, axis.missed = False, missed
         self._watch_sync(steps, synced)
         if power.stop is not None:
             return self._slow_down(power.stop.ramp, steps)

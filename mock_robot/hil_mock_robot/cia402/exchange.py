@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import Registers, Send
 from hil_mock_robot.cia402.pdo import Rpdo, Tpdo, all_rpdos, all_tpdos
 
@@ -18,6 +19,10 @@ class Exchange:
         registers: Live; all of 1400h … 1A03h in it.
         send: Puts a frame on the bus.
         applied: Called after RPDOs have been written into the registers.
+
+    Attributes:
+        missed: SYNCs in a row for which the RPDO with the target position had not come, after it
+            has come once.
     """
 
     def __init__(self, registers: Registers, send: Send, applied: Callable[[], None]) -> None:
@@ -34,6 +39,9 @@ class Exchange:
         sent = [pdo for pdo in self._tpdos if pdo.cob_id >= 0]
         self._by_id: dict[int, Rpdo] = {pdo.cob_id: pdo for pdo in received}
         self._applied_by_sync = [pdo for pdo in received if pdo.synchronous]
+        leading = [pdo for pdo in self._applied_by_sync if keys.TARGET_POSITION in pdo.keys]
+        self._leading = leading[0] if leading else None
+        self.lead_by_hand()
         self._by_sync = [pdo for pdo in sent if pdo.synchronous]
         self._by_event = [pdo for pdo in sent if not pdo.synchronous]
 
@@ -41,6 +49,11 @@ class Exchange:
         """The node becomes operational: nothing has come, nothing was sent."""
         for pdo in self._all:
             pdo.restart()
+        self.lead_by_hand()
+
+    def lead_by_hand(self) -> None:
+        """A client writes targets by SDO: RPDOs are not waited for, until one comes."""
+        self._led, self.missed = False, 0
 
     def receives(self, can_id: int) -> bool:
         """Whether this is the identifier of an RPDO."""
@@ -61,7 +74,12 @@ class Exchange:
 
     def synced(self) -> None:
         """SYNC: what has come is applied, then what goes by SYNC is sent."""
-        if sum(pdo.apply() for pdo in self._applied_by_sync):
+        applied = [pdo for pdo in self._applied_by_sync if pdo.apply()]
+        if self._leading in applied:
+            self._led, self.missed = True, 0
+        elif self._led:
+            self.missed += 1
+        if applied:
             self._applied()
         for pdo in self._by_sync:
             data = pdo.with_sync()

@@ -23,6 +23,9 @@ FOLLOWING = frozenset({PP, CSP})
 MODE_BITS = {PP: 0, HM: 5, CSP: 7, CSV: 8, CST: 9}
 """Of the modes that are built, their bits in 6502h."""
 
+EXTRAPOLATED = 2
+"""Targets in a row that an axis does without."""
+
 NAN = math.nan
 
 
@@ -72,7 +75,11 @@ class Idle(Mode):
 
 
 class CyclicPosition(Mode):
-    """CSP: to 607Ah + 60B0h, interpolated to be there at the next SYNC; torque 60B2h is added."""
+    """CSP: to 607Ah + 60B0h, interpolated to be there at the next SYNC; torque 60B2h is added.
+
+    Where the RPDO that brings targets stays away, it goes on at its speed for up to two SYNCs, and
+    then to rest.
+    """
 
     bits = MODE_BIT_12
 
@@ -87,9 +94,11 @@ class CyclicPosition(Mode):
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
         """See `Mode`."""
         axis, path, objects = self._axis, self._path, self._axis.registers
-        if synced and not deaf:
+        if synced and not deaf and axis.missed == 0:
             target = objects[keys.TARGET_POSITION] + objects[keys.POSITION_OFFSET]
             path.aim(axis.target(target), axis.period_steps)
+        elif synced and not deaf and axis.missed <= EXTRAPOLATED:
+            path.go_on(axis.period_steps, axis.inside)
         rows = path.advance(steps, axis.joint.qdd_max)
         axis.demand_q, axis.demand_qd = path.q, path.qd
         offset = objects[keys.TORQUE_OFFSET] / axis.torque_counts

@@ -127,6 +127,11 @@ class MockNode(canopen.LocalNode):
         """That error is gone, or all are: EMCY 0000h."""
         self.errors.recovered(code)
 
+    @property
+    def missed(self) -> int:
+        """SYNCs in a row without the set-point that an RPDO brings."""
+        return self._exchange.missed
+
     def bus_off(self) -> None:
         """Its CAN controller has given up: nobody hears it, and it reacts."""
         self._react(BUS_OFF)
@@ -165,6 +170,8 @@ class MockNode(canopen.LocalNode):
             self._producer.restart(self._now_s)
         elif entry.index == errors.FIELD:
             self.errors.clear_history()
+        elif entry.key == keys.TARGET_POSITION:
+            self._exchange.lead_by_hand()
         elif entry.key == keys.SIMULATED_ERROR:
             self.emergency(value)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -116,6 +117,16 @@ class Between:
         self._path: FloatArray | None = None
         self._at = 0
 
+    def go_on(self, steps: int, within: Callable[[float], float]) -> None:
+        """No target has come: go on at the present speed for that many steps.
+
+        Args:
+            steps: Of `STEP_S`.
+            within: Cuts a position [rad] to what is allowed.
+        """
+        self._way = self.qd * steps * STEP_S
+        self.aim(within(self.q + self._way), steps)
+
     def aim(self, target: float, steps: int) -> None:
         """Be at `target` [rad] after that many steps."""
         before, self._way = self._way, target - self.q
@@ -149,7 +160,7 @@ class Between:
         return rows
 
 
-@cache
+@lru_cache(maxsize=16)
 def hermite(steps: int) -> FloatArray:
     """(3N, 3): position, velocity, acceleration at each of N steps, of a cubic.
 

@@ -16,7 +16,14 @@ from hil_mock_robot.cia402.communication_objects import (
 from hil_mock_robot.cia402.contracts import Registers, key
 from hil_mock_robot.cia402.dictionary import by_key
 from hil_mock_robot.cia402.objects import CODES
-from hil_mock_robot.cia402.pdo_rules import COB_ID, EVENT_TIMER, INHIBIT, TRANSMISSION, mapped
+from hil_mock_robot.cia402.pdo_rules import (
+    COB_ID,
+    DUMMIES,
+    EVENT_TIMER,
+    INHIBIT,
+    TRANSMISSION,
+    mapped,
+)
 
 LAST_CYCLIC = 240
 """Transmission types up to here go by SYNC; 0 by SYNC when there is something new."""
@@ -30,7 +37,7 @@ class Layout:
 
     Attributes:
         packing: Of all mapped objects.
-        keys: Where they are in the registers.
+        keys: Where they are in the registers; dummies are not.
     """
 
     packing: struct.Struct
@@ -40,8 +47,12 @@ class Layout:
     def of(cls, registers: Registers, index: int) -> Layout:
         """What that mapping says."""
         raw = (registers[key(index, sub)] for sub in range(1, registers[key(index)] + 1))
-        keys = tuple(mapped(entry)[0] for entry in raw)
-        codes = "".join(CODES[by_key()[where].type] for where in keys)
+        entries = [mapped(entry) for entry in raw]
+        codes = "".join(
+            f"{bits // 8}x" if (where, bits) in DUMMIES else CODES[by_key()[where].type]
+            for where, bits in entries
+        )
+        keys = tuple(where for where, bits in entries if (where, bits) not in DUMMIES)
         return cls(struct.Struct("<" + codes), keys)
 
 
@@ -74,6 +85,11 @@ class Rpdo:
         """Forget what has come."""
         self._waiting: bytes | None = None
         self._heard_s: float | None = None
+
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """Objects that it carries."""
+        return self._layout.keys
 
     @property
     def length(self) -> int:

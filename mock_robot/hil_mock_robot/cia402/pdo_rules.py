@@ -31,10 +31,12 @@ from hil_mock_robot.cia402.objects import Object
 
 FIRST, LAST = RPDO_PARAMETERS, TPDO_MAPPING + N_PDOS - 1
 MOST_BITS = 64
-_FAMILY = 0xFE00
 _TO_MAPPING = 0x200
 COB_ID, TRANSMISSION, INHIBIT, EVENT_TIMER = 1, 2, 3, 5
 """Sub-indices of the parameters."""
+
+DUMMIES = {(key(index), bits) for index, bits in enumerate((8, 16, 32, 8, 16, 32), 2)}
+"""Data types (0002h to 0007h) that an RPDO may carry for others: they are passed over."""
 
 
 def concerns(index: int) -> bool:
@@ -105,6 +107,8 @@ def _check_count(registers: Registers, index: int, count: int) -> None:
 
 def _check_entry(raw: int, transmit: bool) -> None:
     where, bits = mapped(raw)
+    if (where, bits) in DUMMIES and not transmit:
+        return
     require(where >> 8 in indices(), NO_OBJECT)
     target = by_key().get(where)
     if target is None:

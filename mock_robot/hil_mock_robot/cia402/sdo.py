@@ -9,12 +9,14 @@ from canopen.sdo.constants import (
     ABORT_GENERAL_ERROR,
     ABORT_INVALID_COMMAND_SPECIFIER,
     EXPEDITED,
+    NO_MORE_DATA,
     REQUEST_SEGMENT_DOWNLOAD,
     REQUEST_SEGMENT_UPLOAD,
     SDO_STRUCT,
     SIZE_SPECIFIED,
 )
 
+from hil_mock_robot.cia402.aborts import WRONG_LENGTH, require
 from hil_mock_robot.cia402.dictionary import by_key
 from hil_mock_robot.cia402.objects import CODES
 
@@ -33,14 +35,14 @@ class SdoServer(server.SdoServer):
     def __init__(self, node: Any, node_id: int) -> None:
         super().__init__(0x600 + node_id, 0x580 + node_id, node)  # type: ignore[no-untyped-call]
         self._index = self._subindex = 0
-        self._going = 0
+        self._going: int | None = None
 
     def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
         """A frame of a client."""
         command = data[0] & COMMAND
         if command not in (REQUEST_SEGMENT_UPLOAD, REQUEST_SEGMENT_DOWNLOAD):
             # What begins, or ends by an abort, ends what was going on.
-            self._going = 0
+            self._going = None
         elif command != self._going:
             self.abort(ABORT_INVALID_COMMAND_SPECIFIER)
             return
@@ -48,8 +50,15 @@ class SdoServer(server.SdoServer):
 
     def init_upload(self, request: bytes) -> None:
         """Begin to read."""
+        self._buffer = bytearray()
         super().init_upload(request)  # type: ignore[no-untyped-call]
-        self._going = REQUEST_SEGMENT_UPLOAD
+        self._going = REQUEST_SEGMENT_UPLOAD if self._buffer else None
+
+    def segmented_upload(self, command: int) -> None:
+        """Send what comes next; after the last of it nothing is going on."""
+        super().segmented_upload(command)  # type: ignore[no-untyped-call]
+        if not self._buffer:
+            self._going = None
 
     def init_download(self, request: bytes) -> None:
         """Begin to write; four bytes of which the client does not say how many are meant fit."""
@@ -57,10 +66,20 @@ class SdoServer(server.SdoServer):
         entry = by_key().get(index << 8 | sub)
         if command & EXPEDITED and not command & SIZE_SPECIFIED and entry and entry.type in CODES:
             command |= SIZE_SPECIFIED | (MOST_EXPEDITED - entry.packing.size) << 2
+        announces = command & (EXPEDITED | SIZE_SPECIFIED) == SIZE_SPECIFIED
+        if announces and entry and entry.writable and entry.type in CODES:
+            announced = int.from_bytes(request[4:8], "little")
+            require(announced == entry.packing.size, WRONG_LENGTH)
         super().init_download(bytes([command]) + request[1:])  # type: ignore[no-untyped-call]
-        self._going = 0 if command & EXPEDITED else REQUEST_SEGMENT_DOWNLOAD
+        self._going = None if command & EXPEDITED else REQUEST_SEGMENT_DOWNLOAD
+
+    def segmented_download(self, command: int, request: bytes) -> None:
+        """Take a segment; with the last one the object is written, and nothing is going on."""
+        super().segmented_download(command, request)  # type: ignore[no-untyped-call]
+        if command & NO_MORE_DATA:
+            self._going = None
 
     def abort(self, abort_code: int = ABORT_GENERAL_ERROR) -> None:
         """End what is going on."""
-        self._going = 0
+        self._going = None
         super().abort(abort_code)  # type: ignore[no-untyped-call]

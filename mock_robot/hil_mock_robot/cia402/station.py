@@ -16,7 +16,7 @@ from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.marker import Marker
 from hil_mock_robot.cia402.objects import real
 from hil_mock_robot.cia402.routes import Routes, changed_by
-from hil_mock_robot.cia402.unit import Unit
+from hil_mock_robot.cia402.unit import PERIOD, Unit
 
 SYNC = 0x080
 DEFAULT_PERIOD_S = 0.004
@@ -141,7 +141,10 @@ class Station:
 
     def _advance(self, steps: int, *, synced: bool) -> None:
         axes = self.axes
-        demands = [axis.drive.advance(steps, synced=synced and axis.synced) for axis in axes]
+        demands = [
+            axis.drive.advance(steps, synced=synced and axis.synced, missed=axis.node.missed)
+            for axis in axes
+        ]
         for axis, measured in zip(axes, self.body.advance(demands), strict=True):
             axis.drive.measured(measured, steps)
             if not axis.line.sound:
@@ -164,15 +167,23 @@ class Station:
     def _told(self, axis: int, what: str, code: int) -> None:
         if what == "booted":
             self._routes.forget()
+        if what in ("booted", "nmt"):
+            self._look_at_period()
         self.tell(what, axis=axis + 1, code=code)
 
     def _written(self, axis: int, key: int) -> None:
         if changed_by(key):
             self._routes.forget()
-        if axis == 0:
-            self._period_s = self.axes[0].period_s or DEFAULT_PERIOD_S
-            if key in PAYLOAD:
-                self._declare()
+        if key in PERIOD:
+            self._look_at_period()
+        if axis == 0 and key in PAYLOAD:
+            self._declare()
+
+    def _look_at_period(self) -> None:
+        """Time has one pace: that of the first drive that was told one, best an operational one."""
+        ordered = sorted(self.axes, key=lambda axis: not axis.operational)
+        told = (axis.drive.period_s for axis in ordered)
+        self._period_s = next((period for period in told if period), DEFAULT_PERIOD_S)
 
     def _declare(self) -> None:
         values = [real(self.axes[0].registers[key]) for key in PAYLOAD]

@@ -18,7 +18,6 @@ Told = Callable[[int, str, int], None]
 
 NMT = 0x000
 PERIOD = (keys.INTERPOLATION_VALUE, keys.INTERPOLATION_INDEX, keys.CYCLE_PERIOD)
-LONGEST_PERIOD_S = 1.0
 
 
 class Unit:
@@ -66,13 +65,9 @@ class Unit:
         self.drive = Drive(registers, joint, self._emergency)
 
     @property
-    def period_s(self) -> float:
-        """What it takes for the time between two SYNCs: 60C2h, else 1006h; 0 for neither."""
-        value, index, micros = (self.registers[key] for key in PERIOD)
-        period: float = value * 10.0**index
-        if not 0 < period <= LONGEST_PERIOD_S:
-            period = micros * 1e-6
-        return period if 0 < period <= LONGEST_PERIOD_S else 0.0
+    def operational(self) -> bool:
+        """Whether it exchanges process data."""
+        return self._operational
 
     @property
     def synced(self) -> bool:
@@ -111,8 +106,8 @@ class Unit:
         self._on_written(self.number, key)
 
     def _nmt_changed(self, state: int) -> None:
-        self._told(self.number, "nmt", state)
         left, self._operational = self._operational, state == State.OPERATIONAL
+        self._told(self.number, "nmt", state)
         if left or state == State.STOPPED:
             self.drive.taken_off()
 
