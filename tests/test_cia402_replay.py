@@ -149,6 +149,18 @@ def test_the_log_of_a_run_replays_into_the_same_dataset(tmp_path: Path) -> None:
         np.testing.assert_array_equal(values, second.columns[name], err_msg=name)
     start = json.loads((tmp_path / again["run"] / "start.json").read_text())
     assert start["replayed"]["log"] == "bus.log"
+    lines = (tmp_path / "bus.log").read_text().splitlines(keepends=True)
+    wrong = {
+        "half": lines[: len(lines) // 2],
+        "late": [line for n, line in enumerate(lines) if n > len(lines) // 2],
+        "deaf": [line for line in lines if " 181#" not in line],
+    }
+    for name, kept in wrong.items():
+        (tmp_path / name).write_text("".join(kept))
+        with pytest.raises(DataError, match="does not hold all that the run has recorded"):
+            replay(recorded, tmp_path / name, tmp_path / "runs")
+        (made,) = (tmp_path / "runs").glob(f"*/*/000{3 + list(wrong).index(name)}-*")
+        assert json.loads((made / "stop.json").read_text())["outcome"] == "failed"
 
 
 def test_only_drivers_whose_wire_tells_all_replay(tmp_path: Path) -> None:

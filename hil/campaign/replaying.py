@@ -16,13 +16,16 @@ import numpy as np
 
 from hil import plugins
 from hil.campaign.sink import counts_of, recorded_span
+from hil.data.completeness import Completeness, completeness_of
 from hil.errors import DataError, HilError, PluginError
+from hil.plan.plan import Plan
+from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
 from hil.record.files import sha256_of
 from hil.record.lock import hold_run
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.record.rundir import Outcome, RunDirectory
 from hil.record.topic import STATE_TOPIC, state_topic
 from hil.record.writer import Attachment, McapWriter
 from hil.robot.logs import ReadsLogs, RecordedLog
@@ -37,8 +40,8 @@ COPIED_FACTS = (
 )  # fmt: skip
 """What the start document of the new run has from the old one."""
 
-KEPT = ("complete", "unsettled", "steps_done")
-"""What the stop document of the new run has from the old one."""
+AT_MOST_S = 0.5
+"""Device time that a log may begin later, or end earlier, than the recording [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,18 +86,65 @@ def replay(source: Path, log: Path, runs: Path) -> Replayed:
             f"{source} has {run.attempts} attempts, a log is of one",
             hint="replay logs of runs that were not resumed",
         )
-    opened = _opened(run, log)
+    opened, plan = _opened(run, log), read_plan(run.path / "plan.json")
     directory = RunDirectory.create(runs, str(run.start["robot_name"]), _name(run))
+    stop = run.stop or {}
     with hold_run(directory.path):
         _begin(directory, run, log)
-        stop = run.stop or {}
         found = _record(directory, opened, _span(stop))
         counts = counts_of(found)
-        kept = {key: stop[key] for key in KEPT if key in stop}
-        told = kept | counts | {"recorded": recorded_span(found)}
-        directory.write_stop("completed", f"replayed from {log.name}", told)
+        problem = _finish(directory, plan, found, stop, log)
+    if problem is not None:
+        raise problem
     recorded = {key: stop[key] for key in counts if isinstance(stop.get(key), int)}
     return Replayed(directory.path, counts, recorded)
+
+
+def _finish(
+    directory: RunDirectory, plan: Plan, found: Counts, stop: Mapping[str, Any], log: Path
+) -> DataError | None:
+    """Write the end: what is measured is what the rows hold, not what the run has said."""
+    complete = completeness_of(plan, directory.recordings)
+    problem = _lacking(complete, found, stop, directory.path, log)
+    outcome: Outcome = "failed" if problem else stop.get("outcome", "completed")
+    reason = problem.message if problem else f"replayed from {log.name}"
+    told = {
+        **counts_of(found),
+        "complete": complete.to_dict(),
+        "unsettled": sorted(complete.unsettled),
+        "steps_done": stop.get("steps_done", 0),
+        "recorded": recorded_span(found),
+        "exit_code": problem.exit_code if problem else 0,
+    }
+    directory.write_stop(outcome, reason, told)
+    return problem
+
+
+def _lacking(
+    complete: Completeness, found: Counts, stop: Mapping[str, Any], run: Path, log: Path
+) -> DataError | None:
+    """Why the log does not hold the run: it measured more than these rows have."""
+    said = stop.get("complete") or complete.to_dict()
+    has = complete.to_dict()
+    lacks = [
+        f"{has.get(kind, {}).get('done', 0)} of {n['done']} {kind} steps"
+        for kind, n in said.items()
+        if has.get(kind, {}).get("done", 0) < n["done"]
+    ]
+    if _covers(found, stop) and not lacks:
+        return None
+    what = ", ".join(lacks) or f"{found.samples} samples"
+    return DataError(
+        f"{log} does not hold all that the run has recorded: {what}; what there is, is in {run}",
+        hint="is it the whole log of this very run, from before the drives were set up to the end?",
+    )
+
+
+def _covers(found: Counts, stop: Mapping[str, Any]) -> bool:
+    """Whether the rows begin and end where those of the run did; of an old run nobody knows."""
+    first, last = stop.get("recorded") or (found.first_time, found.last_time)
+    begins, ends = found.first_time <= first + AT_MOST_S, found.last_time >= last - AT_MOST_S
+    return bool(found.samples and begins and ends)
 
 
 def _name(run: RunDirectory) -> str:
