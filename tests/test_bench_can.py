@@ -6,7 +6,7 @@ import pytest
 
 from hil import benchmarking
 
-pytestmark = pytest.mark.wire
+pytestmark = [pytest.mark.wire, pytest.mark.proof]
 
 EACH = (
     "cycle_p50_us",
