@@ -153,9 +153,21 @@ def test_a_torque_is_commanded_in_cst_alone():
 def test_what_the_mapping_does_not_carry_is_not_measured():
     minimal = MAPPINGS["minimal"]
     rows = rows_of(cycles_of(minimal), minimal)
-    assert np.isnan(rows["qd"]).all()
     assert np.isnan(rows["effort"]).all()
     assert (rows["status"] == 0).all()
+
+
+def test_a_velocity_that_is_not_carried_is_the_difference_of_positions_over_missing_cycles_too():
+    minimal, raw = MAPPINGS["minimal"], np.arange(20)[:, None] * np.array([1000, -3000])
+    flags = np.zeros(20, int)
+    flags[7:10] = 1
+    raw[7:10] = raw[6]  # bytes of an earlier cycle
+    cycles = cycles_of(minimal, position=raw, flags=flags)
+    by_parts = StateRows(minimal, SCALING, PERIOD_S)
+    rows = np.concatenate([by_parts.rows(part) for part in np.split(cycles, [5, 8, 12])])
+    assert (rows["qd"][0] == 0).all()
+    step = SCALING.position(raw[1]) - SCALING.position(raw[0])
+    assert rows["qd"][1:] == pytest.approx(np.tile(step / PERIOD_S, (16, 1)))
 
 
 @pytest.mark.parametrize("mapping", MAPPINGS.values(), ids=list(MAPPINGS))

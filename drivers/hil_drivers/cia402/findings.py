@@ -12,6 +12,7 @@ from hil_drivers.cia402.bus_load import MOST_CYCLIC, load_of
 from hil_drivers.cia402.commissioning import MASTER_SILENCE_MS
 from hil_drivers.cia402.facts import limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.mode_object import carries_mode
 from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.session import Session
@@ -57,11 +58,17 @@ def _enabled(session: Session) -> Finding:
     return Finding(
         "drives-enabled",
         phase is Phase.ENABLED,
-        f"all axes are {phase.value}, in mode {mode} (6061h read back)",
+        f"all axes are {phase.value}, in mode {mode} ({_mode_read(session.options)})",
         phase.value,
         Phase.ENABLED.value,
         "connect again",
     )
+
+
+def _mode_read(options: Options) -> str:
+    if carries_mode(MAPPINGS[options.mapping]):
+        return "6061h, read back in every cycle"
+    return f"6061h, read back before enabling; mapping {options.mapping} does not carry it since"
 
 
 def _bus_load(options: Options) -> Finding:

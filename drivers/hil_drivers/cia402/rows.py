@@ -83,7 +83,9 @@ class StateRows:
 
     It remembers the last cycles, because set-points of the base record are older than what was
     measured; velocities and accelerations of set-points are differences of them, as drives make
-    them for themselves.
+    them for themselves. Where the mapping does not carry the velocity, it is the difference of
+    positions from the last complete cycle to this one: half a cycle late, and as coarse as the
+    encoder; an effort that is not carried is NaN.
 
     Args:
         mapping: What travels.
@@ -101,7 +103,9 @@ class StateRows:
     ) -> None:
         self._mapping, self._scaling = mapping, scaling
         self._period_s, self._effort = period_s, effort
+        self._carries_velocity = any(e.name == "velocity" for e in _entries(mapping))
         self._before: StructArray | None = None
+        self._last: StructArray | None = None
 
     def rows(self, cycles: StructArray) -> StructArray:
         """State rows of further cycles; those in which an answer was missing leave none."""
@@ -112,8 +116,10 @@ class StateRows:
         self._before = all_of_them[-_HISTORY:]
         rows = self._measured(cycles)
         self._commanded(rows, all_of_them)
-        complete = (cycles["flags"] & INCOMPLETE) == 0
-        return np.asarray(rows[complete])
+        complete = np.asarray(rows[(cycles["flags"] & INCOMPLETE) == 0])
+        if not self._carries_velocity:
+            self._differentiate(complete)
+        return complete
 
     def _measured(self, cycles: StructArray) -> StructArray:
         """What belongs to the time of the SYNC itself."""
@@ -130,6 +136,16 @@ class StateRows:
         rows["status"] = _by_statusword(values["statusword"], _sure(rows["mode"]))
         rows["status"] |= np.where(cycles["fault_code"] != 0, _FAULT_BITS, 0)
         return rows
+
+    def _differentiate(self, rows: StructArray) -> None:
+        """Fill in the velocities; the very first row does not move."""
+        if not len(rows):
+            return
+        before = rows[:1] if self._last is None else self._last
+        rows_too = np.concatenate([before, rows])
+        lasted_s = np.diff(rows_too["device_time"])[:, None]
+        rows["qd"] = np.diff(rows_too["q"], axis=0) / np.maximum(lasted_s, self._period_s)
+        self._last = rows[-1:].copy()
 
     def _commanded(self, rows: StructArray, cycles: StructArray) -> None:
         """What was sent `LATENCY` cycles before.

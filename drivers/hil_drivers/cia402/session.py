@@ -17,6 +17,7 @@ from hil_drivers.cia402.gains import gains_of
 from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.left_faults import LeftFault, faults_left, require_resettable
 from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.mode_object import carries_mode, set_mode
 from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.player import Player
@@ -73,6 +74,8 @@ class Session:
         self.core.run()
         if self.were_reset:
             self.core.reset_faults()
+        if not carries_mode(self.mapping):
+            set_mode(self.acyclic, range(len(self.options.nodes)), od.CSP)
         self.core.enable(od.CSP)
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
             # Led by torque, an arm that is only now enabled would fall until the spring holds it.
@@ -115,7 +118,7 @@ class Session:
             options.nodes,
             options.period_s,
             outputs,
-            mode_mapped=options.mapping != "minimal",
+            mode_mapped=carries_mode(self.mapping),
             late_cycles=options.late_cycles,
             said=emergency_text,
             names=self.arm.joint_names,
