@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -163,6 +164,16 @@ def test_a_stop_that_is_seen_keeps_the_heartbeat(robot, desk):
     robot.stop()
     assert robot._controller.beat.alive
     assert len(desk.told("stop")) == 2
+
+
+def test_threads_that_stop_at_once_all_do(robot, desk):
+    robot.prepare(little_move(n=4000))
+    robot.start()
+    with ThreadPoolExecutor(4) as several:
+        done = [several.submit(robot.stop) for _ in range(4)]
+    assert [each.exception() for each in done] == [None] * 4
+    assert robot._controller.beat.alive
+    assert desk.told("stop")[0] == {"moving": True}
 
 
 # Set-points that were checked are those that are played.

@@ -101,6 +101,7 @@ def test_a_ring_that_is_just_full_has_lost_nothing_and_one_row_later_it_has(behi
     seen = plc.pull()
     assert seen == list(range(lost, plc.head))
     assert (plc.ring.gaps, plc.ring.lost) == (min(lost, 1), lost)
+    assert sum(plc.reads) == len(seen) * LAYOUT.row.itemsize  # nothing that is gone was asked for
 
 
 def test_a_row_that_is_being_written_is_read_again():

@@ -31,7 +31,7 @@ class Stops:
         self._variables, self._line = variables, line
         self._last = int(variables.structure("nStop"))
         self._given = self._under_way = 0
-        self._counting = threading.Lock()
+        self._counting, self._writing = threading.Lock(), threading.Lock()
 
     def before_start(self) -> tuple[np.void, int]:
         """`stState`, and the `nStop` with which a start is obeyed: whoever has written it."""
@@ -58,24 +58,27 @@ class Stops:
             self._given += 1
             self._under_way += 1
         try:
-            _until(began + WRITTEN_WITHIN_S, lambda: self._write(value))
-            _until(began + SEEN_WITHIN_S, self._require_seen)
+            _until(began + WRITTEN_WITHIN_S, self._write)
+            _until(began + SEEN_WITHIN_S, lambda: self._require_seen(value))
         finally:
             with self._counting:
                 self._under_way -= 1
 
-    def _write(self, value: int) -> None:
-        self._line.write(self._variables.handle("nStop"), value.to_bytes(4, "little"))
+    def _write(self) -> None:
+        """One thread after the other, and the newest number: `nStop` never goes back."""
+        with self._writing:
+            number = self._last.to_bytes(4, "little")
+            self._line.write(self._variables.handle("nStop"), number)
 
-    def _require_seen(self) -> None:
-        """The PLC shows one of those that are under way, whichever of them was written last."""
+    def _require_seen(self, value: int) -> None:
+        """The PLC shows this stop, or one that another thread has given since."""
         seen = int(self._variables.structure("stState", self._line)["nStop"])
-        if (self._last - seen) % MODULO >= self._under_way:
-            raise RobotTimeout(f"its program shows stop {seen}, not {self._last}")
+        if (self._last - seen) % MODULO > (self._last - value) % MODULO:
+            raise RobotTimeout(f"its program shows stop {seen}, not {value}")
 
 
 def _until(until: float, act: Callable[[], None]) -> None:
-    """Two threads that stop share a line, which then refuses one of them: try again."""
+    """Threads share the line, which may refuse one of them: try again."""
     while True:
         try:
             return act()
