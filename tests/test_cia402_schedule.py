@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from hil_drivers.cia402.histogram import Histogram
-from hil_drivers.cia402.schedule import FREE_PATIENCE_S, Schedule
+from hil_drivers.cia402.schedule import FREE_IMPATIENCE_S, FREE_PATIENCE_S, Schedule
 
 PERIOD_S = 0.004
 
@@ -122,3 +122,22 @@ def test_histogram_keeps_the_longest_beyond_its_bins() -> None:
 
 def test_empty_histogram_says_zero() -> None:
     assert Histogram().percentile(99) == 0.0
+
+
+def test_without_deadlines_who_has_not_answered_for_long_is_not_waited_for(clock: Clock) -> None:
+    schedule = Schedule(0.0, clock=clock)
+    waited = []
+    for all_came in (False, False, False, False, False, True, False):
+        schedule.wait(clock.idle)
+        waited.append(schedule.give_up - clock.now)
+        schedule.answered(all_came)
+    patient, impatient = FREE_PATIENCE_S, FREE_IMPATIENCE_S
+    assert waited == pytest.approx([patient] * 4 + [impatient] * 2 + [patient])
+
+
+def test_with_deadlines_answers_are_waited_for_as_ever(clock: Clock) -> None:
+    schedule = Schedule(PERIOD_S, clock=clock)
+    for _ in range(10):
+        schedule.wait(clock.idle)
+        schedule.answered(False)
+    assert schedule.give_up - schedule.deadline == pytest.approx(0.9 * PERIOD_S)

@@ -133,7 +133,10 @@ class Cycling:
             self._make_room()
         flags = LATE if late else 0
         fresh = self._inputs.fresh
-        if not all(fresh):
+        complete = all(fresh)
+        if self._free:
+            self.schedule.answered(complete)
+        if not complete:
             flags |= sum(1 << axis for axis, came in enumerate(fresh) if not came)
         ring.put(self._cyclic, told, self._supervisor.fault_code, flags)
 

@@ -16,6 +16,10 @@ GIVE_UP_SHARE = 0.9
 FREE_PATIENCE_S = 0.25
 """How long answers are waited for without deadlines [s]."""
 
+FREE_MISSES, FREE_IMPATIENCE_S = 4, 0.01
+"""After so many incomplete cycles in a row answers are waited for only so long [s]: who does not
+answer must not turn seconds of device time into minutes."""
+
 
 class Schedule:
     """Wall times of cycles.
@@ -41,7 +45,7 @@ class Schedule:
         self._most_late = wall_period_s * LATE_SHARE
         self._patience = wall_period_s * GIVE_UP_SHARE or FREE_PATIENCE_S
         self.deadline = self.give_up = self._begun = 0.0
-        self._late = False
+        self._late, self._incomplete = False, 0
         self.restart()
 
     def restart(self) -> None:
@@ -72,6 +76,13 @@ class Schedule:
         self.cycles += 1
         self.lateness.add(lateness if self._period else 0.0)
         return self._late
+
+    def answered(self, all_came: bool) -> None:
+        """The present cycle has all answers, or not; counts without deadlines only."""
+        self._incomplete = 0 if all_came else self._incomplete + 1
+        if not self._period:
+            patient = self._incomplete < FREE_MISSES
+            self._patience = FREE_PATIENCE_S if patient else FREE_IMPATIENCE_S
 
     def done(self) -> None:
         """The exchange of the present cycle is over, and all that follows from it."""
