@@ -23,7 +23,7 @@ MOCK_DRIVES = {
     "nodes": [1, 2, 3, 4, 5, 6],
     "payload_object": 0x2100,
     "temperature_object": 0x2110,
-    "late_cycles": 50,
+    "pace": "free",
 }
 """Options of the driver `cia402` for what `hil mock can` starts: see lab6_can_mock.yaml."""
 
