@@ -22,6 +22,7 @@ from hil_drivers.cia402.scaling import Scaling
 from hil_drivers.cia402.thermometer import Thermometer
 from hil_drivers.cia402.torque_model import TorqueModel
 from hil_drivers.cia402.tracks import track_of
+from hil_drivers.cia402.trouble import Trouble
 
 ARM = load_arm("lab6")
 PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
@@ -59,6 +60,29 @@ def segment(q, kind="trajectory", qd=None):
 def track(asked, standing=None, model=None):
     standing = np.zeros(6) if standing is None else standing
     return track_of(asked, limits_of("lab6"), standing, 250.0, SCALING, model)
+
+
+# -- what is told of silence
+
+
+class Named:
+    """A session whose drives have names, and samples of which some axes have left none."""
+
+    def __init__(self, *silent):
+        self.acyclic, self.silent = self, silent
+
+    def name_of(self, axis):
+        return f"joint_{axis + 1} (node {axis + 1})"
+
+
+def test_when_no_cycle_is_complete_the_axes_that_do_not_answer_are_named():
+    axes = Named(1, 3)
+    said = Trouble("arm", axes, axes).silence(1.0).message
+    assert said == "arm: no answer from joint_2 (node 2), joint_4 (node 4) within 1 s"
+
+
+def test_when_there_is_no_cycle_no_axis_is_blamed():
+    assert "no cycle was over within 1 s" in Trouble("arm", Named(), Named()).silence(1.0).message
 
 
 # -- before anybody connects

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault
+from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Capabilities, Finding, Identity, Limits, Segment
@@ -179,7 +179,10 @@ class AxesRobot:
         until = time.monotonic() + timeout_s
         while True:
             line.trouble.raise_it()
-            rows = line.samples.take(max(until - time.monotonic(), 0.0))
+            try:
+                rows = line.samples.take(max(until - time.monotonic(), 0.0))
+            except RobotTimeout:
+                raise line.trouble.silence(timeout_s) from None
             line.trouble.look(rows)
             if len(rows):
                 break

@@ -56,6 +56,12 @@ class Samples:
         return {TOPIC: np.concatenate(raw)} if raw else {}
 
     @property
+    def silent(self) -> Sequence[int]:
+        """Axes that have not answered in the newest cycle."""
+        flags = 0 if self._newest is None else int(self._newest[0]["flags"]) & INCOMPLETE
+        return [axis for axis in range(flags.bit_length()) if flags >> axis & 1]
+
+    @property
     def faulty(self) -> Sequence[int]:
         """Axes that were in fault in the newest cycle, and have answered in it."""
         if self._newest is None:

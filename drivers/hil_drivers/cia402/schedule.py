@@ -16,7 +16,7 @@ GIVE_UP_SHARE = 0.9
 FREE_PATIENCE_S = 0.25
 """How long answers are waited for without deadlines [s]."""
 
-FREE_MISSES, FREE_IMPATIENCE_S = 4, 0.01
+FREE_MISSES, FREE_IMPATIENCE_S = 2, 0.01
 """After so many incomplete cycles in a row answers are waited for only so long [s]: who does not
 answer must not turn seconds of device time into minutes."""
 

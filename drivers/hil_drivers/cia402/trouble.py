@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 
-from hil.errors import HilError, RobotFault
+from hil.errors import HilError, RobotFault, RobotTimeout
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.cia402 import objects as od
@@ -60,6 +60,18 @@ class Trouble:
         self._untold = False
         self._await_words()
         raise RobotFault(f"{self._name}: {self.said}{self._codes()}", hint=NEXT)
+
+    def silence(self, within_s: float) -> RobotTimeout:
+        """The error for no sample in that time, with who has kept it from being one."""
+        names = [self._session.acyclic.name_of(axis) for axis in self._samples.silent]
+        if names:
+            return RobotTimeout(
+                f"{self._name}: no answer from {', '.join(names)} within {within_s:g} s",
+                hint="see to those drives and their line",
+            )
+        return RobotTimeout(
+            f"{self._name}: no cycle was over within {within_s:g} s", hint="look for a busy machine"
+        )
 
     def _await_words(self) -> None:
         until = time.monotonic() + WORDS_S
