@@ -47,6 +47,7 @@ wire: $(VENV)/.dev
 matrix: $(VENV)/.dev ## fault matrices: everything that may go wrong, at some of the kinds of step
 	$(BIN)/python -m pytest -n 3 -m "matrix and not proof" tests/test_fault_matrix.py
 	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_ur.py
+	$(BIN)/python -m pytest -n 2 -m "matrix and not proof" tests/test_fault_matrix_can.py
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python tests/faults/table.py
@@ -71,6 +72,7 @@ proof: $(VENV)/.dev ## the long must-show runs
 	$(BIN)/python -m pytest -m "proof and not matrix" --timeout 1800 -s
 	$(BIN)/python -m pytest -n 3 -m "proof and matrix" tests/test_fault_matrix.py
 	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/test_fault_matrix_ur.py
+	$(BIN)/python -m pytest -n 2 -m "proof and matrix" tests/test_fault_matrix_can.py
 	$(BIN)/python tests/proof_inputs.py --keep
 
 proof-if-changed: $(VENV)/.dev ## the same, unless they passed with just these inputs

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from can_mock import MockCan, mock_can
-from faults.can_cases import LATE_CYCLES, MOVING, NONE, PATIENCE_S, Case
+from faults.can_cases import LATE_CYCLES, LATE_CYCLES_REAL_TIME, MOVING, NONE, PATIENCE_S, Case
 from faults.field import REST_RAD_S
 from faults.wire_field import (
     Field,
@@ -64,7 +64,7 @@ def _station(case: Case, mock: MockCan) -> str:
     options = {
         "bus": {"interface": "hil_unix", "channel": mock.channel},
         "payload_object": 0x2100,
-        "late_cycles": LATE_CYCLES,
+        "late_cycles": LATE_CYCLES if case.ending.free else LATE_CYCLES_REAL_TIME,
         "pace": "free" if case.ending.free else 1,
     }
     robot = {"driver": "cia402", "model": "lab6", "options": options}
@@ -91,8 +91,9 @@ def _judged(
     if case.ending.stop_within_s is None:
         return Field(**about, lacking=lacking(run), counts=counts(run))
     after = [note for note in journal if note["monotonic_s"] >= fault["monotonic_s"]]
+    clock = "device_time" if case.ending.free else "monotonic_s"
     lost_s = lost(run, fault["t"], "host_time")
-    return Field(**about, **_stopped(fault, after), lost_s=lost_s)
+    return Field(**about, **_stopped(fault, after, clock), lost_s=lost_s)
 
 
 def _fault(case: Case, folder: Path, journal: Sequence[Note]) -> Note | None:
@@ -118,8 +119,8 @@ def _happened(folder: Path, journal: Sequence[Note]) -> Note | None:
     return {"event": "fault", "monotonic_s": at, "t": unix}
 
 
-def _stopped(fault: Note, after: Sequence[Note]) -> dict[str, Any]:
-    """An arm has stopped when each of its axes has: the last one counts."""
+def _stopped(fault: Note, after: Sequence[Note], clock: str) -> dict[str, Any]:
+    """An arm has stopped when each of its axes has: the last one counts, on the clock named."""
     stops = [note for note in after if note["event"] == "stop"]
     off = {axis: note for note in reversed(stops) for axis in note["axes"]}
     if not off:
@@ -128,7 +129,7 @@ def _stopped(fault: Note, after: Sequence[Note]) -> dict[str, Any]:
     later = after[after.index(stops[0]) + 1 :]
     again = {axis for note in later if note["event"] == "enable" for axis in note["axes"]}
     return {
-        "stop_s": last["monotonic_s"] - fault["monotonic_s"],
+        "stop_s": last[clock] - fault[clock],
         "rest_s": rest_after(stops[0], after),
         "still_on": tuple(sorted((set(AXES) - set(off)) | again)),
         "commands_after": starts(later),

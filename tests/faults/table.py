@@ -1,4 +1,4 @@
-"""Runs both fault matrices and writes their tables into the docs: `make fault-matrix`."""
+"""Runs the fault matrices and writes their tables into the docs: `make fault-matrix`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from faults import cases, ur_cases
+from faults import can_cases, cases, ur_cases
+from faults.ur_cases import WireEnding
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "docs" / "reference"
 MATRICES = {
     "fault-matrix.md": ("tests/test_fault_matrix.py", 3),
     "fault-matrix-ur.md": ("tests/test_fault_matrix_ur.py", 2),
+    "fault-matrix-can.md": ("tests/test_fault_matrix_can.py", 2),
 }
 """Page → its tests, and how many of them at a time: an arm over the wire minds a busy computer."""
 
@@ -62,17 +64,29 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def wire_table(rows: Sequence[Row]) -> str:
+def ur_table(rows: Sequence[Row]) -> str:
+    """The one of the UR controller."""
+    return wire_table(rows, ur_cases.FAULTS, ur_cases.STEPS)
+
+
+def can_table(rows: Sequence[Row]) -> str:
+    """The one of the drives on CAN."""
+    return wire_table(rows, can_cases.FAULTS, can_cases.STEPS)
+
+
+def wire_table(
+    rows: Sequence[Row], faults: Mapping[str, WireEnding], steps: Mapping[str, Any]
+) -> str:
     """Markdown: a line per fault, the first stop for each kind of step, else the worst figures."""
     lines = [
-        f"| what goes wrong | ends as | exit code | {' | '.join(ur_cases.STEPS)} | allowed |"
+        f"| what goes wrong | ends as | exit code | {' | '.join(steps)} | allowed |"
         " at rest after | lost | process ends | why |",
-        "|---" * (len(ur_cases.STEPS) + 8) + "|",
+        "|---" * (len(steps) + 8) + "|",
     ]
-    for fault, ending in ur_cases.FAULTS.items():
+    for fault, ending in faults.items():
         mine = {row["step"]: row for row in rows if row["fault"] == fault}
         figures = [
-            *(_wire_stop(ending, mine.get(step)) for step in ur_cases.STEPS),
+            *(_wire_stop(ending, mine.get(step)) for step in steps),
             _wire_allowed(ending),
             _ms(_worst(list(mine.values()), "rest_s"), "—"),
             _ms(_worst(list(mine.values()), "lost_s"), "—"),
@@ -91,7 +105,7 @@ def written(page: str, new: str) -> str:
     return f"{head}{BEGIN}\n{new}\n{END}{rest.split(END)[1]}"
 
 
-def _wire_stop(ending: ur_cases.WireEnding, row: Row | None) -> str:
+def _wire_stop(ending: WireEnding, row: Row | None) -> str:
     if ending.before:
         return "does not move"
     if ending.stop_within_s is None:
@@ -99,7 +113,7 @@ def _wire_stop(ending: ur_cases.WireEnding, row: Row | None) -> str:
     return "—" if row is None else _ms(row["stop_s"])
 
 
-def _wire_allowed(ending: ur_cases.WireEnding) -> str:
+def _wire_allowed(ending: WireEnding) -> str:
     standing = f", standing {_allowed(ending.standing_s)}" if ending.standing_s else ""
     return _allowed(ending.stop_within_s) + standing
 
@@ -121,8 +135,12 @@ def _ms(seconds: float | None, nothing: str = "goes on") -> str:
 
 
 def main() -> None:
-    """Both pages, or those that are named."""
-    makers = {"fault-matrix.md": table, "fault-matrix-ur.md": wire_table}
+    """All pages, or those that are named."""
+    makers = {
+        "fault-matrix.md": table,
+        "fault-matrix-ur.md": ur_table,
+        "fault-matrix-can.md": can_table,
+    }
     for name, (tests, workers) in MATRICES.items():
         if len(sys.argv) > 1 and name not in sys.argv:
             continue
