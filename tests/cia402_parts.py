@@ -50,7 +50,7 @@ class FakeDrive:
         before, self.last = self.last, word
         if self.status == QUICK:
             self.left -= 1
-            self.status = OFF if self.left <= 0 else QUICK
+            self.status = OFF if self.left <= 0 or not word & 0x82 else QUICK
         elif self.status == FAULT:
             if word & 0x80 and not before & 0x80:
                 self.status = OFF

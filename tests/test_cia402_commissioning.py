@@ -17,7 +17,7 @@ from hil_drivers.cia402.profile import AxisProfile
 from hil_mock_robot.cia402.aborts import DEVICE_STATE, NO_OBJECT, Abort
 from hil_mock_robot.cia402.contracts import key
 
-GEAR, POLARITY = key(0x6091, 1), key(0x607E)
+GEAR, POLARITY, QUICK_STOP = key(0x6091, 1), key(0x607E), key(0x6085)
 
 
 def options(n: int = 2, **given):
@@ -209,6 +209,26 @@ def test_limits_of_a_counter_without_sign_are_those_around_the_joint():
         found = commissioned(line, axes=axes)
     assert found.q_min == pytest.approx([math.radians(-90)], abs=1e-6)
     assert found.q_max == pytest.approx([math.radians(60)], abs=1e-6)
+
+
+@pytest.mark.parametrize("ramp", [0, 100])
+def test_a_quick_stop_that_takes_too_long_is_refused_with_the_least_that_would_do(ramp):
+    with drives() as line:
+        line.nodes[1].registers[QUICK_STOP] = ramp
+        told = refused(line)
+        assert told.startswith("joint_2 (node 2) brakes too slowly in a quick stop: 6085h")
+        assert f"is {ramp}, that is" in told
+        least = int(told.split("at least ")[1].split()[0])
+        assert least == math.ceil(ARM.qd_max[1] / 0.5 * 141 * 2**20 / 2 / math.pi)
+        line.nodes[1].registers[QUICK_STOP] = least
+        assert commissioned(line).drives[1].quick_stop_s(ARM.qd_max[1]) == pytest.approx(0.5)
+
+
+def test_the_station_may_say_what_6085h_means():
+    with drives() as line:
+        line.nodes[1].registers[QUICK_STOP] = 100
+        found = commissioned(line, axes={"quick_stop_rad_s2": 12.0})
+        assert found.drives[1].quick_stop_rad_s2 == 12.0
 
 
 @pytest.mark.parametrize("ends", [(-(2**31), 2**31 - 1), (100, -100), (0, 0)])

@@ -345,3 +345,12 @@ def test_records_of_a_motion_that_nobody_takes_end_it() -> None:
         assert "were not taken" in station.problem()
     finally:
         station.core.close()
+
+
+@pytest.mark.parametrize("end", ["rest", "close"])
+def test_axes_that_stay_in_quick_stop_are_off_when_we_leave(station: Station, end: str) -> None:
+    station.ready()
+    station.drives.drives[1].braking = 1_000_000
+    station.move(rows=100_000)
+    getattr(station.core, end)()
+    assert [drive.status for drive in station.drives.drives] == [OFF] * N

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from cia402_parts import CSP, CST, ENABLED, FAULT, FOLLOWS, OFF, ON, PERIOD_S, READY, Rig
 
+from hil_drivers.cia402.braking import BrakeWatch
 from hil_drivers.cia402.contracts import Emergency, News
 from hil_drivers.cia402.supervisor import Phase
 
@@ -404,3 +405,61 @@ def test_axes_are_called_by_their_names() -> None:
     rig.enable()
     rig.drives[1].status = FAULT
     assert "shoulder (node 12): fault" in rig.problem()
+
+
+def braking_rig() -> Rig:
+    """Axes that stop within 0.3 s, of 1 µrad per increment."""
+    return Rig(braking=BrakeWatch(PERIOD_S, [-1e-6] * 3, [0.3] * 3))
+
+
+def test_axis_that_does_not_slow_down_in_a_quick_stop_is_taken_the_voltage_from() -> None:
+    rig = braking_rig()
+    rig.enable()
+    rig.drives[1].braking = 10_000
+    rig.supervisor.quick_stop("stopped")
+    at, words = 0, []
+    while rig.phase is Phase.BRAKING and at < 1000:
+        rig.drives[1].position += 2000  # 0.5 rad/s
+        rig.cycles()
+        words.append(rig.outputs.controlword.copy())
+        at += 1
+    first = next(k for k, told in enumerate(words) if told[1] == 0x00)
+    assert 0.5 <= first * PERIOD_S < 0.6
+    assert words[first][0] == words[first - 1][1] == QUICK_STOP
+    assert "axis 2 (node 12): still moves at 0.50 rad/s 0.5 s after" in rig.problem()
+
+
+def test_axis_that_slows_down_as_it_should_is_left_alone() -> None:
+    rig = braking_rig()
+    rig.enable()
+    for drive in rig.drives:
+        drive.braking = 90
+    rig.supervisor.quick_stop()
+    for cycle in range(90):
+        rig.drives[1].position += max(4000 - 60 * cycle, 0)
+        rig.cycles()
+        assert rig.outputs.controlword[1] == QUICK_STOP or cycle > 88
+    rig.until(Phase.OFF)
+    assert rig.problem(30) == ""
+
+
+def test_axis_that_stays_in_quick_stop_is_switched_off() -> None:
+    rig = braking_rig()
+    rig.enable()
+    rig.drives[0].braking = 10_000
+    rig.supervisor.quick_stop()
+    rig.cycles(320)
+    assert rig.outputs.controlword[0] == QUICK_STOP
+    rig.cycles(10)
+    assert rig.outputs.controlword[0] == 0x00
+    assert "axis 1 (node 11): is still on 1.3 s after a quick stop" in rig.problem()
+
+
+def test_axis_that_ignores_a_quick_stop_is_not_told_to_be_switched_on_afterwards() -> None:
+    rig = braking_rig()
+    rig.enable()
+    rig.drives[2].stuck_at = ENABLED
+    rig.supervisor.quick_stop()
+    rig.until(Phase.OFF)
+    rig.cycles(5)
+    assert rig.outputs.controlword[2] == 0x00

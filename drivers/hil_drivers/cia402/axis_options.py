@@ -16,6 +16,7 @@ RANGES: dict[str, must.Range] = {
     "rated_torque_nm": (1e-4, 100_000.0),
     "torque_constant_nm_a": (1e-5, 1000.0),
     "offset_deg": (-1e6, 1e6),
+    "quick_stop_rad_s2": (0.1, 10_000.0),
     "stiffness_nm_rad": (0.0, 1e6),
     "damping_nms_rad": (0.0, 1e5),
 }

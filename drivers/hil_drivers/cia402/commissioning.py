@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from hil.arms import ArmDescription
 from hil.errors import CommandRefused, RobotConnectionError
 from hil_drivers.cia402 import objects as od
+from hil_drivers.cia402.braking import LONGEST_RAMP_S
 from hil_drivers.cia402.contracts import Acyclic
 from hil_drivers.cia402.drives import Commissioned, Drive
 from hil_drivers.cia402.inspection import (
@@ -70,7 +71,11 @@ def commission(acyclic: Named, options: Options, arm: ArmDescription) -> Commiss
         CommandRefused: A drive does not take a setting, or reads back something else.
         RobotTimeout: A drive does not answer.
     """
-    drives = inspected(acyclic, options, arm)
+    return configured(acyclic, options, inspected(acyclic, options, arm))
+
+
+def configured(acyclic: Named, options: Options, drives: list[Drive]) -> Commissioned:
+    """Set up drives that were `inspected`; raises as `commission`."""
     lacking = [
         set_up(acyclic, axis, settings_of(options, drive.profile))
         for axis, drive in enumerate(drives)
@@ -159,8 +164,30 @@ def _inspected(
     profile = profile_of(options.profile, given, said, float(arm.gear_ratio[axis]))
     if isinstance(profile, str):
         return None, [*wrong, profile]
+    drive = Drive(objects, profile)
     wrong += out_of_range(profile, float(arm.q_min[axis]), float(arm.q_max[axis]))
-    return Drive(objects, profile), wrong
+    wrong += brakes_too_slowly(drive, float(arm.qd_max[axis]))
+    return drive, wrong
+
+
+def brakes_too_slowly(drive: Drive, qd_max: float) -> Iterator[str]:
+    """Why the quick stop of a drive is none; a drive that does not say is not judged.
+
+    Args:
+        drive: As it is.
+        qd_max: Highest speed of its joint [rad/s].
+    """
+    takes_s, ramp = drive.quick_stop_s(qd_max), drive.quick_stop_rad_s2
+    if not takes_s > LONGEST_RAMP_S:
+        return
+    least = math.ceil(qd_max / LONGEST_RAMP_S / abs(drive.profile.rad_s_per_count))
+    told = drive.objects.get("quick_stop_deceleration")
+    yield (
+        f"brakes too slowly in a quick stop: {od.QUICK_STOP_DECELERATION} is {told}, that is "
+        f"{ramp:.3g} rad/s² and takes {takes_s:.3g} s from {qd_max:.2f} rad/s; at least {least} "
+        f"({qd_max / LONGEST_RAMP_S:.3g} rad/s², {LONGEST_RAMP_S:g} s) is needed. If its unit is "
+        "another one, give axes.quick_stop_rad_s2"
+    )
 
 
 def _limit(options: Options) -> int:

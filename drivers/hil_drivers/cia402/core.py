@@ -17,7 +17,12 @@ from hil_drivers.cia402.track import farthest
 
 POLL_S = 0.002
 FIRST_ANSWER_S = 2.0
-END_S = 1.5
+END_S = 3.0
+"""Device time for all axes to brake and be off: longer than it takes until those that do not are
+taken the voltage from (`braking`) [s]."""
+JOIN_S = 1.5
+
+LAST_CYCLES = 3
 
 REST_RAD_S = 0.02
 REST_OVER_S = 0.05
@@ -74,7 +79,7 @@ class Core(Cycling):
         else:
             with contextlib.suppress(HilError):
                 self.disable()
-        self._let_pass(lambda: self._is_cycling and self.phase is not Phase.OFF, END_S)
+        self._await_off()
         self._cyclic.watch(False)
         self._cycling = False
 
@@ -163,10 +168,10 @@ class Core(Cycling):
             return
         if self._is_cycling and self.phase is not Phase.OFF:
             self.quick_stop()
-            self._let_pass(lambda: self._is_cycling and self.phase is not Phase.OFF, END_S)
+            self._await_off()
         self._ending = True
         self.ring.wake()
-        thread.join(END_S)
+        thread.join(JOIN_S)
         self._thread = None
 
     @property
@@ -206,6 +211,15 @@ class Core(Cycling):
         until = time.monotonic() + most_s
         while as_long_as() and time.monotonic() < until:
             time.sleep(POLL_S)
+
+    def _await_off(self) -> None:
+        """Wait until all axes are off, as long as that may take by the time of the drives."""
+        self._let_pass(
+            lambda: self._is_cycling and self.phase is not Phase.OFF, END_S * max(1.0, self._slower)
+        )
+        # What was told last goes out with the next cycle and is applied in the one after it.
+        over = self._cyclic.cycle + LAST_CYCLES
+        self._let_pass(lambda: self._is_cycling and self._cyclic.cycle < over, JOIN_S)
 
     def _require_bus(self) -> None:
         if self._gone is not None:

@@ -69,6 +69,7 @@ class Cycling:
         self._cyclic, self._supervisor, self._player = cyclic, supervisor, player
         self._outputs, self.schedule = outputs, schedule
         self._period_s, self._free = period_s, wall_period_s <= 0.0
+        self._slower = wall_period_s / period_s  # than the time of the drives
         batch = FREE_BATCH if self._free else max(1, math.ceil(BATCH_S / wall_period_s))
         self.ring = Ring(mapping, n, max(64, round(kept_s / period_s)), batch)
         self.temperature = self.ring.temperature

@@ -51,9 +51,16 @@ class Drive:
 
     @property
     def quick_stop_rad_s2(self) -> float:
-        """Deceleration of its quick stop (6085h) [rad/s²]; NaN if it does not say."""
+        """Deceleration of its quick stop [rad/s²], 6085h or the station's; NaN if none says."""
+        if self.profile.quick_stop_rad_s2:
+            return self.profile.quick_stop_rad_s2
         ramp = self.objects.get("quick_stop_deceleration")
-        return math.nan if ramp is None else ramp * abs(self.profile.rad_per_increment)
+        return math.nan if ramp is None else ramp * abs(self.profile.rad_s_per_count)
+
+    def quick_stop_s(self, speed_rad_s: float) -> float:
+        """How long its quick stop takes from a speed of the joint [s]; NaN if none says."""
+        ramp = self.quick_stop_rad_s2
+        return speed_rad_s / ramp if ramp else math.inf
 
 
 @dataclass(frozen=True)

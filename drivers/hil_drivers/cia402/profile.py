@@ -56,6 +56,8 @@ class AxisProfile:
         torque_constant_nm_a: Of the motor [N·m/A]; for `rated-current`.
         rated_current_is: A `peak` value is divided by √2 before it meets the torque constant
             (EL72xx with 2002h:54 = 0), an `rms` one is not (2002h:54 = 1).
+        quick_stop_rad_s2: Deceleration of the quick stop at the joint where 6085h is in a unit of
+            its own [rad/s²]; 0: by 6085h, in counts of velocity per second.
     """
 
     encoder_increments: int
@@ -72,6 +74,7 @@ class AxisProfile:
     torque_of: TorqueOf = "rated-torque"
     torque_constant_nm_a: float = 0.0
     rated_current_is: CurrentIs = "rms"
+    quick_stop_rad_s2: float = 0.0
 
     @property
     def increments_per_rev(self) -> float:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 
 from hil.arms import load_arm
 from hil.errors import HilError
 from hil_drivers.cia402 import objects as od
-from hil_drivers.cia402.commissioning import MODES, commission
+from hil_drivers.cia402.braking import LONGEST_RAMP_S, BrakeWatch
+from hil_drivers.cia402.commissioning import MODES, configured, inspected
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.drives import Commissioned
@@ -20,6 +22,7 @@ from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.mode_object import carries_mode, set_mode
 from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
+from hil_drivers.cia402.parting import part, unwatch
 from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.pumping import pumping
 from hil_drivers.cia402.schedule import Schedule
@@ -100,16 +103,24 @@ class Session:
             self.core.stop(self.options.stop_rad_s2)
             self._await_rest(rest_s)
             self.core.rest()
+        with contextlib.suppress(HilError):
+            part(self.acyclic)
             self.acyclic.released()
         self.core.close()
         self._joined.leave()
 
     def _set_up(self) -> None:
-        self.acyclic.preoperational()
-        self.drives: Commissioned = commission(self.acyclic, self.options, self.arm)
-        self.were_reset: list[LeftFault] = faults_left(self.acyclic)
-        require_resettable(self.were_reset)
-        self.acyclic.map(self.mapping)
+        try:
+            self.acyclic.preoperational()
+            found = inspected(self.acyclic, self.options, self.arm)
+            # Before they are made to watch our heartbeat: its end would hide what they are in.
+            self.were_reset: list[LeftFault] = faults_left(self.acyclic)
+            require_resettable(self.were_reset)
+            self.drives: Commissioned = configured(self.acyclic, self.options, found)
+            self.acyclic.map(self.mapping)
+        except BaseException:
+            unwatch(self.acyclic)
+            raise
 
     def _core(self) -> tuple[Core, Player]:
         options, n = self.options, len(self.options.nodes)
@@ -120,6 +131,7 @@ class Session:
             outputs,
             mode_mapped=carries_mode(self.mapping),
             late_cycles=options.late_cycles,
+            braking=self._brake_watch(),
             said=emergency_text,
             names=self.arm.joint_names,
         )
@@ -141,6 +153,15 @@ class Session:
         )
         self._joined.temperatures.celsius = core.temperature
         return core, player
+
+    def _brake_watch(self) -> BrakeWatch:
+        drives, fastest = self.drives.drives, self.arm.qd_max
+        ramps = [drive.quick_stop_s(float(qd)) for drive, qd in zip(drives, fastest, strict=True)]
+        return BrakeWatch(
+            self.options.period_s,
+            [drive.profile.rad_per_increment for drive in drives],
+            [LONGEST_RAMP_S if math.isnan(ramp) else ramp for ramp in ramps],
+        )
 
     def _await_rest(self, within_s: float) -> None:
         until = time.monotonic() + within_s

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402 import states
+from hil_drivers.cia402.braking import LONGEST_RAMP_S, BrakeWatch
 from hil_drivers.cia402.complaints import Complaints
 from hil_drivers.cia402.contracts import Emergency, Inputs, News, Outputs
 from hil_drivers.cia402.judging import FAULTY, Judge, mode_text
@@ -44,6 +45,7 @@ class Supervisor:
         outputs: What it writes to: controlwords, modes, and preloaded targets.
         mode_mapped: Whether the process data hold 6060h and 6061h.
         late_cycles: Cycles in a row that an axis may not answer.
+        braking: Watches quick stops.
         names: Of the axes, for messages.
         said: An emergency in words.
 
@@ -62,6 +64,7 @@ class Supervisor:
         *,
         mode_mapped: bool = True,
         late_cycles: int = 3,
+        braking: BrakeWatch | None = None,
         names: Sequence[str] = (),
         said: Callable[[Emergency], str] = lambda emergency: f"EMCY {emergency.code:04X}h",
     ) -> None:
@@ -69,6 +72,9 @@ class Supervisor:
         self._said, self._judge = said, Judge(len(nodes), mode_mapped, late_cycles)
         names = names or [f"axis {axis + 1}" for axis in range(len(nodes))]
         self._complaints = Complaints(names, nodes)
+        n = self._n
+        self._braking = braking or BrakeWatch(period_s, [0.0] * n, [LONGEST_RAMP_S] * n)
+        self._let_go: set[int] = set()
         self._codes = [0] * self._n
         self._states = [State.UNKNOWN] * self._n
         self._inputs = Inputs.none_yet(self._n)
@@ -99,6 +105,7 @@ class Supervisor:
     def enable(self, mode: int) -> None:
         """Begin to enable all axes in a mode; not while any is enabled."""
         self._complaints.clear()
+        self._let_go.clear()
         self.overdue = False
         self.mode = mode
         self._outputs.mode[:] = [mode] * self._n
@@ -137,6 +144,7 @@ class Supervisor:
             self._complaints.add(None, why, self._cycle)
         if self.phase is not Phase.BRAKING:
             self._enter(Phase.BRAKING)
+            self._braking.begin()
         self._outputs.controlword[:] = [states.QUICK_STOP] * self._n
 
     def hear(self, news: News) -> None:
@@ -246,6 +254,7 @@ class Supervisor:
     def _brake(self, inputs: Inputs) -> None:
         """Quick stop until no axis carries current; silent ones may hear it all the same."""
         carrying = [axis for axis in range(self._n) if self._states[axis] in states.POWERED]
+        self._let_go_what_does_not_brake(carrying, inputs)
         answering = any(self._judge.answers(axis) for axis in carrying)
         given_s = WITHIN_S[Phase.BRAKING] if answering else SILENT_S
         if not carrying or self._for_s() > given_s:
@@ -253,6 +262,15 @@ class Supervisor:
             self._steer(Goal.OFF)
         else:
             self._steer(Goal.QUICK_STOP)
+
+    def _let_go_what_does_not_brake(self, carrying: list[int], inputs: Inputs) -> None:
+        """Better a brake that closes on a moving joint than one that goes on moving."""
+        self._braking.look(inputs)
+        for axis in set(carrying) - self._let_go:
+            answers = self._judge.answers(axis)
+            if answers and (said := self._braking.complaint(axis, self._for_s())):
+                self._let_go.add(axis)
+                self._complaints.add(axis, said, self._cycle)
 
     def _go_on_disabling(self, inputs: Inputs) -> None:
         self._steer(Goal.OFF)
@@ -291,7 +309,10 @@ class Supervisor:
         self.quick_stop()
 
     def _steer(self, goal: Goal) -> None:
-        self._outputs.controlword[:] = [controlword_towards(s, goal) for s in self._states]
+        words = self._outputs.controlword
+        words[:] = [controlword_towards(s, goal) for s in self._states]
+        for axis in self._let_go:
+            words[axis] = states.DISABLE_VOLTAGE
 
     def _preload(self, axes: tuple[int, ...] | range) -> None:
         """Targets are where the axes are: nothing jumps when they are enabled."""
