@@ -6,6 +6,7 @@ import time
 
 from hil_drivers.cia402.bursts import receiving
 from hil_drivers.cia402.contracts import Inputs
+from hil_drivers.cia402.debts import Debts
 from hil_drivers.cia402.node_watch import NodeWatch
 from hil_drivers.cia402.pdo_frames import Answers
 from hil_drivers.cia402.ports import FramePort
@@ -27,7 +28,8 @@ class Collector:
 
     Which SYNC an answer belongs to is not written on it. Where one is owed from an earlier cycle,
     the first that comes is that one if a second follows, or if answers are slow just now; it is
-    this cycle's again when nothing more has come by the next SYNC.
+    this cycle's again when it came soon and nothing more has come by the next SYNC. Where several
+    are owed, `Debts` is strict.
 
     Args:
         port: Where frames come from.
@@ -41,7 +43,7 @@ class Collector:
         self._counts, self._slot_of = watch.counts, answers.slots.get
         self._came: list[bytes | None] = [None] * len(answers)
         self._none_came: list[bytes | None] = [None] * len(answers)
-        self._owed: dict[int, int] = {}
+        self._debts = Debts()
         self._nap_s = 0.0
         self._doubtful, self._late_then = False, 0
 
@@ -54,12 +56,12 @@ class Collector:
             give_up_s: When to be done with waiting.
         """
         if self._doubtful and self._counts.late == self._late_then:
-            self._owed.clear()  # nothing has come since: it was lost after all
+            self._debts.forget_lost()  # nothing has come since: it was lost after all
         self._doubtful = False
         self._nap(synced_s, give_up_s)
         all_came = self._fill(synced_s, give_up_s)
-        if self._owed:
-            all_came = all_came and self._settle(synced_s, give_up_s)
+        if self._debts:
+            all_came = self._settle(synced_s, give_up_s, all_came)
         inputs.fresh[:] = self._answers.all_fresh
         if not all_came:
             self._miss(inputs)
@@ -78,6 +80,7 @@ class Collector:
             if slot is None:
                 self._watch.heard(raw)
             else:
+                self._debts.came_between(slot)
                 self._was_owed(slot)
 
     def _nap(self, synced_s: float, give_up_s: float) -> None:
@@ -103,23 +106,42 @@ class Collector:
                 elif came[slot] is None:
                     came[slot] = raw
                     left -= 1
+                    if self._debts.watched:
+                        self._debts.came(slot, time.monotonic())
                 else:
                     self._second(slot, raw)
-        if takes > 1:
+        if not self._debts:  # else they may be older than they seem
+            self._learn(takes > 1, synced_s)
+        return True
+
+    def _learn(self, too_short: bool, synced_s: float) -> None:
+        """How long a nap is to be."""
+        if too_short:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
             self._nap_s *= NAP_SHORTER
-        return True
 
-    def _settle(self, synced_s: float, give_up_s: float) -> bool:
+    def _settle(self, synced_s: float, give_up_s: float, all_came: bool) -> bool:
         """Whether the answers are those to this SYNC, where earlier ones are owed.
 
         The second is waited for as long as there is time. When none comes, the owed one was lost
         if this one came as soon as answers usually do, and if others had answered before: when
         nobody had, all are slow rather than lost.
         """
-        now, nobody = time.monotonic(), len(self._owed) == len(self._came)
-        while self._owed:
+        debts, soon_s = self._debts, synced_s + SOON_TIMES * self._nap_s + SOON_S
+        if all_came:
+            soon, nobody = time.monotonic() <= soon_s, len(debts) == len(self._came)
+            self._take_more(give_up_s)
+            if soon and not nobody:
+                debts.forget_lost()
+            self._doubtful = soon and bool(debts)
+        if debts.watched:
+            debts.confirm(soon_s)
+        return all_came and not debts
+
+    def _take_more(self, give_up_s: float) -> None:
+        """Take what comes as long as anything is owed."""
+        while self._debts:
             raw = self._port.receive(give_up_s)
             if raw is None:
                 break
@@ -128,37 +150,32 @@ class Collector:
                 self._watch.heard(raw)
             else:
                 self._second(slot, raw)
-        soon_s = synced_s + SOON_TIMES * self._nap_s + SOON_S
-        if now <= soon_s and not nobody:
-            self._owed.clear()
-        self._doubtful = bool(self._owed)
-        return not self._owed
 
     def _second(self, slot: int, raw: bytes) -> None:
         """Another frame for a slot that has one: the newest is that of this cycle."""
+        if self._debts.watched:
+            self._debts.came(slot, time.monotonic())
         self._was_owed(slot)
         self._came[slot] = raw
 
     def _was_owed(self, slot: int) -> None:
         """Count a frame as late if one was owed, else as doubled."""
-        owed = self._owed.pop(slot, 0)
-        if not owed:
+        if self._debts.pay(slot):
+            self._counts.late += 1
+        else:
             self._counts.doubled += 1
-            return
-        self._counts.late += 1
-        if owed > 1:
-            self._owed[slot] = owed - 1
 
     def _miss(self, inputs: Inputs) -> None:
         """Fill empty slots with what was there before, and keep in mind who owes what."""
         answers, came = self._answers, self._came
-        for slot in list(self._owed):
-            if came[slot] is not None:  # answers are slow: it is that of an earlier cycle
-                self._was_owed(slot)
-                came[slot] = None
-        missing = [slot for slot, raw in enumerate(came) if raw is None]
-        self._counts.missing += len(missing)
-        for slot in missing:
-            self._owed[slot] = self._owed.get(slot, 0) + 1
+        owed = set(self._debts.slots)
+        for slot, raw in enumerate(came):
+            if raw is not None and slot not in owed:
+                continue
+            if raw is None:
+                self._debts.owe(slot)
+            else:  # that of an earlier cycle: one is paid, this one is owed
+                self._counts.late += 1
+            self._counts.missing += 1
             came[slot] = bytes(answers.memory[slot * _FRAME_BYTES : (slot + 1) * _FRAME_BYTES])
             inputs.fresh[answers.axis(slot)] = False
