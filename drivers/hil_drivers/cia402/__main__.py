@@ -15,6 +15,7 @@ from hil.spec.station import StationRobot
 from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.left_faults import LeftFault, faults_left, reset
 from hil_drivers.cia402.options import options_of
+from hil_drivers.cia402.parting import unwatch
 from hil_drivers.cia402.pumping import pumping
 from hil_drivers.cia402.robot import Cia402Robot
 
@@ -48,6 +49,7 @@ def _left(entry: StationRobot) -> list[LeftFault]:
         with pumping(joined.cyclic):
             faults = faults_left(joined.acyclic)
             left = [fault for fault in faults if not reset(joined.acyclic, fault)]
+            unwatch(joined.acyclic)  # else the end of this would be the next fault
     finally:
         joined.leave()
     for fault in faults:

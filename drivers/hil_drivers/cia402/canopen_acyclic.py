@@ -17,13 +17,14 @@ import canopen
 from hil.errors import CommandRefused, RobotTimeout
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.aborts import Aborted
+from hil_drivers.cia402.at_once import SDO_ANSWER, AtOnce
 from hil_drivers.cia402.eds import dictionary_of, require_mappable
 from hil_drivers.cia402.fed_network import FedNetwork, Send
 from hil_drivers.cia402.mapping import Mapping
 from hil_drivers.cia402.objects import Entry
 from hil_drivers.cia402.pdo_mapping import lay_out
 
-SDO_ANSWER, HEARTBEAT = 0x580, 0x700
+HEARTBEAT = 0x700
 PREOPERATIONAL, OPERATIONAL = 0x7F, 0x05
 _COMMANDS = {PREOPERATIONAL: 0x80, OPERATIONAL: 0x01}
 _NAMES = {
@@ -54,6 +55,9 @@ class CanopenAcyclic:
         names: Of the axes, for messages.
         eds: Per axis, path of its EDS file; may be empty.
 
+    Attributes:
+        at_once: Asks without waiting; by the thread that calls the rest.
+
     Raises:
         SpecError: An EDS file cannot be read.
     """
@@ -62,7 +66,7 @@ class CanopenAcyclic:
         self, send: Send, nodes: Sequence[int], names: Sequence[str], eds: Sequence[str] = ()
     ) -> None:
         self.nodes, self._names, self._eds = tuple(nodes), tuple(names), tuple(eds)
-        self._network = FedNetwork(send)
+        self._network, self.at_once = FedNetwork(send), AtOnce(send, nodes)
         self._dictionaries = [
             dictionary_of(p, n) for p, n in zip(self._eds, nodes, strict=bool(eds))
         ]
@@ -80,7 +84,8 @@ class CanopenAcyclic:
     def heard(self, can_id: int, data: bytes, time_s: float = 0.0) -> None:
         """A frame is on the bus; called by the cyclic thread, returns at once."""
         if can_id in self._answers and len(data) == 8:
-            self._network.notify(can_id, bytearray(data), time_s)
+            if not self.at_once.heard(can_id, data):
+                self._network.notify(can_id, bytearray(data), time_s)
         elif can_id in self._axes and data:
             with self._told:
                 self._states[self._axes[can_id]] = data[0]
@@ -88,7 +93,8 @@ class CanopenAcyclic:
 
     def upload(self, axis: int, entry: Entry) -> int:
         """See `Acyclic`; a value shorter than the object is extended by its sign."""
-        raw = self._asked(axis, f"{entry} cannot be read", lambda sdo: sdo.upload(*_at(entry)))
+        what = f"{entry} cannot be read"
+        raw = self._asked(axis, entry, what, lambda sdo: sdo.upload(*_at(entry)))
         return int.from_bytes(raw[: entry.size], "little", signed=entry.code.islower())
 
     def download(self, axis: int, entry: Entry, value: int) -> None:
@@ -100,7 +106,7 @@ class CanopenAcyclic:
                 f"{self.name_of(axis)}: {value} does not fit into {entry}"
             ) from None
         what = f"{entry} does not take {value}"
-        self._asked(axis, what, lambda sdo: sdo.download(*_at(entry), data))
+        self._asked(axis, entry, what, lambda sdo: sdo.download(*_at(entry), data))
 
     def preoperational(self) -> None:
         """See `Acyclic`; the drives' heartbeats are on from then on."""
@@ -135,8 +141,9 @@ class CanopenAcyclic:
         node.sdo.RESPONSE_TIMEOUT = ANSWER_S
         return self._network.add_node(node)
 
-    def _asked(self, axis: int, what: str, ask: Callable[[Any], Any]) -> Any:
+    def _asked(self, axis: int, entry: Entry, what: str, ask: Callable[[Any], Any]) -> Any:
         """One request at a time per node, tried again when nobody answers."""
+        self.at_once.forget(axis, entry)
         with self._locks[axis]:
             for _ in range(TRIES):
                 try:

@@ -26,7 +26,8 @@ ASKED = (
 ASKED_TOO = {"el72xx": (od.TORQUE_SCALING, od.TORQUE_CONSTANT)}
 """By device profile."""
 
-MOST_ERRORS = 8
+MOST_ERRORS = 254
+"""1003h has no more; drives keep 8 or 16."""
 _SAME = 0.005
 """Numbers of a station and of a drive that differ by less are the same: type plates are rounded."""
 

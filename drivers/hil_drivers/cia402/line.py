@@ -68,5 +68,6 @@ def line_to(
     torque = TorqueModel(model, options.urdf, gravity) if needed else None
     session = Session(model, options)
     samples = Samples(session, topic)
-    thermometer = Thermometer(session.acyclic, options.temperature_object, len(options.nodes))
+    at_once, n = session.acyclic.at_once, len(options.nodes)
+    thermometer = Thermometer(at_once, options.temperature_object, n)
     return Line(session, samples, Trouble(name, session, samples), thermometer, torque)
