@@ -93,21 +93,37 @@ class AxesRobot:
         """Join the bus, set all drives up, start the cycles, enable all axes where they are.
 
         Raises:
-            RobotConnectionError, RobotFault, RobotTimeout, CommandRefused: See `Session`.
+            RobotConnectionError, RobotFault, RobotTimeout: See `Session`.
+            CommandRefused: Likewise; or `stop` came meanwhile, and the axes are off.
         """
         if self._line is not None and not self._line.trouble.is_there:
             return
+        stops = self._stops
         self.close()
+        try:
+            self._begin(stops)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, stops: int) -> None:
+        """Connect, unless a stop is more than so many."""
+
+        def go_on() -> None:
+            if self._stops != stops:
+                raise CommandRefused("stopped while connecting", hint="connect again")
+
         line = self._line = line_to(
             self._name, self._model, self._options, self._topic, self._gravity
         )
         try:
-            line.session.begin()
-            line.thermometer.ask_all()
-            line.samples.forget()
-        except BaseException:
-            self.close()
+            line.session.begin(go_on)
+        except CommandRefused:
+            go_on()
             raise
+        line.thermometer.ask_all()
+        line.samples.forget()
+        go_on()
 
     def set_payload(self, payload: Payload) -> Payload:
         """Keep a load for the torque model; declare it to drives that have an object for it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Callable
 
 from hil.arms import load_arm
 from hil.errors import HilError
@@ -66,23 +67,31 @@ class Session:
             self._joined.leave()
             raise
 
-    def begin(self) -> None:
+    def begin(self, go_on: Callable[[], None] = lambda: None) -> None:
         """Start the cycles, reset what may be reset, enable all axes; they hold where they are.
+
+        Args:
+            go_on: Called before every step; raises when it is not to be taken.
 
         Raises:
             RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`.
         """
+        go_on()
         self.core.open()
         self.acyclic.operational()
         self.core.run()
         if self.were_reset:
+            go_on()
             self.core.reset_faults()
         if not carries_mode(self.mapping):
             set_mode(self.acyclic, range(len(self.options.nodes)), od.CSP)
+        go_on()
         self.core.enable(od.CSP)
+        go_on()
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
             # Led by torque, an arm that is only now enabled would fall until the spring holds it.
             self.core.switch(mode)
+            go_on()
 
     @property
     def counts(self) -> Counts:
@@ -150,6 +159,8 @@ class Session:
             self.mapping,
             period_s=options.period_s,
             wall_period_s=options.wall_period_s,
+            late_cycles=options.late_cycles,
+            stop_rad_s2=options.stop_rad_s2,
         )
         self._joined.temperatures.celsius = core.temperature
         return core, player
