@@ -27,6 +27,7 @@ from hil_drivers.cia402.trouble import Trouble
 ARM = load_arm("lab6")
 PROFILES = [AxisProfile(1 << 20, float(gear), 2.0, 1.0) for gear in ARM.gear_ratio]
 SCALING = Scaling(PROFILES)
+PERIOD_S = 0.004
 GIVEN = {"bus": {"interface": "hil_unix", "channel": "nobody"}}
 
 
@@ -178,7 +179,7 @@ def test_other_faults_are_for_a_person(codes):
 
 
 def test_a_segment_becomes_set_points_of_the_drives():
-    q = np.linspace(0, 0.01, 20)[:, None] * np.ones(6)
+    q = np.linspace(0, 0.003, 20)[:, None] * np.ones(6)
     qd = np.gradient(q, axis=0) * 250
     made = track(segment(q, qd=np.where(np.arange(20)[:, None] % 19, qd, 0)))
     assert SCALING.position(made.position) == pytest.approx(q, abs=1e-7)
@@ -197,6 +198,53 @@ def test_a_segment_becomes_set_points_of_the_drives():
 def test_what_drives_would_follow_with_a_jump_is_refused(asked, said):
     with pytest.raises(CommandRefused, match=said):
         track(asked)
+
+
+def ramp(step, rows=60):
+    q = np.zeros((rows, 6))
+    q[:, 5] = step * np.arange(rows)
+    return q
+
+
+def zigzag(step):
+    q = np.zeros((60, 6))
+    q[1:-1:2, 5] = step
+    return q
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (segment(zigzag(0.03)), "bends at row 1 with 3750.0 rad/s² of joint 5 by its positions"),
+        (segment(ramp(0.03)), "(sets out|ends) with 1875.0 rad/s² of joint 5"),
+        (segment(np.minimum(ramp(0.02), 0.4)), "with 1250.0 rad"),
+        (segment(ramp(0.001), kind="hold"), "a hold has one"),
+    ],
+)
+def test_positions_are_believed_not_what_is_said_of_them(asked, said):
+    with pytest.raises(CommandRefused, match=said):
+        track(asked)
+
+
+@pytest.mark.parametrize("short_s", [0.1, 0.3])
+def test_a_polynomial_at_the_limit_of_acceleration_is_taken(short_s):
+    rows = round(short_s * 250)
+    t = np.arange(rows + 1) / rows
+    way = ARM.qdd_max * 0.999 * short_s**2 / (10 / 3**0.5)
+    q = (10 * t**3 - 15 * t**4 + 6 * t**5)[:, None] * way
+    assert track(segment(q)).segment == 3
+
+
+def test_a_trapezoid_at_the_limit_of_acceleration_is_taken():
+    a = np.concatenate((np.full(20, 1.0), np.zeros(5), np.full(20, -1.0)))
+    v = np.concatenate(([0.0], np.cumsum(a))) * PERIOD_S
+    q = np.concatenate(([0.0], np.cumsum((v[1:] + v[:-1]) / 2))) * PERIOD_S
+    assert track(segment(q[:, None] * ARM.qdd_max)).segment == 3
+
+
+def test_a_stop_that_no_joint_is_made_for_is_refused():
+    with pytest.raises(SpecError, match=r"stop_rad_s2 is 20[^\0]*10\.47"):
+        options_of(GIVEN | {"stop_rad_s2": 20.0}, "lab6")
 
 
 def test_an_arm_led_by_a_spring_first_goes_to_where_the_segment_begins():

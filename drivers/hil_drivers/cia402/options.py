@@ -147,6 +147,7 @@ def options_of(given: Mapping[str, Any], model: str) -> Options:
         }
     )
     _require_mapping(options, taken)
+    _require_stop(options.stop_rad_s2, float(arm.qdd_max.min()))
     require_room(options.mapping, n, options.rate_hz, bus.bitrate, _allowed(taken))
     return options
 
@@ -213,6 +214,14 @@ def _require_mapping(options: Options, taken: Mapping[str, Any]) -> None:
             "feed_forward" if options.feed_forward else f"trajectory_mode {options.trajectory_mode}"
         )
         raise wrong_option("mapping", options.mapping, f"{need} needs {', '.join(allowed)}")
+
+
+def _require_stop(stop_rad_s2: float, most: float) -> None:
+    """Any joint may be the fastest one, which brakes at that rate."""
+    if stop_rad_s2 > most:
+        raise wrong_option(
+            "stop_rad_s2", stop_rad_s2, f"the arm's joints may brake at {most:.4g} rad/s² at most"
+        )
 
 
 def _listed(name: str, told: Mapping[str, Any], n: int) -> Sequence[Any]:

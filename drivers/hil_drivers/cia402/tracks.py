@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import CommandRefused
 from hil.robot import Limits, Segment
 from hil.typing import FloatArray, IntArray
-from hil_drivers.checks import SPEED_SLACK, refused, require_executable
+from hil_drivers.checks import require_executable
+from hil_drivers.cia402.jumps import require_smooth
 from hil_drivers.cia402.scaling import Scaling
 from hil_drivers.cia402.torque_model import TorqueModel
 from hil_drivers.cia402.track import Track
@@ -48,7 +48,7 @@ def track_of(
     """
     tolerance = LED_RAD if led else AT_SET_POINT_RAD
     require_executable(segment, limits, standing, at_set_point_rad=tolerance)
-    _require_no_jump(segment, limits, rate_hz)
+    require_smooth(segment, limits, rate_hz)
     q, qd, qdd = segment.q, segment.qd, segment.qdd
     if np.abs(q[0] - standing).max() > AT_SET_POINT_RAD:
         way = _way(standing, q[0], rate_hz)
@@ -77,18 +77,3 @@ def _torque(
     if model is None:
         return np.zeros(q.shape, dtype=np.int64)
     return scaling.raw_torque(model.torque(q, qd, qdd))
-
-
-def _require_no_jump(segment: Segment, limits: Limits, rate_hz: float) -> None:
-    """What velocities say is one thing, what drives follow are positions."""
-    speed = np.abs(np.diff(segment.q, axis=0)).max(axis=0, initial=0.0) * rate_hz
-    if (too_fast := np.flatnonzero(speed > limits.qd_max * SPEED_SLACK)).size:
-        joint = int(too_fast[0])
-        raise _jump(segment, joint, speed[joint], limits.qd_max[joint])
-
-
-def _jump(segment: Segment, joint: int, speed: float, most: float) -> CommandRefused:
-    return refused(
-        f"segment {segment.index} ({segment.kind}) has set-points of joint {joint} that are "
-        f"{speed:.3f} rad/s apart, {most:.3f} are allowed"
-    )
