@@ -131,6 +131,15 @@ def test_a_drive_that_was_never_told_of_its_gear_needs_the_stations():
         assert commissioned(line, axes={"gear_ratio": 121}).details["gear_ratio"] == "121"
 
 
+def test_a_gear_that_is_not_the_arms_is_refused_unless_the_station_says_it_too():
+    with drives(1) as line:
+        line.nodes[0].registers[GEAR] = 100
+        told = refused(line)
+        assert "says a gear of 100 (6091h), the arm has one of 121" in told
+        assert "axes.gear_ratio" in told
+        assert commissioned(line, axes={"gear_ratio": 100}).details["gear_ratio"] == "100"
+
+
 @pytest.mark.parametrize("mode", ["csp", "cst"])
 def test_a_drive_without_the_mode_of_the_trajectories_is_refused(mode, monkeypatch):
     with drives() as line:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.robot import Finding
+from hil.robot import Finding, Limits
 from hil.typing import FloatArray
 from hil_drivers.cia402.bus_load import MOST_CYCLIC, load_of
 from hil_drivers.cia402.commissioning import MASTER_SILENCE_MS
@@ -20,6 +20,9 @@ from hil_drivers.cia402.supervisor import Phase
 
 HOTTEST_C = 90.0
 """Motors hotter than this are not moved: windings stand 120 to 155 °C, grease and sensors less."""
+
+OUTSIDE_RAD = 0.01
+"""A joint that rests at its end may be beyond it by so much [rad]."""
 
 MOST_OVERRUN = 0.10
 """Share of cycles that may be late: CSP drives interpolate over one, and fault after a few."""
@@ -107,9 +110,29 @@ def _limits(session: Session) -> Finding:
     said = f"joint range used is no wider than the drives' own (607Dh), {_narrower(narrower)}"
     if none:
         said += f"; {none} of {len(drives.drives)} drives have no limits of their own"
-    passed = bool((used.q_min < used.q_max).all())
+    at = drives.scaling.position(session.player.position)
+    outside = outside_of(at, used, session.arm.joint_names)
+    passed = bool((used.q_min < used.q_max).all()) and not outside
     hint = "correct 607Dh in the drives, or axes.offset_deg in the station"
-    return Finding("joint-limits", passed, said, narrower, hint=hint)
+    return Finding("joint-limits", passed, "; ".join([*outside, said]), narrower, hint=hint)
+
+
+def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]:
+    """Joints that are where they cannot be: what scales their drives is wrong.
+
+    Args:
+        q: (n,) where they are [rad].
+        limits: Of the arm and its drives.
+        names: Of the joints.
+    """
+    beyond = (q < limits.q_min - OUTSIDE_RAD) | (q > limits.q_max + OUTSIDE_RAD)
+    degrees = np.degrees(np.stack((q, limits.q_min, limits.q_max)))
+    return [
+        "{} is at {:.1f}°, outside of its range of {:.1f} to {:.1f}°".format(
+            names[axis], *degrees[:, axis]
+        )
+        for axis in np.flatnonzero(beyond)
+    ]
 
 
 def _narrower(by_rad: float) -> str:

@@ -28,7 +28,7 @@ ASKED_TOO = {"el72xx": (od.TORQUE_SCALING, od.TORQUE_CONSTANT)}
 
 MOST_ERRORS = 254
 """1003h has no more; drives keep 8 or 16."""
-_SAME = 0.005
+_SAME, _SAME_GEAR = 0.005, 0.01
 """Numbers of a station and of a drive that differ by less are the same: type plates are rounded."""
 
 
@@ -146,17 +146,27 @@ def profile_of(
         name: Device profile.
         given: By the station.
         said: By the drive.
-        gear_ratio: Of the arm as its maker describes it; refutes a drive's 1:1.
+        gear_ratio: Of the arm as its maker describes it; the drive's has to be the same where the
+            station says nothing.
     """
-    if "gear_ratio" not in given and said.get("gear_ratio", 1.0) == 1.0 and gear_ratio != 1.0:
-        return (
-            f"says nothing of a gear (6091h), the arm has one of {gear_ratio:g}: "
-            "give axes.gear_ratio"
-        )
+    if "gear_ratio" not in given and (why := _other_gear(said.get("gear_ratio", 1.0), gear_ratio)):
+        return why
     try:
         return axis_profile(name, given, said)
     except SpecError as error:
         return f"{error.message}; {error.hint}"
+
+
+def _other_gear(said: float, arms: float) -> str:
+    """Why a drive's gear is not taken; empty when it is that of the arm."""
+    if math.isclose(said, arms, rel_tol=_SAME_GEAR):
+        return ""
+    if said == 1.0:
+        return f"says nothing of a gear (6091h), the arm has one of {arms:g}: give axes.gear_ratio"
+    return (
+        f"says a gear of {said:g} (6091h), the arm has one of {arms:g}: correct the drive, or "
+        f"give axes.gear_ratio in the station (here {said:g}) if the drive is right"
+    )
 
 
 def _same(one: Any, other: Any) -> bool:
