@@ -84,6 +84,7 @@ class FakeDrives:
         heard: News to be given next.
         sent_outputs: Per exchange, (controlwords, target positions, target torques).
         slow_s: How long an exchange takes.
+        held_up_s: By how much later than said SYNCs go out from now on.
         error: Raised by the next exchange.
     """
 
@@ -91,8 +92,8 @@ class FakeDrives:
         self.drives = [FakeDrive(1000 * (axis + 1)) for axis in range(n)]
         self.heard = News()
         self.watching = False
-        self.cycle, self.sync_time = -1, 0.0
-        self.slow_s = 0.0
+        self.cycle, self.sync_time, self.synced_s = -1, 0.0, 0.0
+        self.slow_s = self.held_up_s = 0.0
         self.error: Exception | None = None
         self.sent = np.zeros((len(mapping.rpdos), n, 8), np.uint8)
         self.answered = np.zeros((len(mapping.tpdos), n, 8), np.uint8)
@@ -103,7 +104,7 @@ class FakeDrives:
         if self.error is not None:
             raise self.error
         self.cycle += 1
-        self.sync_time = time.time()
+        self.sync_time, self.synced_s = time.time(), time.monotonic() + self.held_up_s
         words, modes = self._next
         for drive, word, mode in zip(self.drives, words, modes, strict=True):
             drive.apply(word, mode)

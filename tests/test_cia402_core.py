@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from cia402_parts import CSP, CST, ENABLED, FAULT, OFF, PERIOD_S, READY, FakeDri
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil_drivers.cia402.contracts import Emergency, News, Outputs
 from hil_drivers.cia402.core import Core
-from hil_drivers.cia402.mapping import ALL_MODES, INCOMPLETE
+from hil_drivers.cia402.mapping import ALL_MODES, INCOMPLETE, STALLED
 from hil_drivers.cia402.player import Gains, Player, Track
 from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Phase, Supervisor
@@ -27,7 +28,7 @@ QUICK_STOP = [0x02] * N
 class Station:
     """A core without deadlines, and its drives."""
 
-    def __init__(self, kept_s: float = 60.0) -> None:
+    def __init__(self, kept_s: float = 60.0, wall_period_s: float = 0.0) -> None:
         self.drives, self.outputs = FakeDrives(N), Outputs.idle(N)
         self.drives.slow_s = 1e-4
         self.supervisor = Supervisor(tuple(range(1, N + 1)), PERIOD_S, self.outputs)
@@ -37,10 +38,10 @@ class Station:
             self.supervisor,
             self.player,
             self.outputs,
-            Schedule(0.0),
+            Schedule(wall_period_s),
             ALL_MODES,
             period_s=PERIOD_S,
-            wall_period_s=0.0,
+            wall_period_s=wall_period_s,
             kept_s=kept_s,
         )
 
@@ -354,3 +355,45 @@ def test_axes_that_stay_in_quick_stop_are_off_when_we_leave(station: Station, en
     station.move(rows=100_000)
     getattr(station.core, end)()
     assert [drive.status for drive in station.drives.drives] == [OFF] * N
+
+
+@pytest.fixture
+def real_time() -> Iterator[Station]:
+    station = Station(wall_period_s=PERIOD_S)
+    yield station
+    station.core.close()
+
+
+def test_motion_is_braked_and_told_when_there_was_no_sync_for_long(real_time: Station) -> None:
+    real_time.ready()
+    real_time.move(rows=100_000)
+    real_time.drives.held_up_s = 50 * PERIOD_S
+    problem = real_time.problem()
+    assert re.search(r"no SYNC for 20\d ms, 5\d periods", problem)
+    real_time.come_to_rest()
+    assert real_time.core.phase is Phase.ENABLED
+    assert QUICK_STOP not in [words for words, _, _ in real_time.drives.sent_outputs]
+
+
+def test_sync_that_is_later_than_a_period_and_a_half_is_flagged_and_ends_nothing(
+    real_time: Station,
+) -> None:
+    real_time.ready()
+    real_time.move(rows=100_000)
+    at = real_time.drives.cycle
+    real_time.drives.held_up_s = 3 * PERIOD_S
+    while real_time.drives.cycle < at + 30:
+        time.sleep(0.001)
+    rows = real_time.core.take(1.0)
+    assert (rows["flags"] & STALLED).any()
+    assert real_time.player.moving
+
+
+def test_without_deadlines_no_sync_is_late(station: Station) -> None:
+    station.ready()
+    station.move(rows=100_000)
+    station.drives.held_up_s = 1.0
+    time.sleep(0.05)
+    rows = station.core.take(1.0)
+    assert not (rows["flags"] & STALLED).any()
+    assert station.player.moving

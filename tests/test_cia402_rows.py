@@ -5,7 +5,7 @@ import pytest
 
 from hil.record.topic import Topic
 from hil.robot import Status, state_dtype
-from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, cycle_dtype
+from hil_drivers.cia402.mapping import ALL_MODES, LATE, MAPPINGS, POSITION, STALLED, cycle_dtype
 from hil_drivers.cia402.profile import AxisProfile
 from hil_drivers.cia402.rows import TOPIC, StateRows, raw_rows, raw_topic, told
 from hil_drivers.cia402.scaling import Scaling
@@ -187,3 +187,12 @@ def test_raw_rows_hold_every_integer_that_went_over_the_wire(mapping):
 def test_rows_are_state_rows():
     assert rows_of(cycles_of()).dtype == state_dtype(N)
     assert rows_of(cycles_of(count=0)).dtype == state_dtype(N)
+
+
+@pytest.mark.parametrize("cut", [6, 7, 8, 9])
+def test_rows_around_a_sync_that_was_much_too_late_are_masked(cut):
+    flags = np.zeros(20, int)
+    flags[7] = STALLED | LATE
+    cycles, by_parts = cycles_of(flags=flags), StateRows(POSITION, SCALING, PERIOD_S)
+    rows = np.concatenate([by_parts.rows(part) for part in np.split(cycles, [cut])])
+    assert np.flatnonzero(rows["status"] & int(Status.MASKED)).tolist() == [7, 8, 9]

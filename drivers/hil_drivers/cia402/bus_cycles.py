@@ -13,6 +13,7 @@ from hil.typing import StructArray
 from hil_drivers.cia402.can_cyclic import MARKER
 from hil_drivers.cia402.mapping import (
     MOST_BYTES,
+    STALLED,
     SYNC_COB_ID,
     Mapping,
     cycle_dtype,
@@ -21,6 +22,7 @@ from hil_drivers.cia402.mapping import (
 )
 from hil_drivers.cia402.node_watch import EMCY_COB_ID, SDO_ANSWER_COB_ID
 from hil_drivers.cia402.options import Options
+from hil_drivers.cia402.stalls import Stalls
 from hil_drivers.cia402.temperatures import Temperatures
 
 BLOCK = 4096
@@ -52,6 +54,10 @@ class BusCycles:
         self._faults: dict[int, int] = {}
         self._announced = (-1, 0)
         self._cycle, self._sync_time = -1, 0.0
+        self._stalls = Stalls(
+            options.period_s, options.late_cycles, real=options.wall_period_s == options.period_s
+        )
+        self._stalled = False
         self._told = self._announced
         self._missing: set[int] = set()
         self._celsius, self._fault_code = self._temperatures.celsius.copy(), 0
@@ -74,6 +80,7 @@ class BusCycles:
 
     def _open(self, frame: Frame) -> None:
         self._cycle, self._sync_time = self._cycle + 1, frame.time_s
+        self._stalled = self._stalls.synced(frame.time_s)
         self._told, self._missing = self._announced, set(self._answers)
         self._celsius = self._temperatures.celsius.copy()
 
@@ -113,10 +120,10 @@ class BusCycles:
         """The record of the cycle that is over, if there was one."""
         if self._cycle < 0:
             return []
-        flags = 0
+        flags = STALLED if self._stalled else 0
         if self._missing:
             self._fault_code = self._first_fault()
-            flags = sum({1 << self._answers[can_id][1] for can_id in self._missing})
+            flags |= sum({1 << self._answers[can_id][1] for can_id in self._missing})
         record = np.zeros((), self._dtype)
         record["cycle"], record["host_time"] = self._cycle, self._sync_time
         record["temperature"], record["flags"] = self._celsius, flags

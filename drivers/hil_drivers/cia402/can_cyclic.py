@@ -83,6 +83,11 @@ class CanCyclic:
         """See `Cyclic`."""
         return self._watch.cycle
 
+    @property
+    def synced_s(self) -> float:
+        """See `Cyclic`."""
+        return self._synced_s
+
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
         """See `Cyclic`; the same `Inputs` every time."""
         self._begin(outputs)

@@ -170,6 +170,10 @@ class Cyclic(Protocol):
         """When it was sent [s, Unix time]."""
 
     @property
+    def synced_s(self) -> float:
+        """The same by `time.monotonic` [s], which never jumps."""
+
+    @property
     def sent(self) -> ByteArray:
         """(R, n, 8) command data that went with it; overwritten by the next exchange."""
 

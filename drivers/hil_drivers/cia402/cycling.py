@@ -12,12 +12,14 @@ from collections.abc import Callable
 
 from hil.errors import RobotConnectionError
 from hil_drivers.cia402.contracts import Cyclic, Inputs, Outputs
-from hil_drivers.cia402.mapping import LATE, Mapping
+from hil_drivers.cia402.mapping import LATE, STALLED, Mapping
+from hil_drivers.cia402.options import LATE_CYCLES_SIMULATED
 from hil_drivers.cia402.phases import Phase
 from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.realtime import realtime
 from hil_drivers.cia402.ring import Ring
 from hil_drivers.cia402.schedule import Schedule
+from hil_drivers.cia402.stalls import TOLD_AFTER_S, Stalls
 from hil_drivers.cia402.supervisor import Supervisor
 
 KEPT_S = 60.0
@@ -27,6 +29,7 @@ BATCH_S = 0.016
 """Wall time of records that are handed over together, so that one wake-up serves several [s]."""
 
 FREE_BATCH = 16
+STOP_RAD_S2 = 8.0
 PUMP_S = 0.02
 CLEAN_UP_S = 5.0
 LAST_WORDS_S = 0.002
@@ -44,6 +47,8 @@ class Cycling:
         period_s: Device time of a cycle [s].
         wall_period_s: Wall time of a cycle; 0 when cycles have no deadlines [s].
         kept_s: Device time of records that may wait to be taken [s].
+        late_cycles: Periods without a SYNC after which a motion is not gone on with.
+        stop_rad_s2: How it is ended then.
 
     Attributes:
         temperature: (n,) [°C], written by whoever asks the drives for it; goes into every record.
@@ -64,6 +69,8 @@ class Cycling:
         period_s: float,
         wall_period_s: float,
         kept_s: float = KEPT_S,
+        late_cycles: int = LATE_CYCLES_SIMULATED,
+        stop_rad_s2: float = STOP_RAD_S2,
     ) -> None:
         n = len(outputs.controlword)
         self._cyclic, self._supervisor, self._player = cyclic, supervisor, player
@@ -74,6 +81,8 @@ class Cycling:
         self.ring = Ring(mapping, n, max(64, round(kept_s / period_s)), batch)
         self.temperature = self.ring.temperature
         self.not_permitted: list[str] = []
+        self._stalls = Stalls(period_s, late_cycles, real=wall_period_s == period_s)
+        self._stop_rad_s2, self._stalled, self._tell_at = stop_rad_s2, "", 0
         self._inputs = Inputs.none_yet(n)
         self._asked: deque[Callable[[], None]] = deque()
         self._cycling = self._ending = False
@@ -98,6 +107,7 @@ class Cycling:
 
     def _run_cycles(self) -> None:
         self.schedule.restart()
+        self._stalls.restart()
         # Without deadlines nothing is late, and whoever never sleeps must not keep others waiting.
         punctual: contextlib.AbstractContextManager[list[str]] = realtime()
         if self._free:
@@ -115,6 +125,10 @@ class Cycling:
         told = outputs.segment, outputs.status
         self.ring.begin()
         inputs = self._inputs = self._cyclic.exchange(outputs, self.schedule.give_up)
+        flags = LATE if late else 0
+        if self._stalls.synced(self._cyclic.synced_s):
+            flags |= STALLED
+            self._catch_up()
         if (news := self._cyclic.news()) is not None:
             supervisor.hear(news)
         supervisor.step(inputs, self._cyclic.cycle)
@@ -124,15 +138,16 @@ class Cycling:
             player.step(inputs, outputs)
         else:
             self._be_off()
-        self._keep(told, late)
+        if self._stalled and self._cyclic.cycle >= self._tell_at:
+            self._tell("")
+        self._keep(told, flags)
         if self.schedule.cycles >= self._clean_up_at:
             self._clean_up()
 
-    def _keep(self, told: tuple[int, int], late: bool) -> None:
+    def _keep(self, told: tuple[int, int], flags: int) -> None:
         ring = self.ring
         if ring.full:
             self._make_room()
-        flags = LATE if late else 0
         fresh = self._inputs.fresh
         complete = all(fresh)
         if self._free:
@@ -158,8 +173,20 @@ class Cycling:
             self._player.disengage()
         self._outputs.segment, self._outputs.status = -1, 0
         if problem := self._supervisor.take_problem():
-            self._problem = problem
-            self.ring.wake()
+            self._tell(problem)
+
+    def _catch_up(self) -> None:
+        """A SYNC was late: a motion does not go on at full speed after a long gap."""
+        if self._stalls.too_long and self._player.moving and not self._stalled:
+            self._player.stop(self._stop_rad_s2)
+            self._stalled = self._stalls.text
+            self._tell_at = self._cyclic.cycle + round(TOLD_AFTER_S / self._period_s)
+
+    def _tell(self, problem: str) -> None:
+        """Have it taken, with the stall that may have been its cause."""
+        self._problem = "; ".join(filter(None, (self._stalled, problem)))
+        self._stalled = ""
+        self.ring.wake()
 
     def _clean_up(self) -> None:
         """Collect young garbage now and then, as nobody else does while cycles go on."""

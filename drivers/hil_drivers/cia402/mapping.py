@@ -21,7 +21,9 @@ MOST_BYTES = 8
 LATE = 1 << 30
 """Flag of a cycle: its SYNC was late. Flag 1 << axis: not all answers of that axis came, its bytes
 are of an earlier cycle."""
-INCOMPLETE = LATE - 1
+STALLED = 1 << 29
+"""Flag of a cycle: its SYNC came more than 1.5 periods after the one before, at the wall's pace."""
+INCOMPLETE = STALLED - 1
 """Any of the latter."""
 
 
@@ -127,8 +129,8 @@ def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
 
     Fields: `cycle` (number of its SYNC, from 0), `host_time` (Unix time at which the SYNC was
     sent), `segment` and `status` (what the master announced, see `marker`), `fault_code` (of the
-    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `LATE`), then
-    the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
+    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`, `LATE`),
+    then the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
     answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN before.
     """
     return np.dtype(

@@ -15,7 +15,7 @@ import numpy as np
 from hil.record.topic import Topic
 from hil.robot import Status, state_dtype
 from hil.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil_drivers.cia402.mapping import INCOMPLETE, Mapping
+from hil_drivers.cia402.mapping import INCOMPLETE, STALLED, Mapping
 from hil_drivers.cia402.objects import CSP, CST, Entry
 from hil_drivers.cia402.scaling import Scaling
 from hil_drivers.cia402.states import FOLLOWS_COMMAND, INTERNAL_LIMIT
@@ -163,7 +163,7 @@ class StateRows:
         rows["effort_target"] = self._effort_target(values, n, rows["mode"])
         rows["segment"] = cycles["segment"][1 : n + 1]
         announced = cycles["status"][1 : n + 1]
-        rows["status"] |= announced
+        rows["status"] |= announced | _around_stalls(cycles["flags"])
 
     def _effort_target(
         self, values: MappingOf[str, IntArray], n: int, mode: IntArray
@@ -195,6 +195,18 @@ def _common(modes: IntArray) -> IntArray:
     """(N,) the mode of all axes, 0 where they differ."""
     same = (modes == modes[:, :1]).all(axis=1)
     return np.asarray(np.where(same, modes[:, 0], 0))
+
+
+def _around_stalls(flags: IntArray) -> IntArray:
+    """(N,) `MASKED` in cycles with a late SYNC and the `LATENCY` ones after it.
+
+    Args:
+        flags: (`_HISTORY` + N,) of the cycles before as well.
+    """
+    late = (flags & STALLED) != 0
+    n = len(late) - _HISTORY
+    near = np.any([late[_HISTORY - k : _HISTORY - k + n] for k in range(LATENCY + 1)], axis=0)
+    return np.where(near, int(Status.MASKED), 0)
 
 
 def _sure(mode: IntArray) -> BoolArray:
