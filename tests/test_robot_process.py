@@ -295,3 +295,24 @@ def test_a_whole_run_goes_through_a_driver_in_its_own_process(tmp_path: Path) ->
     report = hil.run(hil.load(ROOT / "experiments/ci_dwell_12.yaml", station), runs=tmp_path)
     assert report.error is None
     assert (report.outcome, report.verdict, report.gaps) == ("completed", "passed", 0)
+
+
+@pytest.mark.parametrize("member", ["_open", "_ask"])
+def test_a_stop_while_connecting_refuses_and_closes(
+    make: Make, monkeypatch: pytest.MonkeyPatch, member: str
+) -> None:
+    robot = make()
+    robot.close()
+    do, when = getattr(robot, member), []
+
+    def stopped(*what: Any) -> Any:
+        if not when:
+            when.append(robot.stop())
+        return do(*what)
+
+    monkeypatch.setattr(robot, member, stopped)
+    with pytest.raises(CommandRefused, match="stopped while connecting"):
+        robot.connect()
+    assert robot.process is None
+    robot.connect()
+    assert len(robot.read())

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.errors import HilError, RobotConnectionError
+from hil.errors import CommandRefused, HilError, RobotConnectionError
 from hil.payload import Payload
 from hil.robot.documents import payload_from, plain_options, segment_document, understood
 from hil.robot.driver_process import DriverProcess
@@ -85,6 +85,7 @@ class RobotProcess:
         self._one_call = threading.Lock()
         self._identity: Identity | None = None
         self._process: DriverProcess | None = None
+        self._last_stop = object()  # a new one with every stop: told apart without a lock
         if known is None:
             self._open()
         else:
@@ -113,12 +114,15 @@ class RobotProcess:
         return self._limits
 
     def connect(self) -> None:
-        """See `hil.robot.Robot`."""
+        """See `hil.robot.Robot`; refused when `stop` comes meanwhile, and closed then."""
+        stop = self._last_stop
         if self._process is not None and not self._process.alive:
             self.close()
         if self._process is None:
             self._open()
+        self._refuse_if_stopped_since(stop)
         self._learn(self._ask("connect", CONNECT_S)[0])
+        self._refuse_if_stopped_since(stop)
 
     def set_payload(self, payload: Payload) -> Payload:
         """See `hil.robot.Robot`."""
@@ -147,6 +151,7 @@ class RobotProcess:
 
     def stop(self) -> None:
         """See `hil.robot.Robot`; a driver that does not answer within a second is killed."""
+        self._last_stop = object()
         process = self._process
         if process is not None:
             process.stop()
@@ -215,6 +220,12 @@ class RobotProcess:
         said, _ = self._ask("checks", COMMAND_S)
         with understood():
             return [Finding(**each) for each in said["findings"]]
+
+    def _refuse_if_stopped_since(self, stop: object) -> None:
+        """A stop that found no driver, or one that was not at it yet, holds all the same."""
+        if self._last_stop is not stop:
+            self.close()
+            raise CommandRefused("stopped while connecting", hint="connect again")
 
     def _not_connected(self) -> RobotConnectionError:
         return RobotConnectionError(f"{self._name} is not connected", hint="call connect() first")

@@ -79,6 +79,7 @@ class Cia402Robot(RobotProcess):
         Raises:
             RobotConnectionError: Nobody could be told.
         """
+        self._last_stop = object()
         process = self.process
         if process is None:
             return

@@ -76,8 +76,8 @@ class Session:
         Raises:
             RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`.
         """
-        go_on()
         self.core.open()
+        go_on()
         self.acyclic.operational()
         self.core.run()
         if self.were_reset:
