@@ -16,7 +16,7 @@ N = 6
 CSP = 8
 RPDO1 = struct.Struct("<Hbi")
 TPDO1 = struct.Struct("<Hib")
-ANSWERS_S = 0.1
+ANSWERS_S = 0.3
 TPDO2 = struct.Struct("<ihh")
 
 

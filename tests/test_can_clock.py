@@ -40,6 +40,14 @@ def test_time_in_which_nobody_looked_for_sync_does_not_count() -> None:
     assert clock.own(1.7021) == 2
 
 
+def test_the_own_timer_takes_over_soon_when_no_drive_is_operational() -> None:
+    clock = DeviceClock(0.0)
+    clock.sync(1.0, 0.004)
+    clock.idle()
+    assert clock.own(1.0199) == 0
+    assert clock.own(1.0251) == 5
+
+
 def test_a_clock_that_never_saw_a_sync_goes_as_the_wall() -> None:
     clock = DeviceClock(5.0)
     assert sum(clock.own(5.0 + 0.0007 * k) for k in range(1, 101)) == 70

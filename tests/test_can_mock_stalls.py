@@ -36,6 +36,7 @@ def master(drives: MockCan) -> Iterator[Master]:
     with drives.bus() as bus:
         master = Master(bus)
         master.reset()
+        drives.wait_until(lambda state: set(state["states"]) == {"SWITCH_ON_DISABLED"})
         master.map()
         yield master
         master.reset()
@@ -54,12 +55,15 @@ def way_from(held: list[int]) -> float:
 def swing(master: Master, period_s: float, stalled_s: float) -> np.ndarray:
     """(N, 6) position of all axes at each SYNC [rad]; the master stalls half-way."""
     held, seen = master.enable(), []
-    due = time.monotonic()
+    due = then = time.monotonic()
     for k in range(1, CYCLES + 20):
         if k == STALLED_AT:
             time.sleep(stalled_s)
             due = time.monotonic()
-        master.cycle(ENABLE, targets(held, k))
+        if (now := time.monotonic()) - then > max(1.25 * stalled_s, 0.06):
+            pytest.skip(f"this computer held the test itself up for {now - then:.2f} s")
+        then = now
+        assert master.cycle(ENABLE, targets(held, k))
         seen.append(np.abs(np.array(master.position) - held) / COUNTS)
         due += period_s
         time.sleep(max(0.0, due - time.monotonic()))

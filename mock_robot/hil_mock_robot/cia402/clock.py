@@ -11,6 +11,9 @@ PATIENCE_S = 0.2
 """Wall time without SYNC before the drives go by their own timer. Until then their time stands
 still: a master that a busy computer held up goes on as if nothing had been."""
 
+IDLE_PATIENCE_S = 0.02
+"""The same while no drive is operational: nothing is interrupted then."""
+
 PERIODS_MISSED = 2.0
 CARRIED = 1e-9
 """What sums of periods may lack of a whole step by rounding, in steps."""
@@ -41,7 +44,7 @@ class DeviceClock:
         self.steps = self.syncs = 0
         self.synced = False
         self._rest = 0.0
-        self._gives_up_s = now_s
+        self._gives_up_s = self._synced_s = now_s
         self._own_s = now_s
 
     @property
@@ -58,6 +61,7 @@ class DeviceClock:
         """
         self.synced = True
         self.syncs += 1
+        self._synced_s = now_s
         self._gives_up_s = now_s + max(PERIODS_MISSED * period_s, self._patience_s)
         return self._pass(period_s)
 
@@ -73,6 +77,10 @@ class DeviceClock:
         self._own_s += steps * STEP_S
         self.steps += steps
         return steps
+
+    def idle(self) -> None:
+        """No drive is operational any more: the own timer takes over soon."""
+        self._gives_up_s = min(self._gives_up_s, self._synced_s + IDLE_PATIENCE_S)
 
     def slept(self, lasted_s: float) -> None:
         """For so long nobody looked whether there is SYNC: that time does not count."""

@@ -14,6 +14,7 @@ from hil_mock_robot.cia402.clock import DeviceClock
 from hil_mock_robot.cia402.contracts import Send
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.marker import Marker
+from hil_mock_robot.cia402.nmt import State
 from hil_mock_robot.cia402.objects import real
 from hil_mock_robot.cia402.routes import Routes, changed_by
 from hil_mock_robot.cia402.unit import PERIOD, Unit
@@ -74,6 +75,7 @@ class Station:
             for i, node in enumerate(nodes)
         )
         self._routes = Routes(self.axes)
+        self._operational: set[int] = set()
         self._tick_due = 0
         self._mount_due: int | None = None
         self._period_s = DEFAULT_PERIOD_S
@@ -167,9 +169,19 @@ class Station:
     def _told(self, axis: int, what: str, code: int) -> None:
         if what == "booted":
             self._routes.forget()
+        if what == "nmt":
+            self._now_in(axis, code)
         if what in ("booted", "nmt"):
             self._look_at_period()
         self.tell(what, axis=axis + 1, code=code)
+
+    def _now_in(self, axis: int, state: int) -> None:
+        if state == State.OPERATIONAL:
+            self._operational.add(axis)
+        elif axis in self._operational:
+            self._operational.remove(axis)
+            if not self._operational:
+                self.clock.idle()
 
     def _written(self, axis: int, key: int) -> None:
         if changed_by(key):
