@@ -94,6 +94,10 @@ class Desk:
         """An expedited upload, unsigned."""
         return self._asked(node, struct.pack("<BHB4x", 0x40, index, sub))[1]
 
+    def read_registers(self, node: int, index: int, sub: int = 0) -> int:
+        """Past the bus."""
+        return self.unit(node).registers[index << 8 | sub]
+
     def _asked(self, node: int, request: bytes) -> tuple[int, int]:
         """Abort code and value."""
         before = len(self.sent)

@@ -44,11 +44,11 @@ def test_a_mode_that_6502h_lacks_is_not_taken():
 
 def test_a_refused_mode_is_taken_once_it_is_refused_no_more():
     one = OneDrive().on()
-    one.drive.refused_modes.add(CSP)
+    one.drive.operation.refused.add(CSP)
     one.set(keys.MODE, CSP)
     one.cycles(2)
     assert one.registers[keys.MODE_DISPLAY] == 0
-    one.drive.refused_modes.clear()
+    one.drive.operation.refused.clear()
     one.cycles(1)
     assert one.registers[keys.MODE_DISPLAY] == CSP
 
@@ -135,7 +135,7 @@ def test_a_following_drive_says_so_by_bit_12():
 @pytest.mark.parametrize("mode", [CSP, CSV])
 def test_a_deaf_drive_stays_and_has_bit_12_low(mode):
     one = OneDrive().enabled(mode)
-    one.drive.deaf = True
+    one.drive.operation.deaf = True
     aim(one, 0.35)
     one.set(keys.TARGET_VELOCITY, round(0.5 * one.counts))
     one.cycles(10)
@@ -290,6 +290,47 @@ def test_pp_relative_targets_count_from_the_last_target():
         pp(one, 0.05, word=0x5F)
         one.tell(0x0F, cycles=200)
     assert one.q == pytest.approx(0.4, abs=1e-6)
+
+
+def test_pp_relative_targets_count_from_the_last_target_on_the_way_there_too():
+    one = OneDrive().enabled(PP)
+    pp(one, 0.5)
+    one.tell(0x0F, cycles=10)
+    assert 0.3 < one.q < 0.45
+    pp(one, 0.1, word=0x7F)
+    one.tell(0x0F, cycles=500)
+    assert one.q == pytest.approx(0.6, abs=1e-6)
+
+
+@pytest.mark.parametrize("mode", [CSP, CSV])
+def test_after_a_halt_the_demand_goes_on_from_where_it_came_to_rest(mode):
+    one = OneDrive().enabled(mode)
+    one.set(keys.TARGET_VELOCITY, round(0.5 * one.counts))
+    for k in range(20):
+        aim(one, 0.3 + 0.5 * PERIOD_S * (k + 1))
+        one.cycles(1)
+    one.tell(0x10F, cycles=100)
+    rests = one.q
+    assert one.qd == 0.0
+    aim(one, rests)
+    one.set(keys.TARGET_VELOCITY, 0)
+    one.tell(0x0F)
+    demand = one.demands[-1]
+    assert demand.setpoints[:, 0] == pytest.approx(rests, abs=1e-7)
+    assert demand.setpoints[:, 1] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_current_has_the_sign_of_torque():
+    for polarity, sign in ((0, 1), (0x20, -1), (0xC0, 1)):
+        one = OneDrive(inertia=1000.0)
+        one.registers[keys.POLARITY] = polarity
+        one.drive.written(keys.POLARITY)
+        one.enabled(CST)
+        one.set(keys.TARGET_TORQUE, 100)
+        turned = one.cycles(1).torque
+        assert math.copysign(1, turned) == sign
+        assert one.registers[keys.TORQUE] == 100
+        assert one.registers[keys.CURRENT] > 50
 
 
 def test_pp_goes_on_after_a_halt():

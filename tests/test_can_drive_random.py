@@ -40,9 +40,12 @@ def upset(one, rng):
     else:
         happens = (
             lambda: one.drive.fault(0xFF01),
-            one.drive.connection_lost,
+            lambda: one.drive.connection.lost(0x8130),
+            one.drive.connection.taken_off,
+            one.drive.restart,
+            one.drive.slip,
             one.drive.reset,
-            lambda: setattr(one.drive, "deaf", bool(rng.integers(2))),
+            lambda: setattr(one.drive.operation, "deaf", bool(rng.integers(2))),
             lambda: None,
             lambda: None,
         )
@@ -77,7 +80,7 @@ def test_any_drive_can_be_enabled_again(seed):
     for _ in range(100):
         upset(one, rng)
         one.cycles(1)
-    one.drive.deaf = False
+    one.drive.operation.deaf = False
     one.set(keys.QUICK_STOP_OPTION, 2)
     one.set(keys.MODE, 8)
     one.tell(0x00, cycles=500)

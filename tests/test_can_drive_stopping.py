@@ -203,7 +203,7 @@ def test_a_disabled_joint_is_on_its_brake():
 def test_a_lost_master_has_the_effect_that_6007h_says(option, after, torque_is_gone):
     one = moving()
     one.set(keys.ABORT_CONNECTION_OPTION, option)
-    one.drive.connection_lost()
+    one.drive.connection.lost(0x8130)
     assert one.state is after
     demand = one.cycles(1, synced=False)
     assert (demand.torque == 0.0) == torque_is_gone
@@ -214,7 +214,7 @@ def test_what_a_lost_master_left_in_the_controlword_enables_nothing():
     one = moving()
     one.set(keys.QUICK_STOP_OPTION, 6)
     one.set(keys.ABORT_CONNECTION_OPTION, 3)
-    one.drive.connection_lost()
+    one.drive.connection.lost(0x8130)
     one.cycles(300, synced=False)
     assert one.state is State.QUICK_STOP_ACTIVE
     assert one.qd == 0.0

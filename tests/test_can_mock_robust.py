@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import random
 import signal
+import socket
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -126,6 +130,49 @@ def test_a_side_channel_in_use_is_not_taken_over(drives: Mock, tmp_path: Path) -
     SideChannel(tmp_path / "a.side", requests).close()
 
 
+def test_a_client_of_the_side_channel_that_does_not_read_holds_up_nobody(
+    drives: Mock, tmp_path: Path
+) -> None:
+    side = SideChannel(tmp_path / "b.side", Requests(drives.station, drives.troubles))
+    with socket.socket(socket.AF_UNIX) as mute, socket.socket(socket.AF_UNIX) as other:
+        mute.connect(str(side.path))
+        other.connect(str(side.path))
+        mute.setblocking(False)
+        slowest = 0.0
+        for _ in range(40):
+            with contextlib.suppress(BlockingIOError):
+                mute.sendall(b'{"do": "state"}\n' * 60)
+            began = time.monotonic()
+            side.serve()
+            slowest = max(slowest, time.monotonic() - began)
+        other.sendall(b'{"do": "clear"}\n')
+        side.serve()
+        assert other.recv(100) == b"{}\n"
+        assert slowest < 0.5
+        time.sleep(1.1)
+        side.serve()
+        assert len(side.sockets) == 2  # who does not read is hung up on
+    side.close()
+
+
+def test_a_client_of_the_side_channel_gets_all_of_a_long_answer(
+    drives: Mock, tmp_path: Path
+) -> None:
+    side = SideChannel(tmp_path / "c.side", Requests(drives.station, drives.troubles))
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(str(side.path))
+        line.setblocking(False)
+        line.sendall(b'{"do": "state"}\n' * 800)
+        answers, until = b"", time.monotonic() + 20.0
+        while answers.count(b"\n") < 800 and time.monotonic() < until:
+            side.serve()
+            with contextlib.suppress(BlockingIOError):
+                answers += line.recv(4096)
+        assert answers.count(b"\n") == 800
+    assert all(json.loads(each)["synced"] is not None for each in answers.splitlines())
+    side.close()
+
+
 @pytest.mark.wire
 def test_a_mock_that_was_killed_leaves_its_channel_to_the_next(tmp_path: Path) -> None:
     channel = tmp_path / "can.sock"
@@ -134,3 +181,21 @@ def test_a_mock_that_was_killed_leaves_its_channel_to_the_next(tmp_path: Path) -
     with mock_can(channel=channel) as mock, mock.bus() as bus:
         assert Master(bus).upload(1, 0x1000) == 0x0002_0192
         assert mock.state()["faults"] == []
+
+
+@pytest.mark.wire
+def test_requests_out_of_place_are_no_news_for_a_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with mock_can(channel=tmp_path / "can.sock") as mock, mock.bus() as bus:
+        for request in (
+            b"\xc6\x7a\x60\x00\x04\x00\x00\x00",
+            b"\x01" + bytes(7),
+            b"\xe0" + bytes(7),
+        ):
+            bus.send(can.Message(arbitration_id=0x601, data=request, is_extended_id=False))
+        master = Master(bus)
+        while master.hear(0.3) is not None:
+            pass
+        assert master.upload(1, 0x1000) == 0x0002_0192
+    assert capfd.readouterr().err == ""

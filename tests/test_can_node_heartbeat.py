@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from can_node_parts import HEARTBEAT, PRE_OPERATIONAL, START, STOP, Bench
+from can_node_parts import (
+    HEARTBEAT,
+    PRE_OPERATIONAL,
+    RESET_COMMUNICATION,
+    START,
+    STOP,
+    Bench,
+)
 
 from hil_mock_robot.cia402.nmt import State
 
@@ -139,5 +146,14 @@ def test_a_watch_that_is_switched_off_misses_nobody():
     bench = watching()
     beat(bench, 1.0)
     bench.write(0x1016, 1, 0, 4)
+    bench.node.ticked(5.0)
+    assert not lost(bench)
+
+
+def test_a_watch_that_a_reset_has_ended_misses_nobody():
+    bench = watching()
+    beat(bench, 1.0)
+    bench.command(RESET_COMMUNICATION)
+    bench.told.clear()
     bench.node.ticked(5.0)
     assert not lost(bench)

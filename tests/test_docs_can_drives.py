@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil_mock_robot.cia402 import watch
+from hil_mock_robot.cia402 import sync_watch, watch
 from hil_mock_robot.cia402.drive_objects import MODES
 from hil_mock_robot.cia402.modes import MODE_BITS
 from hil_mock_robot.cia402.power import COASTING_STEPS
@@ -48,7 +48,7 @@ def test_limits_on_the_page_are_those_of_the_code() -> None:
     codes = {row[0].split("h")[0]: row[1] for row in table("code")}
     assert f"{watch.HOT_C:g} °C" in codes["4310"]
     assert f"{watch.OVERSPEED:g} times" in codes["8400"]
-    assert f"{watch.SYNC_LOST_STEPS} ms" in codes["8700"]
+    assert f"{sync_watch.SYNC_LOST_STEPS} ms" in codes["8700"]
     assert f"{OVERLOAD_S:g} s" in codes["2310"]
     assert f"{TRACKING_LIMIT_RAD:g} rad" in codes["8611"]
     assert f"{watch.WARM_C:g} °C" in PAGE

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import logging
 import signal
 import sys
 from collections.abc import Sequence
@@ -62,6 +63,8 @@ def _write_eds(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
+    # What a client asks out of place is answered by an abort code, and no news for a terminal.
+    logging.getLogger("canopen").addHandler(logging.NullHandler())
     end = end_of(given.interface, given.channel, given.bitrate, given.wire_speed)
     try:
         mock = _mock_of(given, end)

@@ -12,6 +12,7 @@ from hil_mock_robot.cia402.contracts import STEP_S, Demand
 from hil_mock_robot.cia402.paths import Between, Ramp, held
 from hil_mock_robot.cia402.profile_modes import Homing, ProfilePosition
 from hil_mock_robot.cia402.states import MODE_BIT_12
+from hil_mock_robot.cia402.stopping import slowed
 
 PP, HM, CSP, CSV, CST = 1, 6, 8, 9, 10
 CYCLIC = frozenset({CSP, CSV, CST})
@@ -68,10 +69,7 @@ class Idle(Mode):
 
     def advance(self, steps: int, synced: bool, deaf: bool) -> Demand:
         """See `Mode`."""
-        axis, ramp = self._axis, self._ramp
-        rows = ramp.advance(steps)
-        axis.demand_q, axis.demand_qd = ramp.q, ramp.qd
-        return Demand(rows, NAN, False, 0.0, axis.torque_limit)
+        return slowed(self._axis, self._ramp, steps)
 
 
 class CyclicPosition(Mode):

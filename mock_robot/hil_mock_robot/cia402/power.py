@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Axis
-from hil_mock_robot.cia402.paths import Ramp
+from hil_mock_robot.cia402.contracts import Demand
+from hil_mock_robot.cia402.paths import Ramp, held
 from hil_mock_robot.cia402.states import (
     HALT_BIT,
     POWERED,
@@ -64,11 +66,11 @@ class PowerStage:
         self.enter(State.NOT_READY_TO_SWITCH_ON)
 
     @property
-    def bits(self) -> int:
-        """Bit 10 of the statusword while the axis is being stopped."""
+    def told(self) -> int:
+        """What the statusword tells of the state; bit 10 while the axis is being stopped."""
         stop, halt = self.stop, self.halt
         rests = stop.rests if stop is not None else halt is not None and halt.done
-        return TARGET_REACHED if rests else 0
+        return self.word | TARGET_REACHED * rests
 
     def enter(self, state: State) -> None:
         """Be in a state."""
@@ -113,6 +115,14 @@ class PowerStage:
             self._lose(State.FAULT)
         else:
             self.enter(State.FAULT)
+
+    def without(self, steps: int) -> Demand:
+        """What the axis asks for without power: its motor turns freely, then the brake holds it."""
+        rows = held(self._axis.q, steps)
+        if self.coasting <= 0:
+            return Demand(rows, math.nan, True)
+        self.coasting -= steps
+        return Demand(rows, 0.0, False)
 
     def look(self, qd: float, steps: int) -> None:
         """The joint is measured at `qd` [rad/s]: a stop may be over."""

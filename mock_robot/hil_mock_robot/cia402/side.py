@@ -11,20 +11,18 @@ import json
 import os
 import select
 import socket
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from hil.canbus.paths import private_folder
 from hil.errors import HilError, PluginError, SpecError
+from hil_mock_robot.cia402.side_client import SideClient
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.troubles import Troubles
 from hil_mock_robot.cia402.truths import truth_of
 from hil_mock_robot.side_requests import Request, payload_in, torque_in
-
-LONGEST_LINE = 100_000
-ANSWER_S = 1.0
-"""Wall time a client may leave an answer unread; it is hung up on then."""
 
 Answer = dict[str, Any]
 
@@ -93,7 +91,7 @@ class Requests:
 
 
 class SideChannel:
-    """Listens for those who run the mock.
+    """Listens for those who run the mock; nobody is waited for.
 
     Args:
         path: Of its socket; what a dead mock has left there is replaced.
@@ -106,7 +104,7 @@ class SideChannel:
     def __init__(self, path: Path | str, requests: Requests) -> None:
         self.path, self._requests = Path(path), requests
         self._listening = _listening(self.path)
-        self._clients: dict[socket.socket, bytes] = {}
+        self._clients: dict[socket.socket, SideClient] = {}
 
     @property
     def sockets(self) -> list[socket.socket]:
@@ -116,11 +114,16 @@ class SideChannel:
     def serve(self) -> None:
         """Answer what was asked, without waiting."""
         ready, _, _ = select.select(self.sockets, [], [], 0.0)
-        for each in ready:
-            if each is self._listening:
-                self._accept()
-            else:
-                self._receive(each)
+        if self._listening in ready:
+            self._accept()
+        for line, client in list(self._clients.items()):
+            try:
+                if line in ready:
+                    client.ask(self._requests.line)
+                client.hear(time.monotonic())
+            except OSError:
+                del self._clients[line]
+                line.close()
 
     def close(self) -> None:
         """Hang up on everybody."""
@@ -131,23 +134,8 @@ class SideChannel:
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
-            client, _ = self._listening.accept()
-            client.settimeout(ANSWER_S)
-            self._clients[client] = b""
-
-    def _receive(self, client: socket.socket) -> None:
-        try:
-            data = client.recv(65_536)
-            *lines, rest = (self._clients[client] + data).split(b"\n")
-            self._clients[client] = rest
-            for line in lines:
-                if line.strip():
-                    client.sendall(self._requests.line(line))
-        except OSError:
-            data = b""
-        if not data or len(self._clients[client]) > LONGEST_LINE:
-            del self._clients[client]
-            client.close()
+            line, _ = self._listening.accept()
+            self._clients[line] = SideClient(line)
 
 
 def _listening(path: Path) -> socket.socket:

@@ -17,6 +17,7 @@ from hil_mock_robot.cia402.marker import Marker
 from hil_mock_robot.cia402.nmt import State
 from hil_mock_robot.cia402.objects import real
 from hil_mock_robot.cia402.routes import Routes, changed_by
+from hil_mock_robot.cia402.siblings import Siblings
 from hil_mock_robot.cia402.unit import PERIOD, Unit
 
 SYNC = 0x080
@@ -69,11 +70,8 @@ class Station:
         self.passed: list[Callable[[int], None]] = []
         self.marker = Marker(master_id)
         self.declared, self._mounted = Payload(), mounted
-        joints = joints_of(body.arm)
-        self.axes = tuple(
-            Unit(i, node, registers_of(body.arm, i), joints[i], put, self._told, self._written)
-            for i, node in enumerate(nodes)
-        )
+        self._siblings = Siblings(put)
+        self.axes = tuple(self._unit(i, node) for i, node in enumerate(nodes))
         self._routes = Routes(self.axes)
         self._operational: set[int] = set()
         self._tick_due = 0
@@ -81,6 +79,12 @@ class Station:
         self._period_s = DEFAULT_PERIOD_S
         for axis, seen in zip(self.axes, body.seen, strict=True):
             axis.drive.measured(seen)
+
+    def _unit(self, number: int, node_id: int) -> Unit:
+        arm = self.body.arm
+        registers, joint = registers_of(arm, number), joints_of(arm)[number]
+        voice = self._siblings.voice(number)
+        return Unit(number, node_id, registers, joint, voice, self._told, self._written)
 
     def boot(self) -> None:
         """Power on."""
@@ -91,12 +95,13 @@ class Station:
         """A frame is on the bus; nobody's here sent it."""
         if can_id == SYNC:
             self._synced(now_s)
-            return
-        if can_id == self.marker.can_id:
-            self.marker.heard(data)
-        for axis in self._routes.to(can_id):
-            if axis.line.sound or axis.line.passes(can_id, data):
-                axis.node.heard(can_id, data)
+        else:
+            if can_id == self.marker.can_id:
+                self.marker.heard(data)
+            for axis in self._routes.to(can_id):
+                if axis.line.sound or axis.line.passes(can_id, data):
+                    axis.node.heard(can_id, data)
+        self._siblings.listen(self._routes)
 
     def lapsed(self, now_s: float) -> None:
         """Wall time has passed: the drives' own timer, where SYNC stays away."""
@@ -107,6 +112,7 @@ class Station:
         if steps:
             self._advance(steps, synced=False)
             self._release()
+        self._siblings.listen(self._routes)
 
     def mount(self, payload: Payload | None) -> None:
         """Hang something to the flange, whatever is declared; None for what is declared."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from hil_mock_robot.cia402.contracts import Registers
+import math
+
+from hil_mock_robot.cia402.axis import Axis
+from hil_mock_robot.cia402.contracts import Demand, Registers
 from hil_mock_robot.cia402.paths import Ramp
 from hil_mock_robot.cia402.states import State
 
@@ -34,6 +37,13 @@ class Stop:
             self._waited += steps
             self.rests = abs(qd) < AT_REST_RAD_S or self._waited > SETTLING_STEPS
         return self.rests
+
+
+def slowed(axis: Axis, ramp: Ramp, steps: int) -> Demand:
+    """What an axis asks for along a ramp; its set-point is where that leads."""
+    rows = ramp.advance(steps)
+    axis.demand_q, axis.demand_qd = ramp.q, ramp.qd
+    return Demand(rows, math.nan, False, 0.0, axis.torque_limit)
 
 
 def option_of(registers: Registers, where: int) -> int:

@@ -155,11 +155,11 @@ def _reboot(axis: Unit, fault: Fault, begins: bool) -> None:
 
 
 def _refuse_modes(axis: Unit, fault: Fault, begins: bool) -> None:
-    axis.drive.refused_modes = set(EVERY_MODE if begins else ())
+    axis.drive.operation.refused = set(EVERY_MODE if begins else ())
 
 
 def _ignore_setpoints(axis: Unit, fault: Fault, begins: bool) -> None:
-    axis.drive.deaf = begins
+    axis.drive.operation.deaf = begins
 
 
 def _ignore_sync(axis: Unit, fault: Fault, begins: bool) -> None:

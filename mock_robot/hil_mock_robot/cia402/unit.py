@@ -56,7 +56,7 @@ class Unit:
         hooks = Hooks(
             applied=lambda: self.drive.obey(),
             written=self._written,
-            resetting=lambda _: self.drive.taken_off(),
+            resetting=lambda _: self.drive.connection.taken_off(),
             nmt_changed=self._nmt_changed,
             booted=self._booted,
             connection_lost=self._connection_lost,
@@ -109,7 +109,7 @@ class Unit:
         left, self._operational = self._operational, state == State.OPERATIONAL
         self._told(self.number, "nmt", state)
         if left or state == State.STOPPED:
-            self.drive.taken_off()
+            self.drive.connection.taken_off()
 
     def _booted(self, application: bool) -> None:
         self._operational = False
@@ -119,7 +119,7 @@ class Unit:
 
     def _connection_lost(self, code: int) -> None:
         self._told(self.number, "connection_lost", code)
-        self.drive.connection_lost(code)
+        self.drive.connection.lost(code)
 
     def _emergency(self, code: int, register: int) -> None:
         self._told(self.number, "emergency", code)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.axis import Axis
 from hil_mock_robot.cia402.contracts import Measured
+from hil_mock_robot.cia402.states import MODE_BIT_13, WARNING
 
 WARM_C, HOT_C = 80.0, 110.0
 OVERSPEED = 1.3
 """Of the joint's highest speed."""
 
-SYNC_LOST_STEPS = 100
-"""Device time without SYNC that a cyclic mode survives."""
-
 NO_WINDOW = 0xFFFF_FFFF
+LEAST_SLIP_RAD, MOST_SLIP = 0.2, 1 << 30
 TOO_HOT, TOO_FAST, TOO_FAR = 0x4310, 0x8400, 0x8611
 
 
@@ -31,9 +30,22 @@ class Watch:
         self.too_far = self.warns = self.hot = False
         self._away = 0
 
+    @property
+    def told(self) -> int:
+        """Bits 7 and 13 of the statusword."""
+        return WARNING * self.warns | MODE_BIT_13 * self.too_far
+
     def reset(self) -> None:
         """Forget what was."""
         self.too_far, self._away = False, 0
+
+    def slip(self) -> None:
+        """The set-point jumps out of the window around the joint (injected)."""
+        axis = self._axis
+        window, least = axis.registers[keys.FOLLOWING_ERROR_WINDOW], LEAST_SLIP_RAD * axis.counts
+        far = 0 if window == NO_WINDOW else min(2 * window, MOST_SLIP)
+        axis.slipped = max(round(abs(least)), far)
+        self.too_far = True
 
     def feel(self, celsius: float) -> None:
         """The motor is so warm [°C], whether it has power or not."""
