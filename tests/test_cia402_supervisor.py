@@ -463,3 +463,22 @@ def test_axis_that_ignores_a_quick_stop_is_not_told_to_be_switched_on_afterwards
     rig.until(Phase.OFF)
     rig.cycles(5)
     assert rig.outputs.controlword[2] == 0x00
+
+
+def test_an_axis_that_does_not_say_so_is_not_said_to_have_stopped() -> None:
+    rig = Rig()
+    rig.enable()
+    rig.drives[1].silent = True
+    said = rig.problem()
+    assert said.startswith("axis 2 (node 12): has not answered")
+    assert "All axes were told to stop; axis 1, axis 3: " in said
+    assert said.endswith("; axis 2: not known to have stopped")
+    assert "were stopped" not in said
+
+
+def test_an_axis_that_answers_and_stays_enabled_is_not_said_to_have_stopped() -> None:
+    rig = Rig()
+    rig.enable()
+    rig.drives[0].stuck_at = rig.drives[0].status
+    rig.supervisor.quick_stop("records were not taken")
+    assert rig.problem(20).endswith("axis 1: not known to have stopped")

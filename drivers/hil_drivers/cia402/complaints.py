@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from hil_drivers.cia402.states import State
 
 STOPPED = "All axes were stopped"
+TOLD = "All axes were told to stop"
+UNKNOWN = "not known to have stopped"
 NOBODY = (
     "No axis answers: quick stop may not arrive, but without a master drives stop by themselves"
 )
-SILENT = "no answer"
+_MOVING = (None, State.ENABLED, State.UNKNOWN)
+"""States in which nothing says that an axis brakes or is off; None: it does not answer."""
 
 
 class Complaints:
@@ -66,23 +69,20 @@ class Complaints:
         parts += [
             f"{self._axes[axis]}: {'; '.join(whats)}" for axis, whats in self._of_axes.items()
         ]
-        others = _by_state(
-            {
-                name: states[axis]
-                for axis, name in enumerate(self._names)
-                if axis not in self._of_axes
-            }
-        )
+        told, fate = "; ".join(parts), self._fate(states)
         self.clear()
-        told = "; ".join(parts)
+        return f"{told}. {fate}" if fate else told
+
+    def _fate(self, states: Sequence[State | None]) -> str:
+        """What has become of the axes; nobody is said to have stopped who does not say so."""
         if not any(states):
-            return f"{told}. {NOBODY}"
-        return f"{told}. {STOPPED}; {others}" if others else told
-
-
-def _by_state(axes: Mapping[str, State | None]) -> str:
-    """`axis 1, axis 2: switch on disabled`, state by state."""
-    found: dict[str, list[str]] = {}
-    for name, state in axes.items():
-        found.setdefault(state.value if state else SILENT, []).append(name)
-    return "; ".join(f"{', '.join(names)}: {state}" for state, names in found.items())
+            return NOBODY
+        moving = [axis for axis, state in enumerate(states) if state in _MOVING]
+        others: dict[str, list[str]] = {}
+        for axis, state in enumerate(states):
+            if state is not None and axis not in moving and axis not in self._of_axes:
+                others.setdefault(state.value, []).append(self._names[axis])
+        if moving:
+            others[UNKNOWN] = [self._names[axis] for axis in moving]
+        by_state = [f"{', '.join(names)}: {state}" for state, names in others.items()]
+        return "; ".join([TOLD if moving else STOPPED, *by_state]) if by_state else ""

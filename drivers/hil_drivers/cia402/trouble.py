@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 
-from hil.errors import HilError, RobotFault, RobotTimeout
+from hil.errors import RobotFault, RobotTimeout
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.emergencies import error_text
+from hil_drivers.cia402.parting import stop_by_objects
 from hil_drivers.cia402.samples import Samples
 from hil_drivers.cia402.session import Session
+from hil_drivers.cia402.states import told_by
 
 WORDS_S = 0.5
 """How long it may take until the core has heard all there is to say of a fault [s]."""
+
+ASKED_S = 0.1
+"""How long drives may take to say something of themselves, all together [s]."""
 
 LOOK_S = 0.005
 NEXT = "see to the cause, then connect again"
@@ -38,11 +42,14 @@ class Trouble:
         self._untold = self.is_there = False
 
     def look(self, rows: StructArray) -> None:
-        """Look at what was just read, and ask the core."""
+        """Look at what was just read, and ask the core; new trouble stops all axes by SDO too."""
+        known = self.is_there
         if said := self._session.core.take_problem():
             self._said, self._untold, self.is_there = said, True, True
         elif not self.is_there and (rows["status"] & int(Status.FAULT)).any():
             self._untold = self.is_there = True
+        if self.is_there and not known:
+            stop_by_objects(self._session.acyclic)
 
     @property
     def said(self) -> str:
@@ -59,7 +66,7 @@ class Trouble:
             return
         self._untold = False
         self._await_words()
-        raise RobotFault(f"{self._name}: {self.said}{self._codes()}", hint=NEXT)
+        raise RobotFault(f"{self._name}: {self.said}{self._asked()}", hint=NEXT)
 
     def silence(self, within_s: float) -> RobotTimeout:
         """The error for no sample in that time, with who has kept it from being one."""
@@ -79,11 +86,13 @@ class Trouble:
             self._said = self._session.core.take_problem()
             time.sleep(LOOK_S)
 
-    def _codes(self) -> str:
-        """What faulty drives say of themselves (603Fh): an EMCY may have been lost."""
-        told = []
-        for axis in self._samples.faulty:
-            with contextlib.suppress(HilError):
-                code = error_text(self._session.acyclic.upload(axis, od.ERROR_CODE))
-                told.append(f"{self._session.acyclic.name_of(axis)} {code}")
-        return f" (603Fh: {'; '.join(told)})" if told else ""
+    def _asked(self) -> str:
+        """What drives say of themselves by SDO: an EMCY may have been lost, or all process data."""
+        acyclic, silent = self._session.acyclic, self._samples.silent
+        codes = acyclic.at_once.read(od.ERROR_CODE, self._samples.faulty, ASKED_S)
+        words = acyclic.at_once.read(od.STATUSWORD, silent, ASKED_S)
+        told = {
+            "603Fh": [f"{acyclic.name_of(a)} {error_text(code)}" for a, code in codes.items()],
+            "6041h": [f"{acyclic.name_of(a)} {told_by(word)}" for a, word in words.items()],
+        }
+        return "".join(f" ({entry}: {'; '.join(said)})" for entry, said in told.items() if said)

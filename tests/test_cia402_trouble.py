@@ -1,0 +1,58 @@
+"""What the next read raises, and what drives are told beside their process data."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from cia402_drives import drives
+
+from hil.errors import RobotFault
+from hil.robot import Status
+from hil_drivers.cia402.trouble import Trouble
+from hil_mock_robot.cia402.contracts import key
+
+ROWS = np.array([(0,)], dtype=[("status", "<u2")])
+
+
+def trouble_of(line: Any, problem: str, **samples: Any) -> Trouble:
+    told = [problem, ""]
+    core = SimpleNamespace(take_problem=lambda: told.pop(0) if told else "")
+    session: Any = SimpleNamespace(core=core, acyclic=line.master)
+    samples = {"faulty": [], "silent": []} | samples
+    return Trouble("arm", session, SimpleNamespace(**samples))  # type: ignore[arg-type]
+
+
+def test_axes_that_process_data_do_not_reach_are_stopped_by_objects() -> None:
+    with drives(2) as line:  # pre-operational: they take no RPDOs
+        line.nodes[1].registers[key(0x6041)] = 0x0250
+        trouble = trouble_of(line, "joint_2: has started anew", silent=[1])
+        trouble.look(ROWS)
+        assert [node.registers[key(0x6040)] for node in line.nodes] == [2, 2]
+        with pytest.raises(RobotFault, match=r"6041h: joint_2 \(node 2\) switch on disabled"):
+            trouble.raise_it()
+
+
+def test_nothing_is_sent_while_all_is_well() -> None:
+    with drives(2) as line:
+        line.sent.clear()
+        trouble_of(line, "").look(ROWS)
+        assert [can_id for can_id, _ in line.sent if can_id >= 0x600] == []
+
+
+def test_silent_drives_do_not_keep_a_fault_from_being_told() -> None:
+    with drives(2) as line:
+        line.lost = lambda can_id, _: can_id == 0x581
+        line.nodes[1].registers[key(0x603F)] = 0x2310
+        rows = ROWS.copy()
+        rows["status"] = int(Status.FAULT)
+        trouble = trouble_of(line, "joint_1: its heartbeat is overdue", faulty=[0, 1], silent=[0])
+        began = time.monotonic()
+        trouble.look(rows)
+        with pytest.raises(RobotFault, match=r"603Fh: joint_2 \(node 2\) .*2310h") as caught:
+            trouble.raise_it()
+        assert time.monotonic() - began < 0.5
+        assert "6041h" not in caught.value.message
