@@ -140,7 +140,9 @@ def test_the_log_of_a_run_replays_into_the_same_dataset(tmp_path: Path) -> None:
         station(tmp_path, "cia402", given)
         hil(tmp_path, "run", "spec.yaml", "--station", "station.yaml")
     again = hil(tmp_path, "replay", "1", "bus.log")
-    assert again["counts"] == again["recorded"]
+    # How late the host was is judged by its clock, which a log tells to the microsecond only.
+    for name in ("samples", "gaps", "missing", "duplicates"):
+        assert again["counts"][name] == again["recorded"][name]
     (recorded,) = (tmp_path / "runs").glob("*/*/0001-*")
     first, second = load_source(recorded), load_source(tmp_path / again["run"])
     assert len(first) > 400
