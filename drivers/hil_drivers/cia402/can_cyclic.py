@@ -44,6 +44,8 @@ class CanCyclic:
         notify: Gets every frame that is no process data: `canopen.Network.notify`
             (COB-ID, data, Unix time); called by the thread that calls us.
         log: Gets every frame sent and received: Unix time, 16 bytes.
+        late_cycles: Cycles in a row in which the bus may have no room for our frames, or in which a
+            node may answer twice.
 
     Attributes:
         counts: What has gone wrong so far.
@@ -62,6 +64,7 @@ class CanCyclic:
         master_id: int = 127,
         notify: Notify | None = None,
         log: Log | None = None,
+        late_cycles: int = 3,
     ) -> None:
         self._port = port if log is None else LoggedPort(port, log)
         self._commands, self._answers = Commands(mapping, nodes), Answers(mapping, nodes)
@@ -69,7 +72,7 @@ class CanCyclic:
         self._send_all = sending(self._port, [sync, *self._commands.frames])
         self.sent, self.answered = self._commands.data, self._answers.data
         self.counts = Counts()
-        self._watch = NodeWatch(nodes, self._answers.cob_ids, self.counts, notify)
+        self._watch = NodeWatch(nodes, self._answers.cob_ids, self.counts, notify, late_cycles)
         self._collector = Collector(self._port, self._answers, self._watch)
         self._inputs = Inputs.none_yet(len(nodes))
         self._period_s, self._device_s, self._beat_at = period_s, 0.0, 0.0

@@ -17,8 +17,11 @@ NAP_LONGER, NAP_SHORTER = 1.05, 0.99
 """A nap that was too short becomes longer, one that was not shorter: five of six are long enough,
 and a single slow cycle changes little."""
 
-SOON_TIMES, SOON_S = 4.0, 5e-4
+SOON_TIMES, SOON_S = 2.0, 5e-4
 """An answer comes soon when it takes no longer than so many times what is usual, and this."""
+
+USUAL_FADES = 0.995
+"""Usual is what the slowest of the last few hundred cycles took, those with debts apart."""
 
 _HEAD_BYTES, _FRAME_BYTES = 5, 16
 
@@ -44,7 +47,7 @@ class Collector:
         self._came: list[bytes | None] = [None] * len(answers)
         self._none_came: list[bytes | None] = [None] * len(answers)
         self._debts = Debts()
-        self._nap_s = 0.0
+        self._nap_s = self._usual_s = 0.0
         self._doubtful, self._late_then = False, 0
 
     def collect(self, inputs: Inputs, synced_s: float, give_up_s: float) -> None:
@@ -115,7 +118,8 @@ class Collector:
         return True
 
     def _learn(self, too_short: bool, synced_s: float) -> None:
-        """How long a nap is to be."""
+        """How long answers take, and how long a nap is to be."""
+        self._usual_s = max(time.monotonic() - synced_s, USUAL_FADES * self._usual_s)
         if too_short:
             self._nap_s = self._nap_s * NAP_LONGER or time.monotonic() - synced_s
         else:
@@ -128,7 +132,7 @@ class Collector:
         if this one came as soon as answers usually do, and if others had answered before: when
         nobody had, all are slow rather than lost.
         """
-        debts, soon_s = self._debts, synced_s + SOON_TIMES * self._nap_s + SOON_S
+        debts, soon_s = self._debts, synced_s + SOON_TIMES * self._usual_s + SOON_S
         if all_came:
             soon, nobody = time.monotonic() <= soon_s, len(debts) == len(self._came)
             self._take_more(give_up_s)
@@ -163,7 +167,7 @@ class Collector:
         if self._debts.pay(slot):
             self._counts.late += 1
         else:
-            self._counts.doubled += 1
+            self._watch.doubled(self._answers.axis(slot))
 
     def _miss(self, inputs: Inputs) -> None:
         """Fill empty slots with what was there before, and keep in mind who owes what."""

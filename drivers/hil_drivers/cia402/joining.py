@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from hil.canbus.frame import pack_frame
 from hil.errors import HilError, RobotConnectionError
 from hil_drivers.cia402.bus_log import BusLog
-from hil_drivers.cia402.can_cyclic import CanCyclic
+from hil_drivers.cia402.can_cyclic import CanCyclic, LoggedPort
 from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic
 from hil_drivers.cia402.mapping import MAPPINGS
+from hil_drivers.cia402.masters import LISTEN_INSIDE_S, LISTEN_S, require_no_master
 from hil_drivers.cia402.opening import open_bus
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.ports import port_of
@@ -36,7 +37,8 @@ class Joined:
         temperatures: Heard from their answers.
 
     Raises:
-        RobotConnectionError: There is no such bus, or its adapter is not there.
+        RobotConnectionError: There is no such bus, its adapter is not there, or another master is
+            on it.
         PluginError: A package is missing.
         RecordingError: The log of the bus cannot be made.
         SpecError: An EDS file cannot be read.
@@ -68,6 +70,7 @@ class Joined:
             self._log = BusLog(options.candump, options.bus.channel)
             self._leaving.callback(self._log.close)
         self._port = port_of(bus)
+        self._listen(options)
         self.temperatures = Temperatures(options.nodes, options.temperature_object)
         self.acyclic = CanopenAcyclic(self._send, options.nodes, names, options.eds)
         self.cyclic = CanCyclic(
@@ -78,7 +81,15 @@ class Joined:
             master_id=options.master_id,
             notify=self._heard,
             log=self._log,
+            late_cycles=options.late_cycles,
         )
+
+    def _listen(self, options: Options) -> None:
+        """Nobody else may drive these axes; before anything is sent."""
+        port = self._port if self._log is None else LoggedPort(self._port, self._log)
+        inside = options.bus.interface == "virtual"
+        lasts_s = LISTEN_INSIDE_S if inside else LISTEN_S
+        require_no_master(port, options.nodes, options.master_id, lasts_s)
 
     def _heard(self, can_id: int, data: bytes, time_s: float) -> None:
         """What is no process data; by the thread that owns the bus."""

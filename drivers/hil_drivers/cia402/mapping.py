@@ -129,9 +129,10 @@ def cycle_dtype(mapping: Mapping, n: int) -> np.dtype[Any]:
 
     Fields: `cycle` (number of its SYNC, from 0), `host_time` (Unix time at which the SYNC was
     sent), `segment` and `status` (what the master announced, see `marker`), `fault_code` (of the
-    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`, `LATE`),
-    then the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo` (T, n, 8) as
-    answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN before.
+    EMCY that the first faulty axis sent, 0 without a fault), `flags` (`INCOMPLETE`, `STALLED`,
+    `LATE`), then the eight bytes of each PDO, `rpdo` (R, n, 8) as sent after this SYNC and `tpdo`
+    (T, n, 8) as answered to it, and `temperature` (n,) [°C], the newest known at the SYNC, NaN
+    before.
     """
     return np.dtype(
         [

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hil.canbus.frame import ERROR, ERROR_BUS_OFF, ERROR_CONTROLLER, FRAME, TX_OVERFLOW
 from hil_drivers.cia402.contracts import Emergency, News
+from hil_drivers.cia402.masters import MasterWatch
 
 EMCY_COB_ID, SDO_ANSWER_COB_ID, HEARTBEAT_COB_ID = 0x080, 0x580, 0x700
 """Predefined connection set: plus the node's id (CiA 301)."""
@@ -16,7 +17,6 @@ SILENCE_S = 0.3
 """Device time after which a heartbeat of 100 ms is overdue [s]."""
 
 LOOK_S = 0.01
-OVERLOADED_CYCLES = 3
 RX_OVERFLOW = 0x01
 _BOOT_UP = 0
 
@@ -44,6 +44,20 @@ class Counts:
     overflows: int = 0
 
 
+class InARow:
+    """Counts cycles in a row in which something happens."""
+
+    def __init__(self) -> None:
+        self._last, self._number = -2, 0
+
+    def in_cycle(self, cycle: int) -> int:
+        """It happens in a cycle, perhaps again; in how many in a row by now."""
+        if cycle != self._last:
+            self._number = self._number + 1 if cycle == self._last + 1 else 1
+            self._last = cycle
+        return self._number
+
+
 class NodeWatch:
     """Looks at every frame that is no process data, and at the heartbeats that do not come.
 
@@ -52,6 +66,8 @@ class NodeWatch:
         tpdos: COB-IDs of their process data.
         counts: Where malformed and foreign frames and overflows are counted.
         notify: Gets every frame but the bus' own errors.
+        late_cycles: Cycles in a row in which the bus may have no room for our frames, or in which a
+            node may answer twice.
 
     Attributes:
         counts: As given.
@@ -60,7 +76,12 @@ class NodeWatch:
     """
 
     def __init__(
-        self, nodes: Sequence[int], tpdos: Container[int], counts: Counts, notify: Notify | None
+        self,
+        nodes: Sequence[int],
+        tpdos: Container[int],
+        counts: Counts,
+        notify: Notify | None,
+        late_cycles: int = 3,
     ) -> None:
         self._tpdos, self.counts, self._notify = tpdos, counts, notify
         self._heartbeats = {HEARTBEAT_COB_ID + node: axis for axis, node in enumerate(nodes)}
@@ -71,7 +92,9 @@ class NodeWatch:
         self._silent: set[int] = set()
         self._device_s = self.look_at = 0.0
         self.cycle = -1
-        self._overflowing = (-2, 0)
+        self._nodes, self._late_cycles = tuple(nodes), late_cycles
+        self._overflowing, self._doubling = InARow(), [InARow() for _ in nodes]
+        self._masters = MasterWatch(nodes)
 
     def watch(self, on: bool) -> None:
         """Whether overdue heartbeats and boot-ups are news, from now on."""
@@ -100,6 +123,7 @@ class NodeWatch:
             self.counts.malformed += 1
         elif can_id not in self._answers:
             self.counts.foreign += 1
+            self._foreign(can_id, data)
         if self._notify is not None:
             self._notify(can_id, data[:length], time.time())
 
@@ -116,14 +140,26 @@ class NodeWatch:
     def overflow(self) -> None:
         """A frame of the present cycle has found no room."""
         self.counts.overflows += 1
-        last, in_a_row = self._overflowing
-        if self.cycle == last:
-            return
-        self._overflowing = (self.cycle, in_a_row + 1 if self.cycle == last + 1 else 1)
-        if self._overflowing[1] >= OVERLOADED_CYCLES:
+        most = self._late_cycles
+        if self._overflowing.in_cycle(self.cycle) > most:
             self._news.bus_error = (
-                f"the bus had no room for our frames in {OVERLOADED_CYCLES} cycles in a row"
+                f"the bus had no room for our frames in more than {most} cycles in a row"
             )
+
+    def doubled(self, axis: int) -> None:
+        """An answer of an axis came twice in the present cycle, and none was owed."""
+        self.counts.doubled += 1
+        if self._doubling[axis].in_cycle(self.cycle) > self._late_cycles:
+            self._tell(f"two nodes answer as node {self._nodes[axis]}")
+
+    def _foreign(self, can_id: int, data: bytes) -> None:
+        if said := self._masters.heard(can_id, data):
+            self._tell(said)
+
+    def _tell(self, said: str) -> None:
+        """The first of a cycle, while the arm is driven."""
+        if self._watching and not self._news.bus_error:
+            self._news.bus_error = said
 
     def _heartbeat(self, axis: int, data: bytes) -> None:
         self._heard_s[axis] = self._device_s
