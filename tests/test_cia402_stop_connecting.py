@@ -14,7 +14,8 @@ from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.session import Session
 
 GIVEN = {"bus": {"interface": "hil_unix", "channel": "nobody"}}
-STEPS = ["join", "open", "operational", "run", "reset_faults", "enable", "switch", "ask", "forget"]
+STEPS = ["join", "open", "operational", "run", "reset_faults", "enable", "look", "switch", "ask"]
+STEPS += ["forget"]
 
 
 class Steps:
@@ -43,6 +44,7 @@ class Steps:
         made.leave = self.step("leave")  # type: ignore[method-assign]
         return SimpleNamespace(
             session=made,
+            look=self.step("look"),
             thermometer=SimpleNamespace(ask_all=self.step("ask")),
             samples=SimpleNamespace(forget=self.step("forget")),
             trouble=SimpleNamespace(is_there=False),

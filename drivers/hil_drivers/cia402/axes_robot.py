@@ -20,7 +20,7 @@ from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
 from hil_drivers.cia402.payload_object import declare
 from hil_drivers.cia402.rows import raw_topic
-from hil_drivers.cia402.torque_model import GRAVITY
+from hil_drivers.cia402.torque_model import GRAVITY, TorqueModel
 from hil_drivers.cia402.tracks import track_of
 from hil_drivers.cia402.trouble import NEXT
 
@@ -43,7 +43,7 @@ class AxesRobot:
     def __init__(self, name: str, model: str, **options: Any) -> None:
         self._name, self._model = name, model
         self._options = options_of(options, model)
-        self._gravity = GRAVITY
+        self._gravity, self._payload = GRAVITY, Payload()
         self._topic = raw_topic(
             MAPPINGS[self._options.mapping], len(self._options.nodes), self._options.rate_hz
         )
@@ -83,7 +83,10 @@ class AxesRobot:
 
     def checks(self) -> Sequence[Finding]:
         """See `hil.robot.HasChecks`."""
-        return list(findings_of(self._healthy().session))
+        line = self._healthy()
+        model = line.torque or TorqueModel(self._model, self._options.urdf, self._gravity)
+        model.mount(self._payload)
+        return list(findings_of(line.session, model))
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Gravity in the base frame, for the torque model; before `connect`."""
@@ -113,11 +116,12 @@ class AxesRobot:
             if self._stops != stops:
                 raise CommandRefused("stopped while connecting", hint="connect again")
 
+        self._payload = Payload()
         line = self._line = line_to(
             self._name, self._model, self._options, self._topic, self._gravity
         )
         try:
-            line.session.begin(go_on)
+            line.session.begin(go_on, line.look)
         except CommandRefused:
             go_on()
             raise
@@ -138,6 +142,7 @@ class AxesRobot:
         told = payload
         if self._options.payload_object:
             told = declare(line.session.acyclic, self._options.payload_object, payload)
+        self._payload = payload
         if line.torque is not None:
             line.torque.mount(payload)
             line.hold_anew()

@@ -141,6 +141,30 @@ class Core(Cycling):
         """Controlword quick stop to all axes with the next cycle; never raises or blocks."""
         self._asked.append(lambda: self._supervisor.quick_stop(why))
 
+    def mean_torque(self, settle_s: float = 0.2, over_s: float = 0.1) -> list[float]:
+        """Measured torques, raw, per axis, of an arm that holds; blocks.
+
+        Args:
+            settle_s: Device time to wait before [s].
+            over_s: Device time of the mean [s].
+
+        Raises:
+            RobotConnectionError: The bus is gone.
+        """
+        begin = self._cyclic.cycle + round(settle_s / self._period_s)
+        end, seen = begin + max(1, round(over_s / self._period_s)), dict[int, list[int]]()
+
+        def goes_on() -> bool:
+            now = self._cyclic.cycle
+            if now >= begin:
+                seen[now] = self._inputs.torque.copy()
+            return now < end and self._gone is None
+
+        self._let_pass(goes_on, FIRST_ANSWER_S * max(1.0, self._slower))
+        self._require_bus()
+        rows = list(seen.values()) or [self._inputs.torque.copy()]
+        return [sum(column) / len(rows) for column in zip(*rows, strict=True)]
+
     def take_problem(self) -> str:
         """What ended a motion or enabling, told once; empty when nothing did."""
         problem, self._problem = self._problem, ""

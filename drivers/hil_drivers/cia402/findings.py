@@ -17,6 +17,9 @@ from hil_drivers.cia402.node_watch import Counts
 from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.supervisor import Phase
+from hil_drivers.cia402.torque_check import HINT as TORQUE_HINT
+from hil_drivers.cia402.torque_check import weigh
+from hil_drivers.cia402.torque_model import TorqueModel
 
 HOTTEST_C = 90.0
 """Motors hotter than this are not moved: windings stand 120 to 155 °C, grease and sensors less."""
@@ -28,14 +31,20 @@ MOST_OVERRUN = 0.10
 """Share of cycles that may be late: CSP drives interpolate over one, and fault after a few."""
 
 
-def findings_of(session: Session) -> Iterator[Finding]:
-    """One finding per thing that was looked at; moves nothing."""
+def findings_of(session: Session, model: TorqueModel) -> Iterator[Finding]:
+    """One finding per thing that was looked at; moves nothing.
+
+    Args:
+        session: To the drives.
+        model: Of the arm with its load: what it weighs.
+    """
     yield _drives(session)
     yield _enabled(session)
     yield _bus_load(session.options)
     yield _scaling(session)
     yield _limits(session)
     yield _torque(session)
+    yield _weight(session, model)
     yield _watch(session)
     yield _temperature(session.core.temperature)
     yield _cycle(session)
@@ -129,9 +138,10 @@ def outside_of(q: FloatArray, limits: Limits, names: Sequence[str]) -> list[str]
     degrees = np.degrees(np.stack((q, limits.q_min, limits.q_max)))
     return [
         "{} is at {:.1f}°, outside of its range of {:.1f} to {:.1f}°".format(
-            names[axis], *degrees[:, axis]
+            name, *degrees[:, axis]
         )
-        for axis in np.flatnonzero(beyond)
+        for axis, name in enumerate(names)
+        if beyond[axis]
     ]
 
 
@@ -145,6 +155,25 @@ def _torque(session: Session) -> Finding:
     most = session.drives.max_torque
     told = " ".join("?" if np.isnan(each) else f"{each:.0f}" for each in most)
     return Finding("torque-limits", True, f"drives limit themselves to {told} N·m (6072h)", told)
+
+
+def _weight(session: Session, model: TorqueModel) -> Finding:
+    """Whether measured torque can be what holds the arm; it has to where we send torques."""
+    weighed = weigh(session, model) if session.core.phase is Phase.ENABLED else None
+    if weighed is None:
+        said = f"not compared with the arm's weight: mapping {session.options.mapping}, axes "
+        return Finding("torque-sign", True, said + session.core.phase.value, "not compared")
+    if wrong := weighed.contradictions:
+        options = session.options
+        needed = options.feed_forward or options.trajectory_mode == "cst"
+        said = "; ".join(wrong)
+        said += "" if needed else ". No torque is sent in this mode, but recordings hold it"
+        return Finding("torque-sign", not needed, said, len(wrong), 0, TORQUE_HINT)
+    names = [weighed.names[axis] for axis in weighed.compared]
+    said = f"measured torque holds the arm's weight in {', '.join(names)}"
+    if not names:
+        said = "no joint carries enough weight here to tell the sign of its torque"
+    return Finding("torque-sign", True, said, 0, 0)
 
 
 def _watch(session: Session) -> Finding:

@@ -11,6 +11,7 @@ from hil_drivers.cia402.options import Options
 from hil_drivers.cia402.samples import Samples
 from hil_drivers.cia402.session import Session
 from hil_drivers.cia402.thermometer import Thermometer
+from hil_drivers.cia402.torque_check import require_plausible
 from hil_drivers.cia402.torque_model import TorqueModel
 from hil_drivers.cia402.track import Track
 from hil_drivers.cia402.trouble import Trouble
@@ -33,6 +34,15 @@ class Line:
     trouble: Trouble
     thermometer: Thermometer
     torque: TorqueModel | None
+
+    def look(self) -> None:
+        """Before torques are sent: those that the drives measure have to hold the arm.
+
+        Raises:
+            RobotConnectionError: They cannot be what holds it.
+        """
+        if self.torque is not None:
+            require_plausible(self.session, self.torque)
 
     def hold_anew(self) -> None:
         """Hold where the arm is, with the torques that its new load takes.

@@ -42,6 +42,8 @@ class Options:
         eds: Per axis, path of the drive's EDS file; empty without.
         urdf: Path of the torque model; the arm's own when empty.
         following_error_deg: 6065h: how far a joint may lag before its drive faults [deg].
+        tracking_deg: How far a joint that we lead ourselves (csv, cst) may be from its set-point
+            before all axes are stopped [deg]; in csp it is twice `following_error_deg`.
         torque_limit_percent: 6072h: of the rated torque; the drive's own when None.
         payload_object: Vendor object of node 1 where a payload is declared; none when 0.
         temperature_object: Vendor object of every node: its motor's temperature, INTEGER16 in
@@ -65,6 +67,7 @@ class Options:
     eds: tuple[str, ...] = ()
     urdf: str = ""
     following_error_deg: float = 2.0
+    tracking_deg: float = 10.0
     torque_limit_percent: float | None = None
     payload_object: int = 0
     temperature_object: int = 0
@@ -100,6 +103,7 @@ class Options:
 RANGES: dict[str, must.Range] = {
     "stop_rad_s2": (0.5, 100.0),
     "following_error_deg": (0.05, 30.0),
+    "tracking_deg": (0.1, 60.0),
     "torque_limit_percent": (1.0, 1000.0),
 }
 """Least and most of the options that are numbers."""

@@ -28,6 +28,7 @@ from hil_drivers.cia402.player import Player
 from hil_drivers.cia402.pumping import pumping
 from hil_drivers.cia402.schedule import Schedule
 from hil_drivers.cia402.supervisor import Supervisor
+from hil_drivers.cia402.tracking import Tracking
 
 LOOK_S = 0.002
 
@@ -67,11 +68,16 @@ class Session:
             self._joined.leave()
             raise
 
-    def begin(self, go_on: Callable[[], None] = lambda: None) -> None:
+    def begin(
+        self,
+        go_on: Callable[[], None] = lambda: None,
+        look: Callable[[], None] = lambda: None,
+    ) -> None:
         """Start the cycles, reset what may be reset, enable all axes; they hold where they are.
 
         Args:
             go_on: Called before every step; raises when it is not to be taken.
+            look: Called when all axes hold by their own loops; raises when they are to do no more.
 
         Raises:
             RobotTimeout, RobotFault, CommandRefused, RobotConnectionError: See `Core`.
@@ -87,6 +93,8 @@ class Session:
             set_mode(self.acyclic, range(len(self.options.nodes)), od.CSP)
         go_on()
         self.core.enable(od.CSP)
+        go_on()
+        look()
         go_on()
         if (mode := MODES[self.options.trajectory_mode]) != od.CSP:
             # Led by torque, an arm that is only now enabled would fall until the spring holds it.
@@ -141,6 +149,7 @@ class Session:
             mode_mapped=carries_mode(self.mapping),
             late_cycles=options.late_cycles,
             braking=self._brake_watch(),
+            tracking=self._tracking(),
             said=emergency_text,
             names=self.arm.joint_names,
         )
@@ -172,6 +181,18 @@ class Session:
             self.options.period_s,
             [drive.profile.rad_per_increment for drive in drives],
             [LONGEST_RAMP_S if math.isnan(ramp) else ramp for ramp in ramps],
+        )
+
+    def _tracking(self) -> Tracking:
+        profiles, options = [drive.profile for drive in self.drives.drives], self.options
+        following = (2.0 * options.following_error_deg, "2 × following_error_deg")
+        led = (options.tracking_deg, "tracking_deg")
+        measured = any(od.VELOCITY in pdo.entries for pdo in self.mapping.tpdos)
+        return Tracking(
+            options.period_s,
+            [profile.rad_per_increment for profile in profiles],
+            {od.CSP: following, od.CSV: led, od.CST: led},
+            [profile.rad_s_per_count for profile in profiles] if measured else (),
         )
 
     def _await_rest(self, within_s: float) -> None:

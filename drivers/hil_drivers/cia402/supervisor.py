@@ -23,6 +23,7 @@ from hil_drivers.cia402.states import (
     state_of,
     told_by,
 )
+from hil_drivers.cia402.tracking import Tracking
 
 __all__ = ["Phase", "Supervisor"]
 
@@ -46,6 +47,7 @@ class Supervisor:
         mode_mapped: Whether the process data hold 6060h and 6061h.
         late_cycles: Cycles in a row that an axis may not answer.
         braking: Watches quick stops.
+        tracking: Watches whether enabled axes go where they are told.
         names: Of the axes, for messages.
         said: An emergency in words.
 
@@ -65,6 +67,7 @@ class Supervisor:
         mode_mapped: bool = True,
         late_cycles: int = 3,
         braking: BrakeWatch | None = None,
+        tracking: Tracking | None = None,
         names: Sequence[str] = (),
         said: Callable[[Emergency], str] = lambda emergency: f"EMCY {emergency.code:04X}h",
     ) -> None:
@@ -75,6 +78,7 @@ class Supervisor:
         n = self._n
         self._braking = braking or BrakeWatch(period_s, [0.0] * n, [LONGEST_RAMP_S] * n)
         self._let_go: set[int] = set()
+        self._tracking = tracking
         self._codes = [0] * self._n
         self._states = [State.UNKNOWN] * self._n
         self._inputs = Inputs.none_yet(self._n)
@@ -166,6 +170,10 @@ class Supervisor:
         """Judge what the drives answered, and write what they are told next."""
         self._cycle, self._inputs = cycle, inputs
         judge = self._judge
+        if self._tracking and self.phase is Phase.ENABLED:
+            targets = self._outputs.target_position
+            for axis, what in list(self._tracking.judge(inputs, targets, self.mode)):
+                self._complain(axis, what)
         if self.phase is Phase.ENABLED and judge.is_calm(inputs, self._outputs.mode):
             return
         self._states = [state_of(word) for word in inputs.statusword]
@@ -286,6 +294,8 @@ class Supervisor:
     def _enter(self, phase: Phase) -> None:
         self.phase, self._since = phase, self._cycle
         self._judge.enter(phase)
+        if self._tracking:
+            self._tracking.restart()
 
     def _for_s(self) -> float:
         return (self._cycle - self._since) * self._period_s
