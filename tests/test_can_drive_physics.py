@@ -89,8 +89,11 @@ def test_a_torque_offset_that_is_there_when_brakes_open_counts_once():
     rated = np.array(arm.raw(keys.RATED_TORQUE)) * 1e-3 * ARM.gear_ratio
     arm.set(keys.TORQUE_OFFSET, np.round(1000 * static_torque(before) / rated).astype(int))
     arm.enabled(CSP)
-    arm.cycles(250)
-    assert np.degrees(np.abs(arm.q - before).max()) < 0.05
+    away = []
+    for _ in range(100):
+        arm.cycles(1)
+        away.append(np.degrees(np.abs(arm.q - before).max()))
+    assert max(away) < 0.05
 
 
 def test_csp_after_cst_goes_on_with_the_torque_that_held_the_arm():

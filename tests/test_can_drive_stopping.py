@@ -221,3 +221,16 @@ def test_what_a_lost_master_left_in_the_controlword_enables_nothing():
     one.set(keys.TARGET_VELOCITY, 0)
     one.tell(0x00)
     assert one.state is DISABLED
+
+
+def test_enabled_again_from_a_quick_stop_the_axis_goes_on_from_its_set_point():
+    one = moving()
+    one.set(keys.QUICK_STOP_OPTION, 6)
+    one.tell(0x02, cycles=200)
+    one.lag = 0.01
+    one.cycles(1)
+    one.set(keys.TARGET_VELOCITY, 0)
+    held = one.demands[-1].setpoints[-1, 0]
+    one.tell(0x0F)
+    assert one.state is ENABLED
+    assert one.demands[-1].setpoints[:, 0] == pytest.approx(held, abs=1e-9)
