@@ -39,7 +39,6 @@ POWERED = frozenset({State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION})
 
 DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN, SWITCH_ON, ENABLE = 0x00, 0x02, 0x06, 0x07, 0x0F
 FAULT_RESET = 0x80
-HALT = 0x0100
 """Controlwords (6040h); bit 2 is active-low, bit 7 counts when it rises."""
 
 VOLTAGE_ENABLED, WARNING, REMOTE = 0x0010, 0x0080, 0x0200
