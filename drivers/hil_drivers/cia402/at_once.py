@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import threading
+import time
 from collections.abc import Iterable, Sequence
 
 from hil.errors import HilError
@@ -21,6 +21,8 @@ _HEAD = struct.Struct("<BHB")
 _READ, _WRITE = 0x40, 0x23
 _VALUE, _VALUE_MASK = 0x42, 0xE2
 _WRITTEN = 0x60
+
+LOOK_S = 0.001
 
 Place = tuple[int, int, int]
 """Axis, index, sub-index."""
@@ -37,26 +39,26 @@ class AtOnce:
     def __init__(self, send: Send, nodes: Sequence[int]) -> None:
         self._send, self._nodes = send, tuple(nodes)
         self._axes = {SDO_ANSWER + node: axis for axis, node in enumerate(nodes)}
-        self._told = threading.Condition()
-        self._answers: dict[Place, bytes | None] = {}
+        self._expected: dict[Place, list[bytes]] = {}
 
     def heard(self, can_id: int, data: bytes) -> bool:
-        """A frame of eight bytes; whether it answers a request from here."""
+        """A frame of eight bytes; whether it answers a request from here.
+
+        Called by the cyclic thread: there is no lock that whoever asks could hold.
+        """
         axis = self._axes.get(can_id)
         if axis is None:
             return False
         _, index, sub = _HEAD.unpack_from(data)
-        with self._told:
-            if (axis, index, sub) not in self._answers:
-                return False
-            self._answers[axis, index, sub] = data
-            self._told.notify_all()
+        answer = self._expected.pop((axis, index, sub), None)
+        if answer is None:
+            return False
+        answer.append(data)
         return True
 
     def forget(self, axis: int, entry: Entry) -> None:
         """Somebody else asks for it: the next answer is theirs."""
-        with self._told:
-            self._answers.pop((axis, entry.index, entry.sub), None)
+        self._expected.pop((axis, entry.index, entry.sub), None)
 
     def read(self, entry: Entry, axes: Iterable[int], within_s: float = 0.0) -> dict[int, int]:
         """Values by axis, of those who told them within that time [s], all together."""
@@ -79,20 +81,12 @@ class AtOnce:
     def _asked(
         self, command: int, entry: Entry, data: bytes, axes: Iterable[int], within_s: float
     ) -> dict[int, bytes]:
-        head = _HEAD.pack(command, entry.index, entry.sub)
-        places = [(axis, entry.index, entry.sub) for axis in axes]
-        with self._told:
-            self._answers.update(dict.fromkeys(places))
+        head, until = _HEAD.pack(command, entry.index, entry.sub), time.monotonic() + within_s
+        answers: dict[int, list[bytes]] = {axis: [] for axis in axes}
         with contextlib.suppress(HilError):  # a bus that takes no frame takes none of the others
-            for axis, *_ in places:
+            for axis, answer in answers.items():
+                self._expected[axis, entry.index, entry.sub] = answer
                 self._send(SDO_REQUEST + self._nodes[axis], head + data)
-        with self._told:
-            self._told.wait_for(lambda: all(self._answers.get(p) for p in places), within_s)
-            return {place[0]: said for place in places if (said := self._take(place))}
-
-    def _take(self, place: Place) -> bytes | None:
-        """An answer that has come; one that has not stays expected."""
-        said = self._answers.get(place)
-        if said is not None:
-            del self._answers[place]
-        return said
+        while not all(answers.values()) and time.monotonic() < until:
+            time.sleep(LOOK_S)
+        return {axis: answer[0] for axis, answer in answers.items() if answer}
