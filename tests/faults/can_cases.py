@@ -100,8 +100,9 @@ def _resting(more: Mapping[str, Any]) -> dict[str, Any]:
     return {"rest_within_s": 0.6, **more}
 
 
-def _goes_on(fault: str, why: str, **counts: int) -> CanEnding:
-    return CanEnding("completed", 0, None, why=why, fault=asked(fault), counts=counts, free=True)
+def _goes_on(fault: str, why: str, doubtful: int = 1, **counts: int) -> CanEnding:
+    more: dict[str, Any] = {"why": why, "counts": counts, "doubtful": doubtful, "free": True}
+    return CanEnding("completed", 0, None, fault=asked(fault), **more)
 
 
 def _never_begins(fault: str, *says: str, **more: Any) -> CanEnding:
@@ -169,7 +170,13 @@ FAULTS: Mapping[str, CanEnding] = {
         "wrong_length axis=4 frames=400", "joint_4 (node 4)", within_s=0.3, why=SILENT
     ),
     "a frame lost": _goes_on("lost_frames axis=3", "counted", gaps=1, missing=1),
-    "three frames lost": _goes_on("lost_frames axis=3 frames=3", "counted", gaps=1, missing=2),
+    "three frames lost": _goes_on(
+        "lost_frames axis=3 frames=3",
+        "counted, with up to five cycles until it is clear that none of them is still to come",
+        doubtful=5,
+        gaps=1,
+        missing=2,
+    ),
     "a frame too short": _goes_on("wrong_length axis=4", "counted as lost", gaps=1, missing=1),
     "frames one cycle late": _goes_on(
         "late_frames axis=2 by_s=0.004",
