@@ -12,7 +12,7 @@ from test_cia402_can_cyclic import Cycles, all_answers, tpdo1
 
 from hil.canbus.frame import pack_frame
 from hil.errors import RobotConnectionError
-from hil_drivers.cia402.direct_stop import quick_stop_frames
+from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
 from hil_drivers.cia402.joining import Joined
 from hil_drivers.cia402.masters import require_no_master
 from hil_drivers.cia402.options import Options, options_of
@@ -147,3 +147,14 @@ def test_full_queue_is_an_error_after_late_cycles() -> None:
         cycles.port.room = 1
         cycles.cycle(all_answers(k))
     assert "no room for our frames in more than 5 cycles" in cycles.news().bus_error
+
+
+def test_quick_stop_from_outside_is_sent_three_times_with_a_pause() -> None:
+    told = station(f"cia402-masters-{next(_numbers)}")
+    with can.Bus(interface="virtual", channel=told.bus.channel) as drives:
+        assert stop_directly(told)
+        heard = [drives.recv(0.0) for _ in range(3 * 7)]
+        assert drives.recv(0.0) is None
+    syncs = [each for each in heard if each is not None and each.arbitration_id == 0x080]
+    assert [heard.index(sync) for sync in syncs] == [6, 13, 20]
+    assert all(b.timestamp - a.timestamp >= 0.002 for a, b in itertools.pairwise(syncs))

@@ -6,7 +6,9 @@ import math
 
 import pytest
 
+from hil.canbus.frame import pack_frame
 from hil.errors import SpecError
+from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.bus_options import SIMULATED
 from hil_drivers.cia402.options import options_of
 
@@ -167,3 +169,27 @@ def test_drives_on_one_bus_are_one_resource_because_it_has_one_sync():
     assert (
         options(nodes=[1, 2, 3, 4, 5, 6]).resource == options(nodes=[7, 8, 9, 10, 11, 12]).resource
     )
+
+
+def test_a_log_of_the_bus_needs_a_folder_that_is_there(tmp_path):
+    assert options(candump=str(tmp_path / "run.log")).candump == str(tmp_path / "run.log")
+    error = refused(bus=BUS, candump=str(tmp_path / "none" / "run.log"))
+    assert "candump" in error.message
+    assert str(tmp_path / "none") in error.hint
+    refused(bus=BUS, candump=str(tmp_path))
+
+
+@pytest.mark.parametrize("channel", ["../can0", "/tmp/../can0.sock", "a/b", "a" * 200])
+def test_a_channel_that_leads_elsewhere_is_refused(channel):
+    assert "bus.channel" in refused(bus=BUS | {"channel": channel}).message
+
+
+def test_a_log_that_is_there_is_kept(tmp_path):
+    names = []
+    for _ in range(3):
+        log = BusLog(str(tmp_path / "run.log"), "can0")
+        log(1.0, pack_frame(0x080, b""))
+        log.close()
+        names.append(log.path.name)
+    assert names == ["run.log", "run-2.log", "run-3.log"]
+    assert all((tmp_path / name).read_text("ascii").count("080#") == 1 for name in names)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 from hil.canbus.paths import runtime_folder, socket_path
-from hil.errors import SpecError
+from hil.errors import PluginError, SpecError
 from hil_drivers.cia402 import option_checks as must
 
 BITRATES = (10_000, 1_000_000)
@@ -57,9 +58,14 @@ def bus_of(value: Any) -> Bus:
 def _channel(interface: str, value: Any) -> str:
     """One way of writing it: two stations that mean one bus must say the same."""
     channel = must.text("bus.channel", str(value) if isinstance(value, int) else value)
+    if ".." in Path(channel).parts:
+        raise must.wrong_option("bus.channel", value, "name it, or give its path without ..")
     if interface != "hil_unix":
         return channel
-    path = socket_path(channel)
+    try:
+        path = socket_path(channel)
+    except PluginError as error:
+        raise must.wrong_option("bus.channel", value, error.hint or error.message) from error
     return path.stem if path.parent == runtime_folder() and path.suffix == ".sock" else str(path)
 
 

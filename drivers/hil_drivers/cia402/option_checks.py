@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 from hil_drivers.option_checks import OptionChecks, Range
@@ -42,6 +43,16 @@ def period_ms(value: Any) -> int:
             f"a cycle lasts whole milliseconds (60C2h): use {slower:.6g} or {faster:.6g}",
         )
     return period
+
+
+def log_file(name: str, value: Any) -> str:
+    """The whole path of a file that can be made."""
+    path = Path(text(name, value)).expanduser().absolute()
+    if not path.parent.is_dir():
+        raise wrong_option(name, value, f"there is no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise wrong_option(name, value, "this is a folder; give a file in it")
+    return str(path)
 
 
 def _ids(n: int) -> list[int]:

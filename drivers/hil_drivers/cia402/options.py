@@ -48,7 +48,8 @@ class Options:
         payload_object: Vendor object of node 1 where a payload is declared; none when 0.
         temperature_object: Vendor object of every node: its motor's temperature, INTEGER16 in
             0.1 °C; none when 0.
-        candump: File to which all frames are logged; none when empty.
+        candump: File to which all frames are logged, with a number where there is one; none when
+            empty.
         late_cycles: Cycles that an axis may miss, or we may be late, before all axes stop.
     """
 
@@ -174,7 +175,7 @@ def _one_by_one(told: Mapping[str, Any]) -> dict[str, Any]:
 _TAKEN: dict[str, Callable[[str, Any], Any]] = {
     "feed_forward": must.truth,
     "urdf": must.file,
-    "candump": must.text,
+    "candump": must.log_file,
 }
 
 
