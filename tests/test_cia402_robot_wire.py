@@ -313,3 +313,17 @@ def test_an_interrupt_in_a_trajectory_brings_the_arm_to_rest(mock, tmp_path) -> 
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err[-3000:]
     off_and_at_rest(mock)
+
+
+def test_a_fault_for_a_person_stays_one_however_often_somebody_connects(mock, tmp_path) -> None:
+    mock.tell("clear")
+    mock.tell("fault", kind="emergency", axis=3, code=0x2310)
+    mock.wait_until(lambda state: state["states"][2] == "FAULT")
+    for _ in range(2):
+        with pytest.raises(RobotFault, match=r"joint_3.*over-current.*2310h"):
+            AxesRobot("arm", "lab6", **options(mock)).connect()
+        time.sleep(0.4)  # longer than a drive waits for our heartbeat
+    assert mock.state()["errors"][2] == 0x2310
+    assert main(["reset", str(station_for(mock, tmp_path)), "lab6_can"]) == 0
+    with closing(AxesRobot("arm", "lab6", **options(mock))) as axes:
+        axes.connect()
