@@ -82,28 +82,38 @@ class Burst:
         self._messages, self._vectors = _messages(map(ctypes.addressof, self._memory), _SIZE)
         self._at = ctypes.c_void_p(ctypes.addressof(self._messages))
 
-    def send(self, line: socket.socket, number: int | None = None) -> int:
+    def send(self, line: socket.socket, number: int | None = None, *, after: int = 0) -> int:
         """Put the first `number` of them (all when None) on the line; how many it had room for.
+
+        Args:
+            line: To the bus.
+            number: See above.
+            after: So many of them went before, and do not again.
 
         Raises:
             OSError: The line is gone; nothing was sent.
         """
         wanted = self._number if number is None else number
         if self._call is not None:
-            sent = self._call(line.fileno(), self._at, wanted, _NOW)
+            at = self._at
+            if after:
+                at = ctypes.c_void_p(ctypes.addressof(self._messages[after]))
+            sent = self._call(line.fileno(), at, wanted - after, _NOW)
             if sent >= 0:
                 return sent
-        return self._one_by_one(line, wanted)  # says why none was
+        return self._one_by_one(line, self._memory[after:wanted])  # says why none was
 
-    def _one_by_one(self, line: socket.socket, wanted: int) -> int:
-        for at, frame in enumerate(self._memory[:wanted]):
+    def _one_by_one(
+        self, line: socket.socket, frames: Sequence[ctypes.Array[ctypes.c_char]]
+    ) -> int:
+        for at, frame in enumerate(frames):
             try:
                 line.send(frame, _NOW)
             except OSError as error:
                 if at or error.errno in FULL:  # what is wrong is said with the next
                     return at
                 raise
-        return wanted
+        return len(frames)
 
 
 class Catch:

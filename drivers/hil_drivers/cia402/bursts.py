@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 
 from hil.canbus.bursts import MOST, Burst, Catch
-from hil_drivers.cia402.ports import FramePort, SocketPort
+from hil_drivers.cia402.ports import AGAIN_S, FramePort, SocketPort, send_within
+
+Sending = Callable[[float], bool]
 
 
-def sending(port: FramePort, frames: Sequence[bytearray | memoryview]) -> Callable[[], bool]:
+def sending(port: FramePort, frames: Sequence[bytearray | memoryview]) -> Sending:
     """What puts these frames on the bus as they then are; False when there was no room for all.
+
+    It is told until when (`time.monotonic`) it may try again with what there was no room for.
 
     Args:
         port: To the bus.
@@ -17,10 +22,10 @@ def sending(port: FramePort, frames: Sequence[bytearray | memoryview]) -> Callab
     """
     if isinstance(port, SocketPort):
         return _burst(port, frames)
-    send, views = port.send, [memoryview(frame) for frame in frames]
+    views = [memoryview(frame) for frame in frames]
 
-    def one_by_one() -> bool:
-        went = [send(view) for view in views]
+    def one_by_one(until_s: float) -> bool:
+        went = [send_within(port, view, until_s) for view in views]
         return all(went)
 
     return one_by_one
@@ -41,14 +46,18 @@ def receiving(port: FramePort) -> Callable[[], Sequence[bytes]]:
     return one_by_one
 
 
-def _burst(port: SocketPort, frames: Sequence[bytearray | memoryview]) -> Callable[[], bool]:
+def _burst(port: SocketPort, frames: Sequence[bytearray | memoryview]) -> Sending:
     send, line, number = Burst(frames).send, port.line, len(frames)
 
-    def at_once() -> bool:
+    def at_once(until_s: float) -> bool:
         try:
-            return send(line) == number
+            sent = send(line)
+            while sent < number and time.monotonic() < until_s:
+                time.sleep(AGAIN_S)
+                sent += send(line, after=sent)
         except OSError as error:
             raise port.gone(error.strerror or str(error)) from error
+        return sent == number
 
     return at_once
 

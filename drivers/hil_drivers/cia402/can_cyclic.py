@@ -24,6 +24,9 @@ BEAT_S = 0.05
 PUMP_S = 0.01
 """How long one wait of `pump` takes at most [s]."""
 
+SLACK_SHARE, MOST_SLACK_S = 0.5, 0.002
+"""Share of the time for answers, and time [s], within which frames may wait for room."""
+
 _OPERATIONAL = b"\x05"
 MARKER = struct.Struct("<iH")
 """What the master announces: segment and status."""
@@ -93,7 +96,7 @@ class CanCyclic:
 
     def exchange(self, outputs: Outputs, give_up_s: float) -> Inputs:
         """See `Cyclic`; the same `Inputs` every time."""
-        self._begin(outputs)
+        self._begin(outputs, give_up_s)
         self._collector.collect(self._inputs, self._synced_s, give_up_s)
         return self._inputs
 
@@ -122,7 +125,7 @@ class CanCyclic:
         """Whether overdue heartbeats and boot-ups of the drives are news, from now on."""
         self._watch.watch(on)
 
-    def _begin(self, outputs: Outputs) -> None:
+    def _begin(self, outputs: Outputs, give_up_s: float) -> None:
         """Send all that is ours, SYNC as early as may be."""
         self._commands.pack(outputs)
         if (told := (outputs.segment, outputs.status)) != self._announced:
@@ -132,7 +135,8 @@ class CanCyclic:
         self._synced_s = time.monotonic()
         self._device_s += self._period_s
         self.sync_time = time.time()
-        if not self._send_all():
+        slack_s = min(SLACK_SHARE * (give_up_s - self._synced_s), MOST_SLACK_S)
+        if not self._send_all(self._synced_s + slack_s):
             self._watch.overflow()
         if self._device_s >= self._beat_at:
             self._send_beat()

@@ -18,7 +18,7 @@ AGAIN_S = 0.1
 
 _HINTS = {
     "hil_unix": "start the mock drives in another terminal first: hil mock can",
-    "socketcan": "is the interface up? ip link set can0 up type can bitrate 1000000",
+    "socketcan": "is the interface up? ip link set can0 up txqueuelen 100 type can bitrate 1000000",
 }
 _HINT = "is the adapter plugged in, its driver installed, and nobody else using it?"
 
