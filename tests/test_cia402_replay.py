@@ -101,10 +101,11 @@ def test_a_run_that_does_not_say_what_integers_mean_is_refused(tmp_path: Path) -
 DETAILS = {
     name: " ".join([str(value)] * 6)
     for name, value in {
-        "encoder_increments": 1 << 20, "encoder_revolutions": 1, "gear_motor": 100,
-        "gear_shaft": 1, "rated_current": 2000, "rated_torque": 1300, "polarity": 0,
+        "encoder_increments": 1 << 20, "encoder_revolutions": 1, "gear_shaft": 1,
+        "rated_current": 2000, "rated_torque": 1300, "polarity": 0,
     }.items()
 }  # fmt: skip
+DETAILS["gear_motor"] = "121 141 121 81 81 51"
 
 SPEC = {
     "hil": 1,
