@@ -8,7 +8,8 @@ from cia402_parts import CSP, CST, PERIOD_S
 
 from hil.errors import CommandRefused
 from hil_drivers.cia402.contracts import Inputs, Outputs
-from hil_drivers.cia402.player import FADE_S, HOLDING, MOVING, Gains, Player, Track
+from hil_drivers.cia402.control import FADE_S, Gains
+from hil_drivers.cia402.player import HOLDING, MOVING, Player, Track
 
 CSV = 9
 N = 2

@@ -5,18 +5,15 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from hil.errors import CommandRefused
 from hil.robot import Status
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.contracts import Inputs, Outputs
-from hil_drivers.cia402.track import Track, farthest, wrapped
+from hil_drivers.cia402.control import Fade, Gains, torques, velocities
+from hil_drivers.cia402.track import Track, farthest
 
 __all__ = ["Gains", "Player", "Track"]
-
-FADE_S = 0.5
-"""A step in the feed-forward torque (a model that is off, a mode switch) goes over this time."""
 
 BEHIND = 3
 """Cycles from writing a set-point to the answer that shows it: it is sent in the next one, applied
@@ -25,26 +22,6 @@ at the SYNC after that, reached by the third."""
 BEGINS_WITHIN_RAD = 1e-4
 LONGEST_STOP_S = 5.0
 MOVING, HOLDING = int(Status.MOVING), int(Status.HOLDING)
-_MOST_TORQUE, _MOST_VELOCITY = (1 << 15) - 1, (1 << 31) - 1
-
-
-@dataclass(frozen=True, slots=True)
-class Gains:
-    """Position control by the master, per axis.
-
-    In CST torque = feed-forward + kp·e + kd·ė, in CSV velocity = the motion's + kv·e.
-
-    Attributes:
-        kp: ‰ of rated torque per increment of position.
-        kd: ‰ of rated torque per count of velocity.
-        limit: Largest torque commanded [‰].
-        kv: Counts of velocity per increment of position.
-    """
-
-    kp: tuple[float, ...]
-    kd: tuple[float, ...]
-    limit: tuple[float, ...]
-    kv: tuple[float, ...]
 
 
 class Player:
@@ -78,7 +55,7 @@ class Player:
         self._begin: Track | None = None
         self._track: Track | None = None
         self._at, self._pace, self._slower = 0.0, 1.0, 0.0
-        self._bias, self._fading = [0.0] * len(self.scale), 0.0
+        self._fade = Fade(len(self.scale), period_s)
         self.mode = 0
         self._told: deque[tuple[list[int], list[int]]] = deque(maxlen=BEHIND + 1)
         self.segment, self.status = -1, 0
@@ -165,7 +142,7 @@ class Player:
         if self.mode == od.CSP:
             outputs.target_position[:] = self.position
             if self._feed_forward:
-                outputs.torque_offset[:] = self._faded()
+                outputs.torque_offset[:] = self._fade.faded(self.torque)
         elif self.mode == od.CSV:
             outputs.target_velocity[:] = self._led(inputs)
         elif self.mode == od.CST:
@@ -179,9 +156,7 @@ class Player:
         self._begin, self._track = None, track
         self._at, self._pace, self._slower = 0.0, 1.0, 0.0
         self.segment = track.segment
-        present = self._faded()
-        self._bias = [now - then for now, then in zip(present, track.rows[0][2], strict=True)]
-        self._fading = 1.0
+        self._fade.begin(self._fade.faded(self.torque), track.rows[0][2])
 
     def _advance(self, track: Track) -> None:
         """One row further; slower and slower when it brakes."""
@@ -218,46 +193,16 @@ class Player:
         self.position, self.torque = list(position), list(torque)
         self.velocity = [0] * len(self.scale)
         self._told.clear()
-        self._bias, self._fading = [0.0] * len(self.scale), 0.0
-
-    def _faded(self) -> list[int]:
-        """Feed-forward, without steps where one model or mode follows the other."""
-        if self._fading <= 0.0:
-            return self.torque
-        self._fading -= self._period_s / FADE_S
-        share = max(self._fading, 0.0)
-        return [
-            _within(round(torque + share * bias), _MOST_TORQUE)
-            for torque, bias in zip(self.torque, self._bias, strict=True)
-        ]
+        self._fade.end()
 
     def _led(self, inputs: Inputs) -> list[int]:
-        gains = self._gains
-        assert gains is not None, "CSV needs gains"
-        shown, _ = self._told[0]
-        return [
-            _within(velocity + round(kv * wrapped(wanted - is_at)), _MOST_VELOCITY)
-            for velocity, kv, wanted, is_at in zip(
-                self.velocity, gains.kv, shown, inputs.position, strict=True
-            )
-        ]
+        assert self._gains is not None, "CSV needs gains"
+        return velocities(self._gains, self.velocity, self._told[0][0], inputs)
 
     def _controlled(self, inputs: Inputs) -> list[int]:
-        gains = self._gains
-        assert gains is not None, "CST needs gains"
-        torque = self._faded()
-        position, velocity = self._told[0]
-        return [
-            _within(
-                round(
-                    torque[i]
-                    + gains.kp[i] * wrapped(position[i] - inputs.position[i])
-                    + gains.kd[i] * (velocity[i] - inputs.velocity[i])
-                ),
-                gains.limit[i],
-            )
-            for i in range(len(torque))
-        ]
+        assert self._gains is not None, "CST needs gains"
+        torque = self._fade.faded(self.torque)
+        return torques(self._gains, torque, *self._told[0], inputs)
 
     def _refuse_now(self, track: Track) -> None:
         where = f"segment {track.segment}"
@@ -274,8 +219,3 @@ class Player:
                 f"{where} begins {far:.4f} rad from where axis {axis + 1} is held",
                 hint="plan it from the present q_target",
             )
-
-
-def _within(value: int, limit: float) -> int:
-    most = int(limit)
-    return most if value > most else -most if value < -most else value
