@@ -9,8 +9,9 @@ import pytest
 
 from hil.canbus.frame import pack_frame, unpack_frame
 from hil_drivers.cia402.can_cyclic import CanCyclic
-from hil_drivers.cia402.contracts import Outputs
+from hil_drivers.cia402.contracts import Inputs, Outputs
 from hil_drivers.cia402.debts import CONFIRMED
+from hil_drivers.cia402.judging import Judge
 from hil_drivers.cia402.mapping import MINIMAL
 
 NODES = (1, 2)
@@ -74,14 +75,16 @@ class Exchange:
     def __init__(self, clock: Clock) -> None:
         self.drives = Drives(clock)
         self.cyclic = CanCyclic(self.drives, MINIMAL, NODES, PERIOD_S)
-        self._begin = clock.now_s
+        self._begin, self.inputs = clock.now_s, Inputs.none_yet(2)
         self.cycles(5)
 
     def cycles(self, number: int) -> list[list[bool]]:
         """Per cycle, per axis, whether it was fresh."""
         fresh: list[list[bool]] = []
         for _ in range(number):
-            inputs = self.cyclic.exchange(Outputs.idle(2), self._begin + 0.9 * PERIOD_S)
+            inputs = self.inputs = self.cyclic.exchange(
+                Outputs.idle(2), self._begin + 0.9 * PERIOD_S
+            )
             for axis, came in enumerate(inputs.fresh):
                 assert not came or inputs.position[axis] == self.cyclic.cycle, (axis, fresh)
             fresh.append(list(inputs.fresh))
@@ -162,3 +165,27 @@ def test_several_lost_frames_are_over_when_single_answers_have_shown_it(exchange
     exchange.drives.after_s = [USUAL_S, USUAL_S]
     came = [axis_2 for _, axis_2 in exchange.cycles(CONFIRMED + 4)]
     assert came == [False] * (CONFIRMED - 1) + [True] * 5
+
+
+def test_an_axis_whose_answers_come_late_is_told_from_one_that_is_silent(
+    exchange: Exchange,
+) -> None:
+    exchange.drives.after_s = [1.7 * PERIOD_S, None]
+    exchange.cycles(3)
+    inputs = exchange.inputs
+    assert (inputs.fresh, inputs.late) == ([False, False], [True, False])
+
+
+def cycles_until_given_up(*, late: bool) -> int:
+    judge, inputs = Judge(1, False, 3), Inputs.none_yet(1)
+    inputs.late = [late]
+    for number in range(100):
+        judge.count(inputs)
+        if not judge.answers(0):
+            return number
+    raise AssertionError("never")
+
+
+def test_an_axis_that_is_behind_has_three_times_as_many_cycles_as_a_silent_one() -> None:
+    assert cycles_until_given_up(late=False) == 3
+    assert cycles_until_given_up(late=True) == 9

@@ -49,6 +49,7 @@ class Collector:
         self._debts = Debts()
         self._nap_s = self._usual_s = 0.0
         self._doubtful, self._late_then = False, 0
+        self._late_axes: set[int] = set()
 
     def collect(self, inputs: Inputs, synced_s: float, give_up_s: float) -> None:
         """Fill `inputs` with the answers to a SYNC.
@@ -69,6 +70,8 @@ class Collector:
         if not all_came:
             self._miss(inputs)
             self._late_then = self._counts.late
+            inputs.late[:] = [axis in self._late_axes for axis in range(len(inputs.late))]
+        self._late_axes.clear()
         self._answers.memory[:] = b"".join(self._came)  # type: ignore[arg-type]
         self._answers.unpack(inputs)
 
@@ -165,9 +168,13 @@ class Collector:
     def _was_owed(self, slot: int) -> None:
         """Count a frame as late if one was owed, else as doubled."""
         if self._debts.pay(slot):
-            self._counts.late += 1
+            self._is_late(slot)
         else:
             self._watch.doubled(self._answers.axis(slot))
+
+    def _is_late(self, slot: int) -> None:
+        self._counts.late += 1
+        self._late_axes.add(self._answers.axis(slot))
 
     def _miss(self, inputs: Inputs) -> None:
         """Fill empty slots with what was there before, and keep in mind who owes what."""
@@ -179,7 +186,7 @@ class Collector:
             if raw is None:
                 self._debts.owe(slot)
             else:  # that of an earlier cycle: one is paid, this one is owed
-                self._counts.late += 1
+                self._is_late(slot)
             self._counts.missing += 1
             came[slot] = bytes(answers.memory[slot * _FRAME_BYTES : (slot + 1) * _FRAME_BYTES])
             inputs.fresh[answers.axis(slot)] = False

@@ -52,6 +52,8 @@ class Inputs:
         statusword, position, mode_display, velocity, torque, current: See
             `hil_drivers.cia402.objects`. What the mapping does not carry stays 0.
         fresh: Per axis, whether all its PDOs came in this cycle; else its values are older.
+        late: Per axis that is not fresh, whether answers to earlier SYNCs have come since the last
+            cycle: it is behind.
     """
 
     statusword: list[int]
@@ -61,11 +63,12 @@ class Inputs:
     torque: list[int]
     current: list[int]
     fresh: list[bool]
+    late: list[bool]
 
     @classmethod
     def none_yet(cls, n: int) -> Inputs:
         """Before the first cycle."""
-        return cls([0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [False] * n)
+        return cls([0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [0] * n, [False] * n, [False] * n)
 
 
 @dataclass(frozen=True, slots=True)

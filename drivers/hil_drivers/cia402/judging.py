@@ -13,6 +13,9 @@ from hil_drivers.cia402.states import State, told_by
 FOLLOWS_WITHIN_S = 0.1
 """How long after enabling or switching bit 12 may stay low [s]."""
 
+BEHIND_TIMES = 3
+"""Times `late_cycles` for which an axis may be behind: its answers come, but to older SYNCs."""
+
 FAULTY = (State.FAULT, State.FAULT_REACTION)
 
 
@@ -31,7 +34,7 @@ class Judge:
     def __init__(self, n: int, mode_mapped: bool, late_cycles: int) -> None:
         self._n, self._mode_mapped, self._late_cycles = n, mode_mapped, late_cycles
         self._all_fresh = [True] * n
-        self.missed = [0] * n
+        self.missed, self._behind = [0] * n, [0] * n
         self._follows = [False] * n
         self._calm: list[int] = []
 
@@ -39,11 +42,12 @@ class Judge:
         """A phase begins: bit 12 has time again."""
         self._follows, self._calm = [False] * self._n, []
         if phase is Phase.MODE:
-            self.missed = [0] * self._n
+            self.missed, self._behind = [0] * self._n, [0] * self._n
 
     def answers(self, axis: int) -> bool:
         """Whether an axis has answered lately."""
-        return self.missed[axis] <= self._late_cycles
+        most = self._late_cycles
+        return self.missed[axis] <= most and self._behind[axis] <= BEHIND_TIMES * most
 
     def is_calm(self, inputs: Inputs, mode: Sequence[int]) -> bool:
         """Nothing is other than when all was well; saves looking at every axis."""
@@ -56,13 +60,17 @@ class Judge:
     def count(self, inputs: Inputs) -> None:
         """Who has answered; once a cycle."""
         self.missed = [
-            0 if came else missed + 1
-            for came, missed in zip(inputs.fresh, self.missed, strict=True)
+            0 if came or late else missed + 1
+            for came, late, missed in zip(inputs.fresh, inputs.late, self.missed, strict=True)
+        ]
+        self._behind = [
+            0 if came else behind + 1
+            for came, behind in zip(inputs.fresh, self._behind, strict=True)
         ]
 
     def settle(self, inputs: Inputs, phase: Phase) -> None:
         """All that follows from these answers has been done: are they what is to stay?"""
-        well = phase is Phase.ENABLED and all(self._follows) and not any(self.missed)
+        well = phase is Phase.ENABLED and all(self._follows) and not any(self._behind)
         self._calm = inputs.statusword.copy() if well else []
 
     def judge(
@@ -80,7 +88,7 @@ class Judge:
         for axis, state in enumerate(found):
             word = inputs.statusword[axis]
             if not self.answers(axis):
-                yield axis, f"has not answered {self.missed[axis]} SYNCs in a row"
+                yield axis, self._silence(axis)
             elif state in FAULTY:
                 yield axis, told_by(word)
             elif phase in RUNNING and state is not State.ENABLED:
@@ -89,6 +97,11 @@ class Judge:
                 yield axis, f"has left mode {mode_text(mode)} on its own"
             elif phase is Phase.ENABLED and not self._follows_now(axis, word, for_s):
                 yield axis, f"ignores set-points (bit 12 low): {told_by(word)}"
+
+    def _silence(self, axis: int) -> str:
+        if self.missed[axis] > self._late_cycles:
+            return f"has not answered {self.missed[axis]} SYNCs in a row"
+        return f"has answered none of {self._behind[axis]} SYNCs in time"
 
     def in_wrong_mode(self, inputs: Inputs, mode: int) -> list[int]:
         """Axes that show another mode."""
