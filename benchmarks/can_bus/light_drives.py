@@ -80,7 +80,7 @@ class Drives:
             statusword = STATUSWORDS.get(controlword, DISABLED)
             _STATE.pack_into(self._memory, at, statusword, target, mode)
             at += 2 * FRAME.size
-        self._send_all()
+        self._send_all(0.0)
         if (now := time.monotonic()) >= self._beat_at:
             self._beat_at = now + BEAT_S
             for node in NODES:
