@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from can_mock import MockCan, mock_can
-from faults.can_cases import LATE_CYCLES, LATE_CYCLES_REAL_TIME, MOVING, NONE, PATIENCE_S, Case
+from faults.can_cases import MOVING, NONE, PATIENCE_S, Case
 from faults.field import REST_RAD_S
 from faults.wire_field import (
     Field,
@@ -43,7 +43,7 @@ def _run_once(case: Case, folder: Path) -> Field:
         arguments += ["--sync-patience-s", str(PATIENCE_S)]
     with mock_can(*arguments, journal=folder / "journal.jsonl") as mock:
         (folder / "station.yaml").write_text(_station(case, mock), "utf-8")
-        plan = plan_of(case.spec, "lab6_can", "lab6")
+        plan = plan_of(case.spec, "lab6_can", "lab6", case.cycles["rate_hz"])
         exit_code = run_host(folder, case.spec, plan, **case.done_by_host)
         ended = time.monotonic()
         _let_settle(mock)
@@ -61,11 +61,10 @@ def _let_settle(mock: MockCan) -> None:
 
 
 def _station(case: Case, mock: MockCan) -> str:
-    options = {
+    options: dict[str, Any] = {
         "bus": {"interface": "hil_unix", "channel": mock.channel},
         "payload_object": 0x2100,
-        "late_cycles": LATE_CYCLES if case.ending.free else LATE_CYCLES_REAL_TIME,
-        "pace": "free" if case.ending.free else 1,
+        **case.cycles,
     }
     robot = {"driver": "cia402", "model": "lab6", "options": options}
     return json.dumps({"hil_station": 1, "robots": {"lab6_can": robot}})

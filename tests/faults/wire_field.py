@@ -115,12 +115,13 @@ def run_host(folder: Path, spec: str, plan: Plan, **about: Any) -> int:
 
 
 @functools.cache
-def plan_of(spec: str, robot: str, model: str) -> Plan:
+def plan_of(spec: str, robot: str, model: str, rate_hz: float | None = None) -> Plan:
     """The plan of a spec's text for `robot`, made on the embedded mock of the same model."""
     with tempfile.TemporaryDirectory() as folder:
         path, station = Path(folder, "spec.yaml"), Path(folder, "station.yaml")
         path.write_text(spec, "utf-8")
-        robots = {robot: {"driver": "mock", "model": model}}
+        options = {"rate_hz": rate_hz} if rate_hz else {}
+        robots = {robot: {"driver": "mock", "model": model, "options": options}}
         station.write_text(json.dumps({"hil_station": 1, "robots": robots}), "utf-8")
         experiment = hil.load(path, station)
         stand_in = open_robot(robot, experiment.robot)
