@@ -119,3 +119,12 @@ def test_a_log_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         CandumpWriter(tmp_path / "missing" / "bus.log")
     with pytest.raises(RecordingError, match="without spaces"):
         CandumpWriter(tmp_path / "bus.log", "can 0")
+
+
+def test_the_line_that_a_kill_cut_short_is_left_out(tmp_path: Path) -> None:
+    log = tmp_path / "torn.log"
+    log.write_text("(1.000000) can0 181#0102\n(1.004000) can0 18")
+    assert [frame.data for frame in read_candump(log)] == [b"\x01\x02"]
+    log.write_text("(1.000000) can0 18\n(1.004000) can0 181#0102\n")
+    with pytest.raises(DataError, match=r"torn\.log:1"):
+        list(read_candump(log))

@@ -21,7 +21,8 @@ ROWS = np.array([(0,)], dtype=[("status", "<u2")])
 def trouble_of(line: Any, problem: str, **samples: Any) -> Trouble:
     told = [problem, ""]
     core = SimpleNamespace(take_problem=lambda: told.pop(0) if told else "")
-    session: Any = SimpleNamespace(core=core, acyclic=line.master)
+    options = SimpleNamespace(nodes=range(1, len(line.nodes) + 1))
+    session: Any = SimpleNamespace(core=core, acyclic=line.master, options=options)
     samples = {"faulty": [], "silent": []} | samples
     return Trouble("arm", session, SimpleNamespace(**samples))  # type: ignore[arg-type]
 
@@ -34,6 +35,18 @@ def test_axes_that_process_data_do_not_reach_are_stopped_by_objects() -> None:
         assert [node.registers[key(0x6040)] for node in line.nodes] == [2, 2]
         with pytest.raises(RobotFault, match=r"6041h: joint_2 \(node 2\) switch on disabled"):
             trouble.raise_it()
+
+
+@pytest.mark.parametrize(
+    ("silent", "hint"), [([0, 1], "see to the bus"), ([1], "see to the cause")]
+)
+def test_where_nobody_answers_the_bus_is_what_to_look_at(silent: list[int], hint: str) -> None:
+    with drives(2) as line:
+        trouble = trouble_of(line, "has not answered", silent=silent)
+        trouble.look(ROWS)
+        with pytest.raises(RobotFault) as caught:
+            trouble.raise_it()
+        assert hint in caught.value.hint
 
 
 def test_nothing_is_sent_while_all_is_well() -> None:

@@ -112,6 +112,14 @@ def test_time_outs_of_a_robot_in_wall_time_do_not_need_its_clock() -> None:
     assert [deadline.over(0.0) for _ in range(7)] == [False] * 5 + [True] * 2
 
 
+def test_a_device_clock_that_is_slow_but_goes_on_is_waited_for() -> None:
+    walls = iter(float(i) for i in range(20))
+    deadline = Deadline(3.0, 0.0, wall=True, now=lambda: next(walls))
+    slow = [0.4 * i for i in range(1, 10)]  # 0.4 s of device time a second
+    assert [deadline.over(at) for at in slow] == [at > 3.0 for at in slow]
+    assert deadline.over(slow[6] + 0.1)
+
+
 def test_a_simulated_second_that_lasts_a_tenth_leaves_the_computer_its_time() -> None:
     walls = iter([0.0, 0.3, 0.9, 1.0])
     deadline = Deadline(2.0, 0.0, wall=True, now=lambda: next(walls))

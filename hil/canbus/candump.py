@@ -76,7 +76,7 @@ def read_candump(path: str | os.PathLike[str], channel: str | None = None) -> It
     """All frames of a log, in its order.
 
     Args:
-        path: Of the log; empty lines are passed over.
+        path: Of the log; empty lines are passed over, and a last one that was cut short.
         channel: Only what was on it; `None` for a log of one channel.
 
     Raises:
@@ -100,12 +100,17 @@ def _logged(path: Path) -> Iterator[tuple[str, Logged]]:
     try:
         with path.open(encoding="ascii", errors="replace") as file:
             for number, line in enumerate(file, 1):
-                if line.strip():
+                if line.strip() and not _is_torn(line):
                     yield f"{path}:{number}", _at(path, number, line)
     except OSError as error:
         raise DataError(
             f"log {path} cannot be read: {error.strerror}", hint="give a file of `candump -L`"
         ) from error
+
+
+def _is_torn(line: str) -> bool:
+    """Whether it is what a program that was killed leaves: no line's end, and no frame."""
+    return not line.endswith("\n") and _LINE.fullmatch(line.strip()) is None
 
 
 def _at(path: Path, number: int, line: str) -> Logged:

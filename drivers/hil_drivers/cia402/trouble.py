@@ -21,7 +21,14 @@ ASKED_S = 0.1
 """How long drives may take to say something of themselves, all together [s]."""
 
 LOOK_S = 0.005
-NEXT = "see to the cause, then connect again"
+NEXT = (
+    "see to the cause; faults that are for a person are reset by "
+    "`python -m hil_drivers.cia402 reset STATION ROBOT`; then run or resume"
+)
+ALL_SILENT = (
+    "all axes at once: see to the bus, its power, its adapter; on a simulated bus the computer is "
+    "too busy: end other programs, or give the station `pace: free`"
+)
 
 
 class Trouble:
@@ -66,7 +73,9 @@ class Trouble:
             return
         self._untold = False
         self._await_words()
-        raise RobotFault(f"{self._name}: {self.said}{self._asked()}", hint=NEXT)
+        all_silent = len(self._samples.silent) == len(self._session.options.nodes)
+        hint = ALL_SILENT if all_silent else NEXT
+        raise RobotFault(f"{self._name}: {self.said}{self._asked()}", hint=hint)
 
     def silence(self, within_s: float) -> RobotTimeout:
         """The error for no sample in that time, with who has kept it from being one."""
