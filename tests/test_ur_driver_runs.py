@@ -39,9 +39,8 @@ def run(spec, station, folder, *more):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(
-    "spec", ["ci_dwell_12.yaml", pytest.param("ci_fourier_2.yaml", marks=pytest.mark.proof)]
-)
+@pytest.mark.proof
+@pytest.mark.parametrize("spec", ["ci_dwell_12.yaml", "ci_fourier_2.yaml"])
 def test_the_spec_of_the_embedded_mock_passes_over_the_wire_without_a_gap(spec, tmp_path):
     with mock_ur("--speed", SPEEDS[spec], "--seed", "1") as running:
         said = run(spec, station_at(running.address, tmp_path), tmp_path / "runs")
