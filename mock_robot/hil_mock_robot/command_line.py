@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
+import argparse
 import ipaddress
+import sys
+from collections.abc import Callable
 
-from hil.errors import SpecError
+from hil.errors import HilError, SpecError
 
 LEAST_FACTOR, MOST_FACTOR = 0.01, 1000.0
+
+
+class WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Defaults behind the options that have one worth telling."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        default = action.default
+        told = isinstance(default, str | int | float) and default is not False and default != ""
+        return super()._get_help_string(action) if told else action.help
+
+
+def exit_code_of(run: Callable[[], int]) -> int:
+    """Run a mock; what is wrong is said in words on standard error."""
+    try:
+        return run()
+    except HilError as error:
+        hint = f"\n  next: {error.hint}" if error.hint else ""
+        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
+        return int(error.exit_code)
 
 
 def factor_of(speed: str) -> float | None:

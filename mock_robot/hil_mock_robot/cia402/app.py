@@ -7,11 +7,10 @@ import gc
 import json
 import logging
 import signal
-import sys
 from collections.abc import Sequence
 
 from hil.arms import load_arm
-from hil.errors import HilError, RecordingError
+from hil.errors import RecordingError
 from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.dictionary import registers_of
 from hil_mock_robot.cia402.eds import eds_of, object_dictionary
@@ -19,6 +18,7 @@ from hil_mock_robot.cia402.ends import HOSTED, BusEnd, end_of, side_path
 from hil_mock_robot.cia402.faults import read_faults
 from hil_mock_robot.cia402.options import NO_SIDE, OWN_COMMAND, mounted_in, parser_of
 from hil_mock_robot.cia402.telling import MAIN_KEYS, tell
+from hil_mock_robot.command_line import exit_code_of
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.side_requests import request_of
 
@@ -32,14 +32,8 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, see
         seed: Which individual when nobody says.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    try:
-        if given.command == "tell":
-            return _tell(given)
-        return _write_eds(given) if given.eds else _run(given)
-    except HilError as error:
-        hint = f"\n  next: {error.hint}" if error.hint else ""
-        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
-        return int(error.exit_code)
+    do = _tell if given.command == "tell" else _write_eds if given.eds else _run
+    return exit_code_of(lambda: do(given))
 
 
 def _tell(given: argparse.Namespace) -> int:

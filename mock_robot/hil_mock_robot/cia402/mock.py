@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from hil.errors import PluginError
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.truth import Profile
+from hil_mock_robot.mock import DrawnMock
 
 
-class CanMock:
+class CanMock(DrawnMock):
     """An arm on CiA 402 drives on a CAN bus, in a process of its own."""
 
     name = "can"
     model = "lab6"
     description = "an arm on CiA 402 drives on a CAN bus (hil mock can; station: driver: cia402)"
-
-    def write_truth(
-        self, path: Path | str, model: str = "lab6", seed: int = 0, profile: Profile = "full"
-    ) -> Path:
-        """Write every parameter of a mock robot to a JSON file, for scoring.
-
-        Raises:
-            SpecError: There is no such arm or profile.
-            RecordingError: The file cannot be written.
-        """
-        return draw_truth(model, seed, profile).to_json(path)
 
     def serve(self, arguments: Sequence[str]) -> int:
         """Be those drives until SIGINT or SIGTERM; returns the exit code.

@@ -14,20 +14,12 @@ from hil.payload import Payload
 from hil.typing import FloatArray
 from hil_mock_robot.cia402.clock import PATIENCE_S
 from hil_mock_robot.cia402.telling import add_tell
+from hil_mock_robot.command_line import WithDefaults
 
 OWN_COMMAND = "python -m hil_mock_robot can"
 MODEL, CHANNEL, INTERFACE, MASTER_ID = "lab6", "can0", "hil_unix", 127
 MOST_NODE = 127
 NO_SIDE = "none"
-
-
-class _WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the options that have one worth telling."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        default = action.default
-        told = isinstance(default, str | int | float) and default is not False and default != ""
-        return super()._get_help_string(action) if told else action.help
 
 
 def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser:
@@ -39,7 +31,7 @@ def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser
     """
     parser = argparse.ArgumentParser(
         prog=prog,
-        formatter_class=_WithDefaults,
+        formatter_class=WithDefaults,
         description="CiA 402 drives on a CAN bus, with a simulated arm between them. They are "
         "there when it says `ready`, until Ctrl-C.",
     )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 import zlib
 from collections.abc import Sequence
 
-from hil.errors import HilError, SpecError
+from hil.errors import SpecError
 from hil.payload import Payload
-from hil_mock_robot.command_line import factor_of, loopback_of
+from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth, published
 from hil_mock_robot.journal import Journal
 from hil_mock_robot.twincat.ads import PlcHandler
@@ -45,12 +44,7 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, see
         seed: Which individual when nobody says.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    try:
-        return _run(given)
-    except HilError as error:
-        hint = f"\n  next: {error.hint}" if error.hint else ""
-        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
-        return int(error.exit_code)
+    return exit_code_of(lambda: _run(given))
 
 
 def _run(given: argparse.Namespace) -> int:

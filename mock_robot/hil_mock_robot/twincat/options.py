@@ -11,6 +11,7 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.errors import SpecError
 from hil.typing import FloatArray
+from hil_mock_robot.command_line import WithDefaults
 from hil_mock_robot.options import UPRIGHT_DEG
 
 OWN_COMMAND = "python -m hil_mock_robot plc"
@@ -27,7 +28,7 @@ def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser
     """
     parser = argparse.ArgumentParser(
         prog=prog,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=WithDefaults,
         description="A PLC that plays trajectories, on a loopback port for ADS, with a simulated "
         "arm behind it. It is there when it says `ready`, until Ctrl-C.",
     )

@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import signal
-import sys
 import zlib
 from collections.abc import Sequence
 
-from hil.errors import HilError
 from hil.payload import Payload
-from hil_mock_robot.command_line import factor_of, loopback_of
+from hil_mock_robot.command_line import exit_code_of, factor_of, loopback_of
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.journal import Journal
 from hil_mock_robot.ur.body import Body
@@ -44,12 +42,8 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = OWN_COMMAND, see
         seed: Which individual when nobody says.
     """
     given = parser_of(prog, seed).parse_args(arguments)
-    try:
-        return _tell(given) if given.command == "tell" else _run(given)
-    except HilError as error:
-        hint = f"\n  next: {error.hint}" if error.hint else ""
-        print(f"{type(error).__name__}: {error.message}{hint}", file=sys.stderr)  # noqa: T201
-        return int(error.exit_code)
+    do = _tell if given.command == "tell" else _run
+    return exit_code_of(lambda: do(given))
 
 
 def _tell(given: argparse.Namespace) -> int:

@@ -12,20 +12,12 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.errors import SpecError
 from hil.typing import FloatArray
+from hil_mock_robot.command_line import WithDefaults
 from hil_mock_robot.ur.series import CB3, E_SERIES
 from hil_mock_robot.ur.telling import add_tell
 
 OWN_COMMAND = "python -m hil_mock_robot ur"
 UPRIGHT_DEG = (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)
-
-
-class _WithDefaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Defaults behind the options that have one worth telling."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        default = action.default
-        told = isinstance(default, str | int) and default is not False and default != ""
-        return super()._get_help_string(action) if told else action.help
 
 
 def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser:
@@ -37,7 +29,7 @@ def parser_of(prog: str = OWN_COMMAND, seed: int = 1) -> argparse.ArgumentParser
     """
     parser = argparse.ArgumentParser(
         prog=prog,
-        formatter_class=_WithDefaults,
+        formatter_class=WithDefaults,
         description="A UR controller on loopback sockets, with a simulated arm behind it. It is "
         "there when it says `ready`, until Ctrl-C.",
     )
