@@ -1,0 +1,64 @@
+"""What every study shares, and how one is found by name."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, TypeAlias
+
+from hil import plugins
+from hil.data.dataset import Dataset
+from hil.dynamics import RobotModel
+from hil.errors import SpecError
+from hil.identify.parameters import Parametrised, require_known
+from hil.study.result import StudyResult
+
+GROUP = "hil.studies"
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Told what is being done, and how many of how many steps of that are done."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """Progress that nobody watches."""
+
+
+class Study(Parametrised):
+    """An evaluation of a whole run; parameters the scikit-learn way (`Parametrised`).
+
+    Attributes:
+        study: Name under which the class is registered.
+    """
+
+    study: ClassVar[str] = ""
+
+    @abstractmethod
+    def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
+        """Everything the study finds in a run; equal data and parameters give equal numbers.
+
+        Args:
+            dataset: The whole run, moves included.
+            robot: Model of the arm it was recorded on.
+            progress: Told how far it is.
+
+        Raises:
+            FitError, DataError: The run does not allow it.
+        """
+
+
+def study(name: str, /, **params: Any) -> Study:
+    """A fresh study by the name it is registered under in `hil.studies`.
+
+    Raises:
+        PluginError: There is no study of that name, or it does not load.
+        SpecError: It has no such parameter, or does not accept the value.
+    """
+    kind = plugins.load(GROUP, name)
+    require_known(params, kind.parameter_names(), name)
+    try:
+        made: Study = kind(**params)
+    except SpecError as error:
+        raise SpecError(f"{name}: {error.message}", hint=error.hint) from error
+    except (ValueError, TypeError) as error:
+        raise SpecError(f"{name}: {error}") from error
+    return made
