@@ -19,6 +19,7 @@ GROUPS = {
     "hil.mocks": "mock robot",
     "hil.excitations": "excitation",
     "hil.estimators": "estimator",
+    "hil.studies": "study",
     "hil.checks": "preflight check",
     "hil.interlocks": "interlock",
 }
@@ -34,6 +35,7 @@ EXTRA_OF_MODULE = {
     "canopen": "can",
     "pyads": "ads",
     "torch": "learn",
+    "matplotlib": "paper",
     "distributed": "fleet",
     "rosbags": "bags",
     "foxglove": "live",

@@ -251,7 +251,7 @@ AT_THE_TOP = [
     (
         "zzz: 9",
         "6:1: zzz: unknown key; known here: hil, name, description, robot, excitation, loads, "
-        "weigh, warm_up, reference, record, interlocks, fit, validate, accept",
+        "weigh, warm_up, reference, record, interlocks, fit, validate, accept, study",
     ),
     (
         "fit: [{}]",

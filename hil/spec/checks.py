@@ -31,14 +31,13 @@ def check_estimators(source: Source) -> None:
     The estimators are imported: one that cannot be is found here, and not after hours of motion.
     """
     for path, entry in _entries(source, "fit"):
-        name = entry.get("estimator")
-        if not isinstance(name, str):
-            continue
-        if name not in (known := plugins.names("hil.estimators")):
-            message = f"there is no estimator '{shown(name)}'; {did_you_mean(name, known)}"
-            source.add((*path, "estimator"), message)
-        else:
-            _check_estimator(source, path, entry)
+        _check_named(source, path, entry, "estimator", "hil.estimators")
+
+
+def check_studies(source: Source) -> None:
+    """Names under `study` must be studies of such a run, keys beside them their parameters."""
+    for path, entry in _entries(source, "study"):
+        _check_named(source, path, entry, "study", "hil.studies")
 
 
 def check_interlocks(source: Source) -> None:
@@ -114,15 +113,24 @@ def _fault_of_model(model: str, folder: FilePath) -> str:
     return f"there is no built-in arm '{shown(model)}'; {hint} A URDF is named by its path."
 
 
-def _check_estimator(source: Source, path: Path, entry: dict[str, Any]) -> None:
-    try:
-        estimator = plugins.load("hil.estimators", entry["estimator"])
-    except PluginError as error:
-        source.add((*path, "estimator"), f"{error.message} → {error.hint}")
+def _check_named(source: Source, path: Path, entry: dict[str, Any], word: str, group: str) -> None:
+    """An entry whose key `word` names a plug-in and whose other keys are its parameters."""
+    name = entry.get(word)
+    if not isinstance(name, str):
         return
-    _check_excitation(source, path, entry["estimator"], estimator)
+    if name not in (known := plugins.names(group)):
+        options = did_you_mean(name, known) if known else "none is installed"
+        source.add((*path, word), f"there is no {word} '{shown(name)}'; {options}")
+        return
+    try:
+        plugin = plugins.load(group, name)
+    except PluginError as error:
+        source.add((*path, word), f"{error.message} → {error.hint}")
+        return
+    _check_excitation(source, (*path, word), name, plugin)
     if len(entry) > 1:
-        _check_parameters(source, path, entry, estimator)
+        given = {key: value for key, value in entry.items() if key != word}
+        _check_parameters(source, path, name, given, plugin)
 
 
 def _check_plugged(source: Source, path: Path, kind: str, entry: dict[str, Any]) -> None:
@@ -140,8 +148,8 @@ def _check_plugged(source: Source, path: Path, kind: str, entry: dict[str, Any])
             source.add((*path, key), _no_parameter(kind, key, own), key=True)
 
 
-def _check_excitation(source: Source, path: Path, name: str, estimator: Any) -> None:
-    """The program must record what the estimator is made for; the moves in between do not count.
+def _check_excitation(source: Source, path: Path, name: str, plugin: Any) -> None:
+    """The program must record what it is made for; the moves in between do not count.
 
     An estimator that can make do with other series does so on recordings of other origin
     (`hil fit`), where there is nothing better. In a program of its own it would be starved: a
@@ -149,30 +157,31 @@ def _check_excitation(source: Source, path: Path, name: str, estimator: Any) -> 
     program are no trajectories that could be held out.
     """
     kind = source.at(("excitation", "kind"))
-    kinds = getattr(estimator, "series_kinds", ())
+    kinds = getattr(plugin, "series_kinds", ())
     if not (isinstance(kind, str) and kind in RECORDED and kinds):
         return
     recorded, plural = RECORDED[kind]
     if recorded not in kinds[0]:
         wanted = " or ".join(f"kind: {k}" for k, (r, _) in RECORDED.items() if r in kinds[0])
         message = f"{name} does not learn from the {plural} of this excitation"
-        source.add((*path, "estimator"), f"{message}; it needs {wanted or ', '.join(kinds[0])}")
+        source.add(path, f"{message}; it needs {wanted or ', '.join(kinds[0])}")
 
 
-def _check_parameters(source: Source, path: Path, entry: dict[str, Any], estimator: Any) -> None:
-    name, given = entry["estimator"], {k: v for k, v in entry.items() if k != "estimator"}
-    known = _parameters(estimator)
+def _check_parameters(
+    source: Source, path: Path, name: str, given: dict[str, Any], plugin: Any
+) -> None:
+    known = _parameters(plugin)
     unknown = [key for key in given if known is not None and key not in known]
     for key in unknown:
         source.add((*path, key), _no_parameter(name, key, known or []), key=True)
     if not unknown:
-        _check_values(source, path, estimator, given)
+        _check_values(source, path, plugin, given)
 
 
-def _check_values(source: Source, path: Path, estimator: Any, given: dict[str, Any]) -> None:
+def _check_values(source: Source, path: Path, plugin: Any, given: dict[str, Any]) -> None:
     """Let the constructor judge its parameters; by contract it does no work."""
     try:
-        estimator(**given)
+        plugin(**given)
     except Exception as error:
         told = _first_line(error)
         culprit = next((key for key in given if re.match(rf"{re.escape(key)}\b", told)), None)

@@ -62,6 +62,7 @@ __all__ = [
     "RmseLimit",
     "SpeedInterlock",
     "StaleInterlock",
+    "StudyEntry",
     "TemperatureInterlock",
     "TorqueInterlock",
     "TrackingErrorInterlock",
@@ -108,6 +109,19 @@ class Fit(BaseModel):
     @property
     def parameters(self) -> dict[str, Any]:
         """The estimator's own parameters, as written."""
+        return dict(self.model_extra or {})
+
+
+class StudyEntry(BaseModel):
+    """One study of the whole run; the keys beside `study` are its own parameters."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    study: str = Field(description="Name under `hil.studies`, e.g. `static-separation`.")
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The study's own parameters, as written."""
         return dict(self.model_extra or {})
 
 
@@ -213,6 +227,9 @@ class ExperimentSpec(Strict):
         Validate(), alias="validate", description="How the fitted models are judged."
     )
     accept: Accept = Field(Accept(), description="When the result is good enough.")
+    study: tuple[StudyEntry, ...] = Field(
+        (), description="Evaluations of the whole run, made after the fits; never judged."
+    )
 
     @model_validator(mode="after")
     def _loads_held_out_exist(self) -> ExperimentSpec:

@@ -14,6 +14,7 @@ from hil.spec.checks import (
     check_interlocks,
     check_pose_file,
     check_robots,
+    check_studies,
     is_path,
 )
 from hil.spec.experiment import Dwell, ExperimentSpec
@@ -115,6 +116,7 @@ def _spec(
     lay_over(source, overrides)
     if look_up:
         check_estimators(source)
+        check_studies(source)
         check_interlocks(source)
         check_pose_file(source, folder)
     spec = _validated(source, ExperimentSpec)
