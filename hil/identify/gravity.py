@@ -14,9 +14,15 @@ UR_JOINTS = 6
 
 
 class GravityForm(Protocol):
-    """Columns that gravity is a linear combination of."""
+    """Columns that gravity is a linear combination of.
+
+    Attributes:
+        names: Length p.
+        joint: The joint, from 0, that a column belongs to alone; None for shared columns.
+    """
 
     names: tuple[str, ...]
+    joint: tuple[int | None, ...]
 
     def columns(self, q: FloatArray) -> FloatArray:
         """(N·n, p), sample-major, for positions (N, n)."""
@@ -29,6 +35,7 @@ class BaseGravity:
         self._robot = robot
         self._base = base_parameters(robot, gravity_only=True)
         self.names = tuple(self._base.names)
+        self.joint = (None,) * len(self.names)
 
     def columns(self, q: FloatArray) -> FloatArray:
         """(N·n, p), sample-major."""
@@ -52,6 +59,7 @@ class PaperGravity:
         *(f"joint4.phi{i}" for i in range(1, 3)),
         "joint5.phi1",
     )
+    joint: tuple[int | None, ...] = (1, 1, 1, 1, 1, 1, 2, 2, 2, 3, 3, 4)
 
     def __init__(self, robot: RobotModel) -> None:
         if robot.n != UR_JOINTS:

@@ -1,7 +1,7 @@
 """The inner (X, y) regressor: weighted least squares with scikit-learn's contract.
 
 scikit-learn has no weighted least squares with standard errors; `LinearRegression` takes weights
-but reports none. This is the only module of `hil.identify` that imports scikit-learn.
+but reports none.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         condition_: Condition number of the column-scaled, weighted regressor.
         unscaled_covariance_: (XᵀWX)⁻¹ of the coefficients (p, p); their covariance if the
             weights are the reciprocals of the true variances.
+        bread_: The same with the intercept, the last one, if there is one.
         std_error_: (p,) standard errors with the variance scale estimated from the residual.
         sigma_: Estimated standard deviation of an observation of weight 1, NaN without
             degrees of freedom.
@@ -84,7 +85,8 @@ class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         inverse[kept] = 1.0 / singular[kept]
         half = (Vt.T * inverse) / length[:, None]
         features = columns - self.fit_intercept
-        self.unscaled_covariance_ = (half @ half.T)[:features, :features]
+        self.bread_ = half @ half.T
+        self.unscaled_covariance_ = self.bread_[:features, :features]
         coefficients: FloatArray = half @ (U.T @ target)
         return coefficients
 

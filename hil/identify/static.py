@@ -18,35 +18,25 @@ all ten would be three times too small.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import ClassVar, Literal, Self
 
-import numpy as np
-
 from hil.data.dataset import Dataset, SeriesKind
-from hil.data.dwells import DwellRule, dwells_of, series_means
-from hil.data.prediction import Prediction, Stream
-from hil.dynamics import RobotModel, joint_columns
-from hil.errors import FitError, SpecError
-from hil.identify.base import HONEST, load_of, payload_torque
-from hil.identify.checks import require_clean, require_robot, require_samples, torque_scale
-from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
+from hil.dynamics import RobotModel
+from hil.identify.checks import require_samples
 from hil.identify.parameters import choice, flag, number
-from hil.identify.wls import WlsEstimator
-from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray
+from hil.identify.static_model import (
+    CURRENT_PART,
+    PAPER_PROTOCOL,
+    StaticModel,
+    one_row_each,
+    signed_square,
+)
 
-PAPER_PROTOCOL = "paper: the measured current is among the inputs"
-CURRENT_PART = "measured current² (paper protocol)"
-"""Component of a prediction that is made of what is to be predicted."""
+__all__ = ["CURRENT_PART", "PAPER_PROTOCOL", "StaticWls", "signed_square"]
 
 
-class StaticWls(WlsEstimator):
-    """Gravity and offset of an arm at rest.
-
-    With `current_term` joint j's regressor is R_j = [φ_j, i²·sign(i), 1] (eq. 20) and by eq. 19 its
-    last two coefficients are −K₂/K₁ and −K₀/K₁ of τ = K₂·i²·sign(i) + K₁·i + K₀ (eq. 16), after
-    division by `torque_scale_[j]`.
+class StaticWls(StaticModel):
+    """Gravity and offset of an arm at rest, weighted joint by joint.
 
     Args:
         form: `shared` or `paper`, see the module.
@@ -54,11 +44,6 @@ class StaticWls(WlsEstimator):
             joints are independent.
         current_term: Only with `paper`: eq. 20 as printed, measured current included.
         rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
-
-    Attributes:
-        parameter_names_: Gravity parameters, then per joint `offset`, or `current_squared` and
-            `offset`.
-        samples_: Number of dwells.
     """
 
     estimator: ClassVar[str] = "static-wls"
@@ -76,13 +61,7 @@ class StaticWls(WlsEstimator):
         self.weighted = flag("weighted", weighted)
         self.current_term = flag("current_term", current_term)
         self.rest_speed = number("rest_speed", rest_speed, above=0.0)
-        if current_term and form != "paper":
-            raise SpecError("current_term is eq. 20 of the paper and goes with form: paper only")
-
-    @property
-    def protocol(self) -> str:
-        """`honest`, or with `current_term` that the target is among the inputs."""
-        return PAPER_PROTOCOL if self.current_term else HONEST
+        self._require_form()
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the dwells of the data, or to the stays found in motions without a plan.
@@ -91,134 +70,8 @@ class StaticWls(WlsEstimator):
             FitError: The data are too few, not finite, of another robot or unit, or do not
                 excite all parameters; or `current_term` meets efforts that are no currents.
         """
-        require_robot(dataset, robot)
-        self._require_current(dataset)
-        self._remember(dataset, robot, self._scale(dataset))
-        require_clean(dataset, ("t", "q", "effort"))
-        self._open()
-        dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
+        dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
         require_samples(self.samples_, len(self.parameter_names_), "dwells")
-        self._solve(_one_row_each(dwells), weighted=self.weighted)
+        self._solve(one_row_each(dwells), weighted=self.weighted)
         return self
-
-    def predict(self, dataset: Dataset) -> Prediction:
-        """Gravity, offset and payload per row, from the measured positions.
-
-        Rows in motion are predicted too, but marked as not valid. With `current_term` the
-        *measured* effort of the dataset is an input as well: such numbers reproduce the paper
-        and say nothing about how well a current can be predicted.
-
-        Raises:
-            DataError: The data are of another robot or unit.
-            FitError: A load is mounted, and the fit knew no drive gains.
-        """
-        self._require_match(dataset)
-        self._require_gains(any(not load_of(c).is_empty for c in dataset.conditions))
-        still = np.zeros_like(dataset["q"])
-        whole = self._predict(dataset, dataset["q"], still, still)
-        parts, effort = dict(whole.components), whole.effort
-        if self.current_term:
-            parts[CURRENT_PART] = self._current_part(dataset["effort"])
-            effort = effort + parts[CURRENT_PART]
-        valid = np.isfinite(effort) & self._at_rest(dataset)[:, None]
-        return Prediction(effort, whole.std, valid, parts)
-
-    def stream(self, payload: Payload | None = None) -> Stream:
-        """A predictor for one sample at a time.
-
-        Raises:
-            FitError: With `current_term`, for want of the current that is to be predicted; or a
-                load is mounted, and the fit knew no drive gains.
-        """
-        if self.current_term:
-            raise FitError(
-                "a model with current_term cannot be streamed: it needs the measured current to "
-                f"predict the current ({self.protocol})",
-                hint="fit without current_term",
-            )
-        self._require_gains(payload is not None and not payload.is_empty)
-        return super().stream(payload)
-
-    def _scale(self, dataset: Dataset) -> FloatArray:
-        """Currents need no gains when every joint is on its own and nothing is mounted."""
-        loaded = any(not load_of(condition).is_empty for condition in dataset.conditions)
-        if self.form == "paper" and dataset.drive_gains is None and not loaded:
-            return np.ones(dataset.n_joints)
-        return torque_scale(dataset)
-
-    def _require_current(self, dataset: Dataset) -> None:
-        if self.current_term and dataset.effort_kind != "current":
-            raise FitError(
-                f"current_term needs motor currents, the data hold a {dataset.effort_kind}",
-                hint="fit without current_term, or on a recording of currents",
-            )
-
-    def _require_gains(self, loaded: bool) -> None:
-        """A load adds a torque; without gains nobody knows how much current that is."""
-        unknown = self.effort_kind_ == "current" and bool(np.all(self.torque_scale_ == 1.0))
-        if loaded and unknown:
-            raise FitError(
-                "a load is mounted, but the model was fitted to currents without drive gains",
-                hint="fit again on data that say their drive gains",
-            )
-
-    def _open(self) -> None:
-        robot = self.robot_
-        self._form: GravityForm = (
-            PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
-        )
-        terms = ("current_squared", "offset") if self.current_term else ("offset",)
-        own = (f"{joint}.{term}" for joint in self.joint_names_ for term in terms)
-        self.parameter_names_ = (*self._form.names, *own)
-
-    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        q, still = data["q"], np.zeros_like(data["q"])
-        load = payload_torque(self.robot_, data, q, still, still)
-        own = {"current": signed_square(data["effort"])} if self.current_term else {}
-        columns = joint_columns(own | {"offset": np.ones_like(q)})
-        W = np.hstack([self._form.columns(q), columns])
-        yield slice(0, len(data)), W, data["effort"] * self.torque_scale_ - load
-
-    def _own_coefficients(self) -> FloatArray:
-        """(n, k) of the k terms that every joint has for itself, the offset last."""
-        own: FloatArray = self.coefficients_[len(self._form.names) :]
-        return own.reshape(len(self.joint_names_), -1)
-
-    def _current_part(self, current: FloatArray) -> FloatArray:
-        part: FloatArray = signed_square(current) * self._own_coefficients()[:, 0]
-        return part / self.torque_scale_
-
-    def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-        gravity, offset = (
-            self.coefficients_[: len(self._form.names)],
-            self._own_coefficients()[:, -1],
-        )
-        torque = (self._form.columns(q) @ gravity).reshape(q.shape)
-        return {
-            "gravity": torque / self.torque_scale_,
-            "offset": np.broadcast_to(offset / self.torque_scale_, q.shape),
-        }
-
-    def _at_rest(self, dataset: Dataset) -> BoolArray:
-        """(N,) rows of dwells, and rows of motions in which every joint is slow enough."""
-        kinds = np.array([c.kind in ("dwell", "reference") for c in dataset.conditions], dtype=bool)
-        resting: BoolArray = kinds[dataset.series_index()]
-        if "qd" in dataset.columns:
-            resting = resting | (np.max(np.abs(dataset["qd"]), axis=1) < self.rest_speed)
-        return resting
-
-
-def signed_square(current: FloatArray) -> FloatArray:
-    """i²·sign(i) of eq. 16, elementwise."""
-    squared: FloatArray = current * np.abs(current)
-    return squared
-
-
-def _one_row_each(dwells: Dataset) -> Dataset:
-    """The same series with their samples averaged to one row."""
-    from dataclasses import replace
-
-    columns = {"t": dwells["t"][dwells.offsets[:-1]]}
-    columns |= {name: series_means(dwells, dwells[name]) for name in ("q", "effort")}
-    return replace(dwells, columns=columns, offsets=np.arange(len(dwells.conditions) + 1))
