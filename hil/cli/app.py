@@ -22,6 +22,7 @@ from hil.cli import (
     models,
     recover,
     replaying,
+    resting,
     running,
     runs,
     specs,
@@ -52,7 +53,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, running, listening, runs, live, recover, replaying, models, data, system, bench,
+    specs, running, listening, runs, live, recover, replaying, models, resting, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)
