@@ -69,6 +69,8 @@ class Dataset:
         drive_gains: Torque per current [N·m/A], (n,), or None when unknown.
         drive_gains_source: Where the gains come from.
         gravity: In the robot's base frame [m/s²]; says how the arm was mounted.
+        arrivals: (S, K, 2, n) how each joint came to rest before each series, see
+            `hil.data.arrival`; NaN for series that are no dwells, None when nobody knows.
     """
 
     robot: str
@@ -80,6 +82,7 @@ class Dataset:
     drive_gains: FloatArray | None = None
     drive_gains_source: str = ""
     gravity: tuple[float, float, float] = UPRIGHT
+    arrivals: FloatArray | None = None
 
     def __post_init__(self) -> None:
         rows = {name: len(values) for name, values in self.columns.items()}
@@ -90,6 +93,8 @@ class Dataset:
             raise DataError(f"dataset columns differ in length: {rows}")
         if len(self.offsets) != len(self.conditions) + 1 or self.offsets[-1] != rows["t"]:
             raise DataError("dataset offsets do not match its conditions and rows")
+        if self.arrivals is not None and len(self.arrivals) != len(self.conditions):
+            raise DataError("dataset arrivals do not match its conditions")
 
     def __len__(self) -> int:
         return len(self.columns["t"])
@@ -144,6 +149,7 @@ class Dataset:
             columns={name: values[rows] for name, values in self.columns.items()},
             offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
             conditions=tuple(self.conditions[i] for i in chosen),
+            arrivals=None if self.arrivals is None else self.arrivals[chosen],
         )
 
     @staticmethod
@@ -165,6 +171,7 @@ class Dataset:
             columns={n: np.concatenate([part.columns[n] for part in parts]) for n in shared},
             offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
             conditions=tuple(c for part in parts for c in part.conditions),
+            arrivals=_joined([part.arrivals for part in parts]),
         )
 
 
@@ -177,6 +184,12 @@ def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
         columns={name: values[keep] for name, values in dataset.columns.items()},
         offsets=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
     )
+
+
+def _joined(parts: Sequence[FloatArray | None]) -> FloatArray | None:
+    """All arrivals, or None when some part has none."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def _require_compatible(a: Dataset, b: Dataset) -> None:

@@ -103,6 +103,7 @@ def _as_series(dataset: Dataset, spans: list[tuple[Conditions, slice]]) -> Datas
         columns={name: values[picked] for name, values in dataset.columns.items()},
         offsets=np.concatenate(([0], np.cumsum([len(r) for r in rows]))).astype(np.int64),
         conditions=conditions,
+        arrivals=None,
     )
 
 

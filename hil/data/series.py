@@ -10,8 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from hil.data.arrival import POINTS, Track, arrival
 from hil.data.dataset import Conditions, Dataset, SeriesKind
-from hil.data.filters import is_pause
+from hil.data.filters import AT_REST, is_pause
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.robot.state import Status
@@ -60,6 +61,7 @@ class Series:
         attempt: Recording the rows are from.
         note: What the step measured.
         rows: The recorded rows.
+        track: Where the arm was all through that recording.
     """
 
     step: int
@@ -67,6 +69,7 @@ class Series:
     attempt: int
     note: StepNote
     rows: StructArray
+    track: Track
 
 
 def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[Series]:
@@ -81,6 +84,7 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
     usable = usable[_advancing(rows["device_time"][usable])]
     if not len(usable):
         return []
+    track = Track(*(rows[name][usable] for name in ("device_time", "q", "qd")))
     segment = rows["segment"][usable]
     pause = is_pause(np.diff(rows["device_time"][usable]))
     edges = _edges((np.diff(segment) != 0) | pause)
@@ -93,7 +97,7 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
         last[step].append(usable[start:stop])
         previous = step
     return [
-        Series(step, i, attempt, steps[step], rows[piece])
+        Series(step, i, attempt, steps[step], rows[piece], track)
         for step, pieces in last.items()
         if step in steps
         for i, piece in enumerate(_worth_keeping(pieces))
@@ -136,7 +140,21 @@ def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Da
         conditions=tuple(_conditions(one, origin.source) for one in series),
         drive_gains=origin.drive_gains,
         drive_gains_source=origin.drive_gains_source,
+        arrivals=_arrivals(series, kept),
     )
+
+
+def _arrivals(series: Sequence[Series], kept: Sequence[StructArray]) -> FloatArray | None:
+    """(S, K, 2, n) how the arm came to rest before each dwell; None without any dwell."""
+    if not any(one.note.kind in AT_REST for one in series):
+        return None
+    n = kept[0].dtype["q"].shape[0]
+    out = np.full((len(series), POINTS, 2, n), np.nan)
+    for i, (one, rows) in enumerate(zip(series, kept, strict=True)):
+        if one.note.kind in AT_REST and len(rows):
+            first, last = rows["device_time"][[0, -1]].tolist()
+            out[i] = arrival(one.track, first, last)
+    return out
 
 
 def _conditions(series: Series, source: str) -> Conditions:
@@ -158,9 +176,7 @@ def _conditions(series: Series, source: str) -> Conditions:
 
 def _settled_rows(series: Series, dwell_samples: int) -> StructArray:
     """All rows of a motion, the last ones of a dwell."""
-    return (
-        series.rows[-dwell_samples:] if series.note.kind in ("dwell", "reference") else series.rows
-    )
+    return series.rows[-dwell_samples:] if series.note.kind in AT_REST else series.rows
 
 
 def _worth_keeping(pieces: list[IntArray]) -> list[IntArray]:
