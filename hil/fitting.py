@@ -223,7 +223,8 @@ def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> V
     judged = usable_part(data, model)
     errors = evaluate(model, judged, fitted.train_std)
     serial = model.training_.serial if model.training_ else ""
-    notes = (*serial_notes(serial, source), *motion_notes(usable_part(train, model), judged))
+    seen = motion_notes(usable_part(train, model), judged)
+    notes = (*model.notes_, *serial_notes(serial, source), *seen)
     return Validation(str(source), errors, notes)
 
 

@@ -129,6 +129,7 @@ def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: Experimen
         "estimator": fit.estimator,
         "protocol": protocol,
         "seconds": fitted.seconds,
+        "notes": list(fitted.model.notes_),
         "held_out": {"what": parts.held_out, **held_out.to_dict()},
         "beside": _beside(fitted, parts),
         "trained": trained.to_dict(),

@@ -44,6 +44,7 @@ class RobotEstimator(Parametrised):
         sigma_: (n,) standard deviation of the training residual, in effort units.
         samples_: Rows (or dwells) the fit used.
         training_: What the model remembers of its training data; None in older model files.
+        notes_: What a fit did about data that are not as they should be, for people.
     """
 
     estimator: ClassVar[str] = ""
@@ -57,6 +58,7 @@ class RobotEstimator(Parametrised):
     sigma_: FloatArray
     samples_: int
     training_: Training | None = None
+    notes_: tuple[str, ...] = ()
 
     @property
     def protocol(self) -> str:
@@ -94,7 +96,7 @@ class RobotEstimator(Parametrised):
             "gains_source": self.gains_source_,
             "samples": self.samples_,
             "protocol": self.protocol,
-        }
+        } | ({"notes": list(self.notes_)} if self.notes_ else {})
 
     def save(self, folder: Path) -> Path:
         """Write `model.json` and `model.safetensors` into a folder; returns the folder."""
@@ -115,6 +117,7 @@ class RobotEstimator(Parametrised):
         self.effort_kind_ = facts["effort_kind"]
         self.gains_source_ = facts["gains_source"]
         self.samples_ = int(facts["samples"])
+        self.notes_ = tuple(str(note) for note in facts.get("notes", ()))
         self.torque_scale_ = arrays["torque_scale"]
         self.sigma_ = arrays["sigma"]
 

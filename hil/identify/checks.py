@@ -72,19 +72,44 @@ def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
             raise FitError(error.message, hint=error.hint) from error
 
 
-def require_motion(dataset: Dataset) -> None:
+def require_motion(dataset: Dataset, joints: Sequence[int] | None = None) -> None:
     """Refuse data in which a joint stands still from beginning to end.
+
+    Args:
+        dataset: At least one row.
+        joints: Those that have to move, from 0; all by default.
 
     Raises:
         FitError: A joint never moved.
     """
     q = dataset["q"]
-    still = [j for j in range(dataset.n_joints) if np.ptp(q[:, j]) < STILL_RAD]
+    chosen = range(dataset.n_joints) if joints is None else joints
+    still = [j for j in chosen if np.ptp(q[:, j]) < STILL_RAD]
     if still:
         names = ", ".join(dataset.joint_names[j] for j in still)
         raise FitError(
             f"{names} never moved in the training data, so its parameters cannot be told apart",
             hint="add a recording in which every joint moves",
+        )
+
+
+def require_varied(change: FloatArray, span: FloatArray, names: Sequence[str]) -> None:
+    """Refuse columns of a regressor that are the same at every pose.
+
+    Args:
+        change: (p,) by how much each column changes over the data.
+        span: (p,) by how much it can change.
+        names: Length p.
+
+    Raises:
+        FitError: A column is constant, so its parameter cannot be told from the offset.
+    """
+    constant = [name for name, c, s in zip(names, change, span, strict=True) if c <= STILL_RAD * s]
+    if constant:
+        raise FitError(
+            f"the regressor of {', '.join(constant[:3])} is the same at every pose, so the "
+            "parameter cannot be told from the offset",
+            hint="record poses that differ in more joints, and not all by the same angles",
         )
 
 

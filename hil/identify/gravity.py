@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.dynamics import RobotModel, base_parameters
 from hil.errors import FitError
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 UR_JOINTS = 6
 
@@ -35,7 +35,7 @@ class BaseGravity:
         self._robot = robot
         self._base = base_parameters(robot, gravity_only=True)
         self.names = tuple(self._base.names)
-        self.joint = (None,) * len(self.names)
+        self.joint: tuple[int | None, ...] = (None,) * len(self.names)
 
     def columns(self, q: FloatArray) -> FloatArray:
         """(N·n, p), sample-major."""
@@ -82,6 +82,24 @@ class PaperGravity:
             out[:, joint, start : start + functions.shape[1]] = functions
             start += functions.shape[1]
         return out.reshape(-1, len(self.names))
+
+
+PROBES = 32
+"""Random poses that show which joints gravity depends on, and how far its columns can reach."""
+
+
+def reach_of(form: GravityForm, n_joints: int) -> tuple[BoolArray, FloatArray]:
+    """What there is to excite.
+
+    Returns:
+        (n,) which joints the columns depend on, and (p,) by how much each column can change.
+    """
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (PROBES, n_joints))
+    columns = form.columns(q)
+    turned = [form.columns(q + step) for step in np.eye(n_joints)]
+    depends = np.array([not np.allclose(columns, other) for other in turned])
+    cube = columns.reshape(PROBES, n_joints, -1)
+    return depends, np.asarray(np.ptp(cube, axis=0).max(axis=0))
 
 
 def paper_functions(q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

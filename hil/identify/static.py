@@ -18,17 +18,18 @@ all ten would be three times too small.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
-from hil.data.dataset import Dataset, SeriesKind
+from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.identify.checks import require_samples
+from hil.identify.dwell_rows import one_row_each
 from hil.identify.parameters import choice, flag, number
 from hil.identify.static_model import (
     CURRENT_PART,
     PAPER_PROTOCOL,
+    Form,
     StaticModel,
-    one_row_each,
     signed_square,
 )
 
@@ -47,12 +48,11 @@ class StaticWls(StaticModel):
     """
 
     estimator: ClassVar[str] = "static-wls"
-    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",), ("trajectory",))
 
     def __init__(
         self,
         *,
-        form: Literal["shared", "paper"] = "shared",
+        form: Form = "shared",
         weighted: bool = True,
         current_term: bool = False,
         rest_speed: float = 0.01,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from hil.data.dataset import Dataset
-from hil.data.dwells import DwellRule, dwells_of, series_means
+from hil.data.dataset import Dataset, SeriesKind
+from hil.data.dwells import DwellRule, dwells_of
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError, SpecError
@@ -18,6 +18,8 @@ from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.wls import WlsEstimator
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
+
+Form = Literal["shared", "paper"]
 
 PAPER_PROTOCOL = "paper: the measured current is among the inputs"
 CURRENT_PART = "measured current² (paper protocol)"
@@ -38,7 +40,9 @@ class StaticModel(WlsEstimator):
         samples_: Number of dwells.
     """
 
-    form: str
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",), ("trajectory",))
+
+    form: Form
     current_term: bool
     rest_speed: float
 
@@ -176,10 +180,3 @@ def signed_square(current: FloatArray) -> FloatArray:
     """i²·sign(i) of eq. 16, elementwise."""
     squared: FloatArray = current * np.abs(current)
     return squared
-
-
-def one_row_each(dwells: Dataset) -> Dataset:
-    """The same series with their samples averaged to one row."""
-    columns = {"t": dwells["t"][dwells.offsets[:-1]]}
-    columns |= {name: series_means(dwells, dwells[name]) for name in ("q", "effort")}
-    return replace(dwells, columns=columns, offsets=np.arange(len(dwells.conditions) + 1))
