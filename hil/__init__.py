@@ -17,12 +17,14 @@ if TYPE_CHECKING:
         Experiment,
         dataset,
         evaluate,
+        figures,
         fit,
         import_recording,
         load,
         plan,
         resume,
         run,
+        study,
     )
 
 __version__ = "0.1.0"
@@ -31,12 +33,14 @@ __all__ = [
     "Experiment",
     "dataset",
     "evaluate",
+    "figures",
     "fit",
     "import_recording",
     "load",
     "plan",
     "resume",
     "run",
+    "study",
 ]
 
 

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
     from hil.fitting import FitReport
+    from hil.study.result import StudyResult
 
 __all__ = [
     "Experiment",
@@ -30,6 +31,7 @@ __all__ = [
     "dataset",
     "describe_run",
     "evaluate",
+    "figures",
     "fit",
     "import_recording",
     "list_runs",
@@ -37,6 +39,7 @@ __all__ = [
     "plan",
     "resume",
     "run",
+    "study",
 ]
 
 AnyPath = str | Path
@@ -202,6 +205,63 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     from hil.fitting import evaluate_sources
 
     return evaluate_sources(Path(model), _paths(sources))
+
+
+def study(
+    run: AnyPath,
+    name: str | None = None,
+    *,
+    parameters: dict[str, Any] | None = None,
+    watch: Callable[[str, str, int, int], None] | None = None,
+) -> tuple[StudyResult, ...]:
+    """Make the studies of a run's spec again, or another one; also refreshes its report.
+
+    Args:
+        run: The run directory.
+        name: Name in `hil.studies`; by default all that the run's spec names.
+        parameters: The study's own parameters, over those in the spec.
+        watch: Told the study, what it is doing, and how many of how many steps of that are done.
+
+    Returns:
+        What they found, as it was written into the run directory.
+
+    Raises:
+        SpecError, PluginError: There is no such study or parameter.
+        DataError, FitError: The run does not allow it; studies beside it have been made.
+    """
+    from hil.campaign.studies import entries_for, run_studies, unwatched
+    from hil.report import render_report
+
+    path = Path(run)
+    found = run_studies(path, entries_for(path, name, parameters or {}), watch or unwatched)
+    render_report(path)
+    if found.error is not None:
+        raise found.error
+    return tuple(result for _, result in found.made)
+
+
+def figures(
+    run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
+) -> list[Path]:
+    """Write the figures and tables of a run's studies as files for papers.
+
+    Args:
+        run: The run directory.
+        out: Folder for the files; made when missing.
+        formats: Of the figures: `pdf`, `svg`, `png`.
+        width: `column` (88 mm) or `page` (181 mm).
+
+    Returns:
+        What was written.
+
+    Raises:
+        PluginError: matplotlib is not installed.
+        DataError: The run has no studies, or one is damaged.
+        SpecError: There is no such format or width.
+    """
+    from hil.report.paper import write_papers
+
+    return write_papers(Path(run), Path(out), formats=formats, width=width)
 
 
 def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:

@@ -69,8 +69,10 @@ def require_usable(experiment: Experiment, robot: Robot) -> None:
 
     Raises:
         SpecError: The criteria are in another unit than the robot's efforts.
-        PluginError: An estimator is missing.
+        PluginError: An estimator or a study is missing.
     """
     require_judgeable(experiment.spec, robot.capabilities.effort_kind)
     for fit in experiment.spec.fit:
         plugins.load("hil.estimators", fit.estimator)
+    for entry in experiment.spec.study:
+        plugins.load("hil.studies", entry.study)

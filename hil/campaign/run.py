@@ -12,9 +12,9 @@ from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord
 from hil.campaign.view import verdict_word
-from hil.engine import Observer, Observers, Outcome
+from hil.engine import Observer, Observers
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.errors import HilError, Stopped
+from hil.errors import HilError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 
@@ -167,7 +167,9 @@ def _attended(
                 if signals.seen:
                     raise signals.stopped() from None
                 raise
-            error = _judge(experiment, recorded, signals, watching)
+            from hil.campaign.afterwards import judge_and_study
+
+            error = judge_and_study(experiment, recorded, signals, watching)
             watching.publish({"kind": "stage", "stage": "writing the report"})
             with signals.guard():
                 page, problem = _report(recorded.directory.path)
@@ -188,32 +190,6 @@ def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunR
         report=page,
         error=error,
     )
-
-
-def _judge(
-    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
-) -> HilError | None:
-    """Fit and judge a completed run; returns what ended the run or the fit early."""
-    from hil.campaign.judging import judge_run
-
-    result = recorded.result
-    if result.outcome is not Outcome.COMPLETED:
-        return result.error
-    if "commissioning" in recorded.directory.start:
-        return None  # a part of the program, or another speed: there is no model to be judged
-    if signals.seen:
-        return Stopped("stopped after the motion, before the fit", by_signal=True)
-    names = ", ".join(fit.estimator for fit in experiment.spec.fit)
-    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
-    try:
-        judge_run(recorded.directory, experiment.spec, recorded.counts)
-    except (Exception, StopSignal) as error:
-        if signals.seen:
-            return signals.stopped()
-        if isinstance(error, HilError):
-            return error
-        raise
-    return None
 
 
 def _report(run: Path) -> tuple[Path | None, HilError | None]:

@@ -44,6 +44,9 @@ def describe_run(run: str | Path) -> dict[str, Any]:
         file.parent.name: _optional(file)
         for file in sorted(directory.path.glob("fit/*/evaluation.json"))
     }
+    out["studies"] = {
+        file.parent.name: _study(file) for file in sorted(directory.path.glob("study/*/study.json"))
+    }
     page = directory.path / "report.html"
     return out | {"report": str(page) if page.is_file() else None}
 
@@ -53,6 +56,13 @@ def verdict_word(run: Path) -> VerdictWord:
     document = _optional(run / "verdict.json") or {}
     passed = document.get("passed")
     return word(passed if isinstance(passed, bool) else None)
+
+
+def _study(file: Path) -> dict[str, Any] | None:
+    """What a study comes to; its curves are in the file."""
+    document = _optional(file)
+    keys = ("study", "title", "summary", "parameters", "seconds", "warnings")
+    return document and {key: document.get(key) for key in keys}
 
 
 def _entry(listing: RunListing) -> dict[str, Any]:

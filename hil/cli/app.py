@@ -26,6 +26,7 @@ from hil.cli import (
     running,
     runs,
     specs,
+    studies,
     system,
 )
 from hil.cli.output import fold, width_of
@@ -53,7 +54,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, running, listening, runs, live, recover, replaying, models, resting, data, system, bench,
+    specs, running, listening, runs, live, recover, replaying, models, studies, resting, data,
+    system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

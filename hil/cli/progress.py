@@ -10,6 +10,7 @@ import sys
 import time
 
 from hil.cli.output import duration, fold, width_of
+from hil.cli.study_progress import StudyBar
 from hil.engine.observers import Event
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, state_words, step_words
@@ -30,11 +31,16 @@ class ProgressLines:
         self._open = False
         self._paused = False
         self._pausing = ""
+        self._studies = StudyBar()
 
     def notify(self, event: Event) -> None:
         """Print the event if it is news, and where the run stands if it is time to."""
         self._standing.take(event)
         kind = event.get("kind")
+        if kind == "study" and event.get("study"):
+            self._studies.show(event["study"], event["what"], event["done"], event["total"])
+            return
+        self._studies.end()
         if kind == "stage":
             self._line(f"{self._standing.stage} …")
         elif kind == "state":

@@ -10,8 +10,9 @@
       events.jsonl    state changes, checkpoints, prompts and answers, trips; only appended to
       stop.json       outcome, reason, counts, SHA-256 per file; written last
       resume-01.json  preflight-01.json  stop-01.json    the same of the first resumption, …
+      study/…  report.html                   views: may be made anew, and are replaced then
 
-An attempt without stop document means *interrupted*. No file is ever rewritten.
+An attempt without stop document means *interrupted*. No file but a view is ever rewritten.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 _EVENTS = "events.jsonl"
 _REPORT = Path("report.html")
+_STUDIES = "study"
 _RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
 
@@ -262,11 +264,12 @@ class RunDirectory:
     def _checksums(self) -> dict[str, Any]:
         inside = (path for path in self.path.rglob("*") if path.is_file())
         names = {path.relative_to(self.path): path for path in sorted(inside)}
-        # Views (the report, what begins with a dot) may be made anew: they are no part of it.
+        # Views (report, studies, what begins with a dot) may be made anew: they are no part of it.
         kept = {
             name: path
             for name, path in names.items()
             if name != _REPORT
+            and name.parts[0] != _STUDIES
             and not any(part.startswith(".") for part in name.parts)
             and not in_hand(path)  # of a recorder that could not end: it changes still
         }

@@ -100,6 +100,8 @@ class Plots:
     panels: tuple[Panel, ...]
     legend: tuple[tuple[str, str, str], ...] = ()
     """(text, colour, `line` | `dash` | `dot` | `band` | marker character)."""
+    columns: int = 0
+    """2 for panels that are better large; 0 for as many side by side as there is room for."""
     kind: Literal["plots"] = "plots"
 
 
@@ -120,7 +122,15 @@ class Notes:
     kind: Literal["notes"] = "notes"
 
 
-Block: TypeAlias = Table | Plots | Facts | Notes
+@dataclass(frozen=True, slots=True)
+class Paragraphs:
+    """Text to be read from the beginning to the end."""
+
+    items: tuple[str, ...]
+    kind: Literal["paragraphs"] = "paragraphs"
+
+
+Block: TypeAlias = Table | Plots | Facts | Notes | Paragraphs
 
 
 @dataclass(frozen=True, slots=True)

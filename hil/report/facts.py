@@ -28,6 +28,7 @@ from hil.report.documents import (
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.interrupted import recorded_by
 from hil.report.soundness import is_known, plan_of, torn
+from hil.report.study_facts import StudyFacts, read_studies
 from hil.spec.load import load_spec
 
 PLURALS = {"trajectory": "trajectories", "weigh": "weighings"}
@@ -53,6 +54,7 @@ class RunFacts:
         steps: The plan's steps in JSON form.
         events: As logged.
         fits: In order of folder name.
+        studies: What the studies found.
         problems: Files that are there but cannot be used.
     """
 
@@ -69,6 +71,7 @@ class RunFacts:
     steps: Sequence[Document]
     events: Sequence[Document]
     fits: tuple[FitFacts, ...]
+    studies: StudyFacts
     problems: tuple[str, ...]
 
     @property
@@ -164,6 +167,12 @@ class RunFacts:
         return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
 
     @property
+    def studies_missing(self) -> tuple[str, ...]:
+        """What the spec asks to be studied, and was never tried."""
+        wanted = [str(entry.get("study")) for entry in as_objects(self.spec.get("study"))]
+        return tuple(name for name in wanted if name not in self.studies.known)
+
+    @property
     def commissioning(self) -> str:
         """Which part of the program was to be run, and how fast, in words; empty for all of it."""
         return str(as_object(self.start.get("commissioning")).get("text") or "")
@@ -225,6 +234,7 @@ def read_facts(path: Path) -> RunFacts:
         steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
         fits=read_fits(_folders(path / "fit"), problems),
+        studies=read_studies(path, problems),
         problems=tuple(problems),
     )
 

@@ -75,6 +75,7 @@ def run_warnings(facts: RunFacts, recording: Recording | None) -> list[str]:
         + _waived(facts)
         + weighing_warnings(facts)
         + failed_fits(facts)
+        + facts.studies.warnings
         + fit_warnings(facts.fits)
     )
 

@@ -61,6 +61,8 @@ def next_command(facts: RunFacts, run: str) -> str:
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
         return f"hil fit {run} --estimator {wanted[0]}"
+    if facts.status == "completed" and facts.studies_missing:
+        return f"hil study {run}"
     return ""
 
 

@@ -33,6 +33,7 @@ from hil.report.measured import measured
 from hil.report.predictions import Shown, held_out_of, show
 from hil.report.recording import Drift, Recording, drift_of, read_recording
 from hil.report.render import write_page
+from hil.report.study_sections import study_sections
 from hil.report.words import listed, when
 
 REPORT_FILE = "report.html"
@@ -91,6 +92,7 @@ def run_page(path: Path) -> Page:
         warnings=(*run_warnings(facts, recording), *problems),
         sections=(
             *model_sections(facts.judged_fits, shown),
+            *study_sections(facts.studies.made),
             *_run_sections(facts, recording, drift, tuple(held_out.values())),
         ),
         footer=_footer(path),

@@ -45,6 +45,10 @@ def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
         lines += _labelled(label, value, width)
     for fit in facts.judged_fits:
         lines += ["", *_fit_lines(fit, width)]
+    for study in facts.studies.made:
+        lines += ["", *wrap(f"study {study.study}: {study.title}", width)]
+        for text in study.summary:
+            lines += _wrapped(text, width, "  ", "  ")
     for warning in _warnings(facts):
         lines += ["", *_paragraph(f"Warning: {warning}", width)]
     return lines + _commands(facts, run)
@@ -74,7 +78,8 @@ def _warnings(facts: RunFacts) -> list[str]:
     told = facts.stop.get("problems")
     ending = map(str, told) if isinstance(told, list) else ()
     silent = filter(None, map(nrmse_warning, facts.judged_fits))
-    return [*facts.problems, *ending, *weighing_warnings(facts), *failed_fits(facts), *silent]
+    models = (*failed_fits(facts), *facts.studies.warnings)
+    return [*facts.problems, *ending, *weighing_warnings(facts), *models, *silent]
 
 
 def _commands(facts: RunFacts, run: Path) -> list[str]:

@@ -4,3 +4,7 @@ A model answers "how large is the error"; a study compares methods and protocols
 dynamics and estimators, never a robot or a recorder, and its result is plain tables and curves:
 `hil.report` draws them in the page and as files for papers.
 """
+
+from hil.callable_module import make_callable
+
+make_callable(__name__)

@@ -1,0 +1,88 @@
+"""After the motion: fits, verdict and studies, while somebody may still press Ctrl-C."""
+
+from __future__ import annotations
+
+from hil.campaign.attempt import Recorded
+from hil.campaign.experiment import Experiment
+from hil.campaign.judging import judge_run
+from hil.campaign.studies import run_studies
+from hil.engine import Observers, Outcome
+from hil.engine.signals import SignalWatch, StopSignal
+from hil.errors import HilError, Stopped
+
+
+def judge_and_study(
+    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+) -> HilError | None:
+    """Fit, judge and study a completed run; returns what ended it early, or what is missing."""
+    error = _judge(experiment, recorded, signals, watching)
+    if signals.seen or not _is_whole(recorded):
+        return error
+    return _both(error, _study(experiment, recorded, signals, watching))
+
+
+def _judge(
+    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+) -> HilError | None:
+    """Fit and judge a completed run; returns what ended the run or the fit early."""
+    result = recorded.result
+    if result.outcome is not Outcome.COMPLETED:
+        return result.error
+    if "commissioning" in recorded.directory.start:
+        return None  # a part of the program, or another speed: there is no model to be judged
+    if signals.seen:
+        return Stopped("stopped after the motion, before the fit", by_signal=True)
+    names = ", ".join(fit.estimator for fit in experiment.spec.fit)
+    watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
+    try:
+        judge_run(recorded.directory, experiment.spec, recorded.counts)
+    except (Exception, StopSignal) as error:
+        if signals.seen:
+            return signals.stopped()
+        if isinstance(error, HilError):
+            return error
+        raise
+    return None
+
+
+def _is_whole(recorded: Recorded) -> bool:
+    """Whether all of the program was measured as it was planned."""
+    commissioning = "commissioning" in recorded.directory.start
+    return recorded.result.outcome is Outcome.COMPLETED and not commissioning
+
+
+def _study(
+    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+) -> HilError | None:
+    """Make the studies of the spec; returns what ended them early, or why some are missing."""
+
+    def watch(name: str, what: str, done: int, total: int) -> None:
+        event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
+        watching.publish(event)
+
+    path, entries = recorded.directory.path, experiment.spec.study
+    if not entries:
+        return None
+    names = ", ".join(entry.study for entry in entries)
+    watching.publish({"kind": "stage", "stage": f"studying the run: {names}"})
+    try:
+        return run_studies(path, entries, watch).error
+    except (Exception, StopSignal) as error:
+        if signals.seen:
+            told = f"{signals.reason} during the studies; the run and its models are complete"
+            return Stopped(told, hint=f"make them with: hil study {path}", by_signal=True)
+        if isinstance(error, HilError):
+            return error
+        raise
+    finally:
+        watching.publish({"kind": "study", "study": ""})
+
+
+def _both(fits: HilError | None, studies: HilError | None) -> HilError | None:
+    """One error where models and studies are missing; a stop by signal comes before all else."""
+    if fits is None or studies is None or isinstance(studies, Stopped):
+        return studies or fits
+    hints = dict.fromkeys(filter(None, (fits.hint, studies.hint)))
+    out = type(fits)(f"{fits.message}; {studies.message}", hint="; ".join(hints))
+    out.__cause__ = fits
+    return out

@@ -1,0 +1,181 @@
+"""The studies of a run: each by itself on the whole recording, its result beside the fits."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil import plugins
+from hil.data.load import load_source
+from hil.dynamics import RobotModel, load_model
+from hil.errors import DataError, FitError, HilError, SpecError
+from hil.executor import cores
+from hil.identify.model_file import plain
+from hil.record.lock import is_live
+from hil.record.rundir import RunDirectory
+from hil.spec.experiment import StudyEntry
+from hil.spec.load import load_spec
+from hil.study.base import GROUP, Study, study
+from hil.study.result import StudyResult
+from hil.study.store import STUDIES, folder_of, write_problem, write_study
+
+if TYPE_CHECKING:
+    from hil.data.dataset import Dataset
+
+EVERY_S = 0.1
+"""Progress within one thing that is done is told no more often than this [s]."""
+
+Watch = Callable[[str, str, int, int], None]
+"""Told the study, what it is doing, and how many of how many steps of that are done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Studied:
+    """What came of the studies of a run.
+
+    Attributes:
+        run: The run directory.
+        made: Folder of each study that was made, and what it found.
+        problems: Name of each study that failed, and why.
+    """
+
+    run: Path
+    made: tuple[tuple[Path, StudyResult], ...]
+    problems: tuple[tuple[str, HilError], ...]
+
+    @property
+    def error(self) -> HilError | None:
+        """One error for all studies that are missing; the data are at fault only if they alone."""
+        if not self.problems:
+            return None
+        errors = [error for _, error in self.problems]
+        kind = DataError if all(isinstance(error, DataError) for error in errors) else FitError
+        told = "; ".join(f"the study {name}: {error.message}" for name, error in self.problems)
+        hints = list(dict.fromkeys(error.hint for error in errors if error.hint))
+        out = kind(told, hint="; ".join(hints) or f"hil study {self.run}")
+        out.__cause__ = errors[0]
+        return out
+
+
+def unwatched(name: str, what: str, done: int, total: int) -> None:
+    """Studies that nobody watches."""
+
+
+def entries_for(
+    run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
+) -> tuple[StudyEntry, ...]:
+    """The studies to make: those of the run's spec, or one by name.
+
+    Args:
+        run: The run directory.
+        name: Which study; by default all of the spec.
+        parameters: Laid over those the spec gives it.
+
+    Raises:
+        DataError: It is no run directory, or still recording.
+        SpecError: There is no study in the spec, or several that the parameters could be for.
+    """
+    RunDirectory.open(run)
+    if is_live(run):
+        raise DataError(f"{run} is still recording", hint=f"wait for its end: hil watch {run}")
+    file = run / "spec.yaml"  # a recording of somebody else's program has none
+    written = load_spec(file, look_up=False).study if file.is_file() else ()
+    wanted = [entry for entry in written if name in (None, entry.study)]
+    if name is not None and not wanted:
+        wanted = [StudyEntry(study=name)]
+    if not wanted:
+        known = ", ".join(plugins.names(GROUP)) or "none is installed"
+        raise SpecError(
+            f"the spec of {run} names no study", hint=f"choose one with --study: {known}"
+        )
+    if not parameters:
+        return tuple(wanted)
+    if len(wanted) > 1:
+        told = ", ".join(entry.study for entry in wanted)
+        raise SpecError(f"the parameters could be for any of {told}", hint="choose with --study")
+    (entry,) = wanted
+    return (StudyEntry(study=entry.study, **{**entry.parameters, **parameters}),)
+
+
+def run_studies(run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatched) -> Studied:
+    """Make studies of a run; one that fails leaves the run and the others as they are.
+
+    The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
+    `problem.json` beside it.
+
+    Args:
+        run: The run directory.
+        entries: Which studies, with their parameters.
+        watch: Told how far they are.
+
+    Raises:
+        SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
+        KeyboardInterrupt: As it came; what was made before is kept.
+    """
+    studies = [(entry.study, study(entry.study, **entry.parameters)) for entry in entries]
+    made: list[tuple[Path, StudyResult]] = []
+    problems: list[tuple[str, HilError]] = []
+    of: tuple[Dataset, RobotModel] | None = None
+    for name, one in studies:
+        folder = run / STUDIES / folder_of(name, one.get_params())
+        try:
+            of = of or _loaded(run)
+            made.append((folder, _make(name, one, folder, of, watch)))
+        except HilError as error:
+            problems.append((name, error))
+            write_problem(name, error.message, error.hint, folder)
+    return Studied(run, tuple(made), tuple(problems))
+
+
+def _loaded(run: Path) -> tuple[Dataset, RobotModel]:
+    data = load_source(run)
+    return data, load_model(data.robot, gravity=data.gravity)
+
+
+def _make(
+    name: str, one: Study, folder: Path, of: tuple[Dataset, RobotModel], watch: Watch
+) -> StudyResult:
+    from threadpoolctl import threadpool_limits
+
+    begin = time.perf_counter()
+    try:
+        with threadpool_limits(_blas_threads()):
+            found = one.run(*of, _Throttled(name, watch))
+        seconds = time.perf_counter() - begin
+        asked: dict[str, Any] = plain(one.get_params())
+        found = replace(found, study=name, parameters=asked, seconds=seconds)
+        write_study(found, folder)
+    except (HilError, OSError):
+        raise
+    # Studies are plug-ins: whatever one of them raises must not cost the others.
+    except Exception as error:
+        raise FitError(
+            f"{name} broke down: {type(error).__name__}: {error}",
+            hint="this is a fault of the study: report it to whoever wrote it",
+        ) from error
+    return found
+
+
+def _blas_threads() -> int:
+    """As many as there are, but no more than cores: threads beyond those only spin."""
+    from threadpoolctl import threadpool_info
+
+    return min(cores(), max((pool["num_threads"] for pool in threadpool_info()), default=1))
+
+
+class _Throttled:
+    """Progress of one study, without the thousands of steps between two looks at a screen."""
+
+    def __init__(self, name: str, watch: Watch) -> None:
+        self._name, self._watch = name, watch
+        self._what, self._next = "", 0.0
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if what == self._what and now < self._next and done < total:
+            return
+        self._what, self._next = what, now + EVERY_S
+        self._watch(self._name, what, done, total)

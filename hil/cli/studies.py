@@ -1,0 +1,101 @@
+"""`hil study`, `hil figures`: evaluations of whole runs, and their figures as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.output import JsonFlag, RunsOption, duration, fold, print_json, width_of
+from hil.cli.runs import RunArgument, fail
+from hil.errors import Stopped
+
+if TYPE_CHECKING:
+    from hil.campaign.studies import Studied
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(study)
+    app.command()(figures)
+
+
+def study(
+    run: RunArgument,
+    name: Annotated[
+        str, typer.Option("--study", "-s", help="Only this study, in the run's spec or not.")
+    ] = "",
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Study parameter as NAME=VALUE (YAML value)."),
+    ] = None,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Make the studies of a run (again), and its report: tables and figures of methods compared."""
+    from hil import api
+    from hil.campaign.studies import entries_for, run_studies
+    from hil.cli.study_progress import StudyBar
+    from hil.record.catalogue import find_run
+    from hil.report import render_report
+
+    path, bar = find_run(run, runs), StudyBar()
+    entries = entries_for(path, name or None, api.parse_parameters(options or ()))
+    try:
+        done = run_studies(path, entries, bar.show)
+    except KeyboardInterrupt:
+        told = "interrupted; studies that were made before are kept"
+        raise Stopped(told, hint=f"hil study {path}", by_signal=True) from None
+    finally:
+        bar.end()
+    _tell(done, render_report(path), json)
+    if done.error is not None:
+        fail(done.error, json)
+
+
+def figures(
+    run: RunArgument,
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", "-f", help="pdf (default), svg or png; repeat for several."),
+    ] = None,
+    width: Annotated[
+        str, typer.Option("--width", help="column (88 mm) or page (181 mm).")
+    ] = "column",
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Write the figures and tables of a run's studies as files for papers."""
+    from hil import api
+    from hil.record.catalogue import find_run
+
+    path = find_run(run, runs)
+    written = api.figures(path, out, formats=tuple(formats or ("pdf",)), width=width)
+    if json:
+        print_json({"run": str(path), "files": [str(file) for file in written]})
+        return
+    for file in written:
+        typer.echo(str(file))
+
+
+def _tell(done: Studied, page: Path, json: bool) -> None:
+    from hil.cli.study_tables import print_study
+
+    if json:
+        studies = [{"folder": str(folder), **result.to_dict()} for folder, result in done.made]
+        print_json({"run": str(done.run), "report": str(page), "studies": studies})
+        return
+    for folder, result in done.made:
+        print_study(result)
+        made = f"{result.study}: made in {duration(result.seconds)} → {folder}"
+        typer.echo(fold(made, width_of_stdout()))
+    typer.echo(f"report: {page}")
+
+
+def width_of_stdout() -> int | None:
+    """Columns of the terminal, None in a pipe."""
+    import sys
+
+    return width_of(sys.stdout)

@@ -1,0 +1,154 @@
+"""Figures and tables of a run's studies as files for papers, named by their keys.
+
+matplotlib is imported when figures are drawn, not before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias, get_args
+
+from hil.errors import DataError, PluginError, SpecError
+from hil.record.files import write_replacing
+from hil.report.paper_tables import csv_text, latex_text
+from hil.study.result import Figure, Part, StudyResult, Table
+from hil.study.store import read_study, study_files
+
+Format: TypeAlias = Literal["pdf", "svg", "png"]
+Width: TypeAlias = Literal["column", "page"]
+
+CONTENTS = "contents.md"
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One table or figure of a study.
+
+    Attributes:
+        stem: File name without its ending, unique among all of a run.
+        part: Where it stands.
+        what: The table or figure itself.
+    """
+
+    stem: str
+    part: Part
+    what: Table | Figure
+
+
+def write_papers(
+    run: Path, out: Path, *, formats: Sequence[str] = ("pdf",), width: str = "column"
+) -> list[Path]:
+    """Write every figure and table of a run's studies into a folder; files there are replaced.
+
+    A figure becomes `<key>.pdf` and the like, a table `<key>.csv` and `<key>.tex`; `contents.md`
+    holds titles, captions and notes.
+
+    Args:
+        run: The run directory.
+        out: The folder; made when missing.
+        formats: Of the figures: `pdf`, `svg`, `png`.
+        width: `column` (88 mm) or `page` (181 mm).
+
+    Returns:
+        What was written.
+
+    Raises:
+        PluginError: matplotlib is not installed.
+        DataError: The run has no studies, or one is damaged.
+        SpecError: There is no such format or width.
+        RecordingError: The folder cannot be written to.
+    """
+    _require(formats, get_args(Format), "format")
+    _require((width,), get_args(Width), "width")
+    results = [read_study(path) for path in study_files(run)]
+    if not results:
+        raise DataError(f"{run} has no studies yet", hint=f"make them first: hil study {run}")
+    _require_matplotlib()
+    found = items(results)
+    out.mkdir(parents=True, exist_ok=True)
+    files = [file for item in found for file in _files(item, formats, width)]
+    files.append((CONTENTS, _contents(found).encode()))
+    for name, content in files:
+        write_replacing(out / name, content)
+    return [out / name for name, _ in files]
+
+
+def items(results: Sequence[StudyResult]) -> list[Item]:
+    """All tables and figures with names for their files.
+
+    The key is the name. Where two protocols of a study have the same key, the protocol stands
+    behind it (`fig-7-paper`); where a run has several studies, their names stand before it.
+    """
+    placed = [
+        (result, part, what) for result in results for part in result.parts for what in _in(part)
+    ]
+    several = len(results) > 1
+    plain = [_slug(result.study, what.key) if several else _slug(what.key)
+             for result, _, what in placed]  # fmt: skip
+    marked = [
+        _slug(stem, part.protocol.partition(":")[0]) if plain.count(stem) > 1 else stem
+        for stem, (_, part, _) in zip(plain, placed, strict=True)
+    ]
+    stems = _unique(marked)
+    return [Item(stem, part, what) for stem, (_, part, what) in zip(stems, placed, strict=True)]
+
+
+def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str, bytes]]:
+    if isinstance(item.what, Table):
+        yield f"{item.stem}.csv", csv_text(item.what).encode()
+        yield f"{item.stem}.tex", latex_text(item.what).encode()
+        return
+    from hil.report.paper_figure import drawn
+
+    for name in dict.fromkeys(formats):
+        yield f"{item.stem}.{name}", drawn(item.what, name, width)
+
+
+def _contents(found: Sequence[Item]) -> str:
+    """What each file holds, with the caption: figures as files have none."""
+    lines = ["# Figures and tables", ""]
+    for item in found:
+        what = item.what
+        protocol = f" Protocol: {item.part.protocol}." if item.part.protocol else ""
+        told = what.note if isinstance(what, Table) else what.caption
+        text = f"{item.part.title}: {what.title}.{protocol} {told}".replace("..", ".")
+        lines += [f"- `{item.stem}`: {text.strip()}"]
+    return "\n".join(lines) + "\n"
+
+
+def _in(part: Part) -> tuple[Table | Figure, ...]:
+    return (*part.tables, *part.figures)
+
+
+def _slug(*words: str) -> str:
+    """Words as part of a file name."""
+    return "-".join(filter(None, (re.sub(r"[^\w.]+", "-", word).strip("-.") for word in words)))
+
+
+def _unique(stems: Sequence[str]) -> list[str]:
+    seen: Counter[str] = Counter()
+    out = []
+    for stem in stems:
+        seen[stem] += 1
+        out.append(stem if seen[stem] == 1 else f"{stem}-{seen[stem]}")
+    return out
+
+
+def _require(given: Sequence[str], known: Sequence[str], what: str) -> None:
+    for name in given:
+        if name not in known:
+            raise SpecError(f"there is no {what} {name!r}", hint=f"choose from {', '.join(known)}")
+
+
+def _require_matplotlib() -> None:
+    try:
+        import matplotlib  # noqa: F401 - drawing imports it again
+    except ImportError as error:
+        raise PluginError(
+            f"figures for papers need matplotlib, which cannot be imported: {error}",
+            hint='pip install "hil[paper]"',
+        ) from error

@@ -1,0 +1,64 @@
+"""Sections about studies: what a reader should take away, and behind it all tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.report.blocks import Block, Cell, Column, Facts, Notes, Paragraphs, Section, Table, items
+from hil.report.study_curves import curve_count
+from hil.report.study_figures import plots_of
+from hil.report.study_words import HONEST, cell_text, protocol_mark
+from hil.report.words import duration, in_words
+from hil.study import result as found
+
+MOST_POINTS = 150_000
+"""Of all series of a page together: about 2 MB, beside 5 MB of the plotting library."""
+FEWEST, ENOUGH = 100, 1200
+"""Points of one series: never fewer, and more than these no plot of the page can show."""
+
+
+def study_sections(studies: Sequence[found.StudyResult]) -> list[Section]:
+    """For every study what it comes to, followed by its parts, which unfold on a click."""
+    figures = [f for study in studies for part in study.parts for f in part.figures]
+    points = max(FEWEST, min(ENOUGH, MOST_POINTS // max(1, curve_count(figures))))
+    return [
+        section
+        for i, study in enumerate(studies, 1)
+        for section in _sections(f"study-{i}", study, points)
+    ]
+
+
+def _sections(name: str, study: found.StudyResult, points: int) -> list[Section]:
+    blocks: list[Block] = [Notes(study.summary)]
+    asked = {key: in_words(value) for key, value in study.parameters.items()}
+    blocks.append(Facts("How it was made", items({**asked, "took": duration(study.seconds)})))
+    parts = [_part(f"{name}-{i}", part, points) for i, part in enumerate(study.parts, 1)]
+    return [Section(name, f"Study: {study.title}", "", tuple(blocks)), *parts]
+
+
+def _part(name: str, part: found.Part, points: int) -> Section:
+    mark = protocol_mark(part.protocol)
+    blocks: list[Block] = [Paragraphs(part.text)] if part.text else []
+    blocks += [_table(table) for table in part.tables]
+    blocks += [plots_of(figure, points) for figure in part.figures]
+    title = f"{part.title} ({mark})" if mark else part.title
+    return Section(name, title, _lead(part.protocol), tuple(blocks), folded=True)
+
+
+def _lead(protocol: str) -> str:
+    """Why numbers under a paper's protocol are no predictions, before anybody reads them."""
+    if not protocol or protocol == HONEST:
+        return ""
+    return (
+        f"Protocol {protocol}. These numbers are there to be compared with the paper's; they are "
+        "no measure of how well a model predicts."
+    )
+
+
+def _table(table: found.Table) -> Table:
+    columns = tuple(
+        Column(title, number=i > 0 and not any(isinstance(row[i], str) for row in table.rows))
+        for i, title in enumerate(table.columns)
+    )
+    rows = tuple(tuple(Cell(cell_text(value)) for value in row) for row in table.rows)
+    return Table(table.title, columns, rows, table.note)

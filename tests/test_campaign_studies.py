@@ -1,0 +1,166 @@
+"""After the fits: the studies of a spec, and what is left when one of them fails."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from study_parts import register
+
+import hil
+from hil.campaign.run import RunReport
+from hil.campaign.studies import entries_for, run_studies
+from hil.errors import DataError, FitError, SpecError, Stopped
+from hil.record.rundir import RunDirectory
+from hil.report.text import summary_lines
+from hil.study.store import read_study, study_files
+
+SPEC = """\
+hil: 1
+name: studied
+robot: ur5
+excitation: {kind: dwell, waypoints: 4, approach: both}
+weigh: false
+warm_up: {duration_s: 0}
+reference: {every: 0}
+"""
+
+
+def run(root: Path, *studies: str) -> RunReport:
+    (root / "spec.yaml").write_text(f"{SPEC}study: [{', '.join(studies)}]\n", "utf-8")
+    return hil.run(hil.load(root / "spec.yaml"), runs=root / "runs")
+
+
+def studied(report: RunReport) -> list[Any]:
+    return [read_study(path) for path in study_files(report.run)]
+
+
+@pytest.fixture(autouse=True)
+def _studies(monkeypatch: pytest.MonkeyPatch) -> None:
+    register(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
+    with pytest.MonkeyPatch.context() as patch:
+        register(patch)
+        return run(tmp_path_factory.mktemp("done"), "{study: counted, rounds: 2}")
+
+
+def test_a_run_makes_the_studies_of_its_spec(done: RunReport) -> None:
+    assert (done.outcome, done.error) == ("completed", None)
+    (found,) = studied(done)
+    assert (found.study, found.parameters) == ("counted", {"rounds": 2, "ending": ""})
+
+
+def test_a_study_sees_the_moves_between_the_poses(done: RunReport) -> None:
+    (found,) = studied(done)
+    (table,) = found.parts[0].tables
+    counts = {kind: count for kind, count, _ in table.rows}
+    assert counts["dwell"] == 8
+    assert counts["move"] >= 4
+
+
+def test_the_file_is_json_without_nan(done: RunReport) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    text = study_files(done.run)[0].read_text("utf-8")
+    assert json.loads(text, parse_constant=refuse)["hil_study"] == 1
+
+
+def test_page_and_terminal_tell_what_it_comes_to(done: RunReport) -> None:
+    assert done.report is not None
+    page = done.report.read_text("utf-8")
+    assert "Study: Counted series" in page
+    assert "Counts again (paper protocol)" in page
+    assert "ur5 has" in " ".join(summary_lines(done.run))
+    assert hil.api.describe_run(done.run)["studies"].keys() == {
+        path.parent.name for path in study_files(done.run)
+    }
+
+
+def test_a_study_made_again_replaces_its_result_and_the_checksums_still_hold(
+    done: RunReport,
+) -> None:
+    (before,) = study_files(done.run)
+    hil.study(done.run)
+    assert study_files(done.run) == [before]
+    assert RunDirectory.open(done.run).verify() == []
+
+
+def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
+    report = run(tmp_path, "{study: counted, rounds: 2}")
+    (found,) = hil.study(report.run, "counted", parameters={"rounds": 4})
+    assert found.parameters["rounds"] == 4
+    assert len(studied(report)) == 2
+
+
+@pytest.mark.parametrize(
+    ("ending", "told"),
+    [
+        ("fails", "the study counted: there are too few poses"),
+        ("breaks", "the study counted: counted broke down: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_study_that_fails_costs_nothing_else(tmp_path: Path, ending: str, told: str) -> None:
+    failing = f"{{study: counted, ending: {ending}}}"
+    report = run(tmp_path, failing, "{study: counted}")
+    assert report.outcome == "completed"
+    assert isinstance(report.error, FitError)
+    assert report.error.message == told
+    assert [found.parameters["ending"] for found in studied(report)] == [""]
+    assert "The study counted could not be made" in " ".join(summary_lines(report.run))
+
+
+def test_ctrl_c_leaves_the_run_complete_and_says_how_to_go_on(tmp_path: Path) -> None:
+    report = run(tmp_path, "{study: counted}", "{study: counted, ending: ctrl-c}")
+    assert isinstance(report.error, Stopped)
+    assert report.error.by_signal
+    assert report.error.hint == f"make them with: hil study {report.run}"
+    assert RunDirectory.open(report.run).status == "completed"
+    assert report.report is not None
+    assert len(studied(report)) == 1
+
+
+def test_progress_is_told_to_observers(tmp_path: Path) -> None:
+    seen: list[dict[str, Any]] = []
+
+    class Watching:
+        def notify(self, event: Any) -> None:
+            seen.append(event)
+
+    (tmp_path / "spec.yaml").write_text(f"{SPEC}study: [{{study: counted}}]", "utf-8")
+    hil.run(hil.load(tmp_path / "spec.yaml"), runs=tmp_path, observers=[Watching()])
+    told = [event for event in seen if event.get("kind") == "study" and event["study"]]
+    assert told[0] == {"kind": "study", "study": "counted", "what": "counting", "done": 1,
+                       "total": 3}  # fmt: skip
+    assert told[-1]["done"] == told[-1]["total"]
+
+
+def test_a_study_is_made_of_a_run_whose_spec_names_none(done: RunReport) -> None:
+    spec = done.run / "spec.yaml"
+    without = spec.read_text("utf-8").replace("study:", "# study:")
+    copy = done.run.parent / "0099-copy"
+    copy.mkdir()
+    for name in ("start.json", "plan.json", "stop.json", "recording", "station.yaml"):
+        (copy / name).symlink_to(done.run / name)
+    (copy / "spec.yaml").write_text(without, "utf-8")
+    with pytest.raises(SpecError, match="names no study"):
+        entries_for(copy)
+    assert [entry.study for entry in entries_for(copy, "counted")] == ["counted"]
+
+
+def test_parameters_for_one_of_several_studies_are_refused(tmp_path: Path) -> None:
+    report = run(tmp_path, "{study: counted}", "{study: counted, rounds: 1}")
+    with pytest.raises(SpecError, match="could be for any of counted, counted"):
+        entries_for(report.run, None, {"rounds": 9})
+
+
+def test_a_run_without_recording_is_told_as_what_it_is(done: RunReport, tmp_path: Path) -> None:
+    for name in ("start.json", "plan.json", "spec.yaml"):
+        (tmp_path / name).symlink_to(done.run / name)
+    found = run_studies(tmp_path, entries_for(tmp_path))
+    assert isinstance(found.error, DataError)
