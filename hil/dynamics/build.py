@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pinocchio as pin
 from hil.arms import ArmDescription
 from hil.dynamics.urdf import read_serial_arm
 from hil.errors import SpecError
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 UNLIMITED = 1e9
 """Stands for infinity in a URDF, which has no word for it."""
@@ -105,6 +106,36 @@ def _flange_frame(model: pin.Model, path: Path, flange: str | None) -> int:
             hint=f"there are {', '.join(bodies)}",
         )
     return int(model.getFrameId(name))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointGeometry:
+    """Where the joints of a chain are, and about or along what they move.
+
+    Attributes:
+        placement: (n, 4, 4) of each joint's frame in the one before, at q = 0.
+        axis: (n, 3) of length 1, in the joint's own frame.
+        turns: (n,) true where the joint turns about its axis, false where it slides along it.
+    """
+
+    placement: FloatArray
+    axis: FloatArray
+    turns: BoolArray
+
+
+def joint_geometry(model: pin.Model) -> JointGeometry:
+    """The geometry of a model's joints, the first one's frame given in the base's."""
+    data, joints = model.createData(), range(1, model.njoints)
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    moves = [pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL) for j in joints]
+    # Column j of its own Jacobian: how joint j moves its own frame, linear before angular.
+    motions = np.array([move[:, j - 1] for j, move in zip(joints, moves, strict=True)])
+    linear, angular = motions[:, :3], motions[:, 3:]
+    return JointGeometry(
+        placement=np.array([pose_of(place) for place in list(model.jointPlacements)[1:]]),
+        axis=linear + angular,
+        turns=np.any(angular != 0, axis=1),
+    )
 
 
 def pose_of(placement: pin.SE3) -> FloatArray:

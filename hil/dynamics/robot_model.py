@@ -14,7 +14,13 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription, load_arm
-from hil.dynamics.build import model_from_arm, model_from_urdf, pose_of
+from hil.dynamics.build import (
+    JointGeometry,
+    joint_geometry,
+    model_from_arm,
+    model_from_urdf,
+    pose_of,
+)
 from hil.dynamics.inertial import PARAMETERS, payload_inertia, transfer_matrix
 from hil.errors import DataError, SpecError
 from hil.payload import Payload
@@ -229,6 +235,10 @@ class RobotModel:
             pin.framesForwardKinematics(self._model, self._data, sample)
             pose[:] = pose_of(self._data.oMf[self._flange])
         return out
+
+    def joint_geometry(self) -> JointGeometry:
+        """Where the joints are, for code that cannot have Pinocchio."""
+        return joint_geometry(self._model)
 
     def _rows(self, *arrays: FloatArray) -> tuple[FloatArray, ...]:
         rows = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)

@@ -1,0 +1,197 @@
+"""Leading an arm by hand: drives carry its weight and most of its dry friction (static paper, I).
+
+What a drive has to give so that a person feels little of the arm is what the model says about it at
+rest, plus a share of the friction in the direction in which the joint moves:
+
+    effort = (gravity(q) + load(q)) / K + offset + share · friction / K · ramp(qd)
+
+`ramp` is 0 within a dead band, rises smoothly and is ±1 from `full_speed` on.
+
+**Why the share is below 1.** Friction takes the power F·|qd| out of a joint, the compensation
+puts at most share·F_model·|qd| into it. As long as share·F_model < F the sum is negative at every
+speed: the arm cannot drive itself, whatever the hand, the noise or the delay of the controller do,
+and it comes to rest when it is let go. Friction is not known better than by a quarter (it falls by
+some 0.4 % per kelvin, and grows with wear), so 0.7 leaves room and 1 would leave none. For the same
+reason there is no compensation within the dead band: a joint at rest keeps all of its stick
+friction, which holds what the model does not know of gravity.
+
+**What a person feels.** All of the stick friction until a joint moves, then 1 − share of the dry
+friction, all of the viscous friction and the inertia. A joint that moves drifts on by itself where
+gravity is wrong by more than `drift_margin`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hil.deploy.gravity_chain import GravityChain
+from hil.errors import DataError, FitError, SpecError
+from hil.identify.base import RobotEstimator
+from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+
+class HandGuiding:
+    """Effort per sample that lets an arm be led by hand; it has no memory.
+
+    Args:
+        model: Any fitted model with a gravity part.
+        payload: What is mounted; needs a model that knows torques.
+        friction: (n,) dry friction [N·m]; by default the model's.
+        friction_share: How much of it is compensated, from 0 to below 1.
+        dead_band: Below this speed nothing is [rad/s]: above the noise of the velocity at rest.
+        full_speed: From this speed on the whole share is [rad/s].
+        limit: (n,) largest effort in the model's unit; by default the robot's torque limits.
+
+    Attributes:
+        joint_names: Length n.
+        unit: `A` or `N·m`, of the efforts.
+        drift_margin: (n,) error of gravity [N·m] that a moving joint stands without drifting on,
+            if friction is what it was taken for; infinite where none is compensated.
+
+    Raises:
+        FitError: The model has no gravity, or lacks friction or drive gains that are needed.
+        SpecError: A setting cannot be.
+    """
+
+    def __init__(
+        self,
+        model: RobotEstimator,
+        payload: Payload | None = None,
+        *,
+        friction: Sequence[float] | FloatArray | None = None,
+        friction_share: float = 0.7,
+        dead_band: float = 0.01,
+        full_speed: float = 0.05,
+        limit: Sequence[float] | FloatArray | None = None,
+    ) -> None:
+        if not 0.0 <= friction_share < 1.0:
+            raise SpecError(
+                f"friction_share is {friction_share!r}, but must be at least 0 and below 1",
+                hint="an arm whose friction is compensated wholly can drive itself",
+            )
+        if not 0.0 < dead_band < full_speed < math.inf:
+            raise SpecError(
+                f"dead_band {dead_band!r} and full_speed {full_speed!r} rad/s: the first must be "
+                "above 0 and the second above the first"
+            )
+        self.joint_names = model.joint_names_
+        self.unit = "A" if model.effort_kind_ == "current" else "N·m"
+        self._dead_band, self._ramp = dead_band, full_speed - dead_band
+        level = _friction_of(model, friction) if friction_share else np.zeros(self.n)
+        scale = model.torque_scale_
+        self._level: list[float] = (friction_share * level / scale).tolist()
+        self._limit: list[float] = _limit_of(model, limit).tolist()
+        self._per_torque: list[float] = (1.0 / scale).tolist()
+        self._offset: list[float] = at_rest_effort(model, np.zeros((1, self.n)))["offset"][
+            0
+        ].tolist()
+        self._gravity, self._held = _gravity_of(model, payload), [0.0] * self.n
+        left = (1.0 - friction_share) * level
+        self.drift_margin: FloatArray = left if friction_share else np.full(self.n, np.inf)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    def __call__(self, q: FloatArray, qd: FloatArray) -> FloatArray:
+        """(n,) effort for positions [rad] and velocities [rad/s] (n,); see `write`."""
+        out = np.empty(self.n)
+        self.write(q, qd, out)
+        return out
+
+    def write(self, q: FloatArray, qd: FloatArray, out: FloatArray) -> None:
+        """The same into an array there is already, for loops that must not allocate.
+
+        Raises:
+            DataError: A position or velocity is not finite; `out` is then zeros. The arm falls
+                with zeros too: whoever calls has to brake.
+        """
+        held, speeds = self._held, qd.tolist()
+        self._gravity(q, held)
+        for j in range(self.n):
+            effort = held[j] * self._per_torque[j] + self._offset[j]
+            effort += self._level[j] * self._direction(speeds[j])
+            # min() and max() would make a full torque of NaN.
+            if not math.isfinite(effort):
+                out[:] = 0.0
+                raise DataError(
+                    f"{self.joint_names[j]}: position {q[j]} rad, velocity {qd[j]} rad/s",
+                    hint="brake the arm: its sensors are not read",
+                )
+            out[j] = min(self._limit[j], max(-self._limit[j], effort))
+
+    def _direction(self, speed: float) -> float:
+        """−1 to 1, smooth, and 0 within the dead band; NaN for NaN."""
+        beyond = (abs(speed) - self._dead_band) / self._ramp
+        if beyond <= 0.0:
+            return 0.0
+        if beyond >= 1.0:
+            return math.copysign(1.0, speed)
+        return math.copysign(beyond * beyond * (3.0 - 2.0 * beyond), speed)
+
+
+def _gravity_of(
+    model: RobotEstimator, payload: Payload | None
+) -> Callable[[FloatArray, list[float]], None]:
+    """Writes gravity and load [N·m] at a position (n,) into a list of n numbers."""
+    if knows_torque(model) or (payload is not None and not payload.is_empty):
+        chain = GravityChain.of(model, payload)
+        if chain is not None:
+            return chain.write
+
+        def from_torque(q: FloatArray, out: list[float]) -> None:
+            out[:] = gravity_torque(model, q[None], payload)[0].tolist()
+
+        return from_torque
+
+    def from_effort(q: FloatArray, out: list[float]) -> None:
+        out[:] = at_rest_effort(model, q[None])["gravity"][0].tolist()
+
+    return from_effort
+
+
+def _friction_of(
+    model: RobotEstimator, friction: Sequence[float] | FloatArray | None
+) -> FloatArray:
+    """(n,) dry friction [N·m].
+
+    Raises:
+        FitError: Neither the model nor anybody else says it.
+        SpecError: It is no list of n levels.
+    """
+    if friction is None:
+        known = dry_friction(model)
+        if known is None:
+            raise FitError(
+                f"the model {model.estimator} does not know the dry friction",
+                hint="give it as friction=[…] in N·m, fit an estimator with a friction part "
+                "(rigid-wls, static-coulomb), or set friction_share=0",
+            )
+        return known
+    return _levels("friction", friction, len(model.joint_names_))
+
+
+def _limit_of(model: RobotEstimator, limit: Sequence[float] | FloatArray | None) -> FloatArray:
+    if limit is not None:
+        return _levels("limit", limit, len(model.joint_names_))
+    if not knows_torque(model):
+        raise FitError(
+            "the model was fitted to currents without drive gains: its robot's torque limits are "
+            "no limits of currents",
+            hint="give them as limit=[…] in A",
+        )
+    most: FloatArray = model.robot_.effort_max / model.torque_scale_
+    return most
+
+
+def _levels(name: str, values: Sequence[float] | FloatArray, n: int) -> FloatArray:
+    levels = np.asarray(values, dtype=np.float64)
+    if levels.shape != (n,) or not np.isfinite(levels).all() or np.any(levels < 0):
+        raise SpecError(f"{name} is {values!r}, but must be {n} numbers of at least 0")
+    return levels
