@@ -16,9 +16,8 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import SpecError
-from hil.identify.checks import require_motion, require_rank, require_samples, require_varied
-from hil.identify.dwell_rows import one_row_each, pose_numbers, scatter, short_dwells
-from hil.identify.gravity import reach_of
+from hil.identify.checks import require_rank
+from hil.identify.dwell_rows import one_row_each, pose_numbers, scatter
 from hil.identify.linear_methods import (
     PENALISED,
     Block,
@@ -30,24 +29,16 @@ from hil.identify.linear_methods import (
     penalised,
 )
 from hil.identify.parameters import choice, flag, number
-from hil.identify.static_model import Form, StaticModel
-from hil.typing import FloatArray, IntArray
+from hil.identify.static_clustered import PoseClustered, deviation
+from hil.identify.static_model import Form
+from hil.typing import IntArray
 
 Rows = Literal["dwells", "samples"]
 
-STD_ERROR_GIVEN = (
-    "exact drive gains, declared loads, kinematics and form of the model; poses independent of "
-    "each other, whatever the samples and dwells of one pose share (clustered by pose, CR2, "
-    "Student's t with Satterthwaite's degrees of freedom)"
-)
-STD_ERROR_LEAVES_OUT = (
-    "errors of the gains, loads and kinematics; gravity of another form; friction that depends on "
-    "the pose and not on the approach; what all poses have in common, such as temperature"
-)
 NO_STD_ERROR = "none: a penalty pulls the parameters towards 0 by more than their scatter tells"
 
 
-class StaticLinear(StaticModel):
+class StaticLinear(PoseClustered):
     """Gravity and offset of an arm at rest by one of the paper's five methods.
 
     Args:
@@ -65,18 +56,10 @@ class StaticLinear(StaticModel):
         rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
 
     Attributes:
-        covariance_: (p, p) of the parameters, clustered by pose; 0 between regressions, NaN where
-            the method gives none.
-        degrees_: (p,) of Student's t for `interval`.
-        poses_: Number of poses.
-        notes_: What was done about data that are not as they should be, in words.
+        covariance_, degrees_, std_error_: NaN for `ridge`, `lasso` and `elastic-net`.
     """
 
     estimator: ClassVar[str] = "static-linear"
-
-    covariance_: FloatArray
-    degrees_: FloatArray
-    poses_: int
 
     def __init__(
         self,
@@ -116,37 +99,12 @@ class StaticLinear(StaticModel):
                 determined, data are not finite or of another robot or unit; or `current_term`
                 meets efforts that are no currents.
         """
-        dwells = self._dwells(dataset, robot)
-        self.samples_ = len(dwells.conditions)
-        self.poses_ = len(set(pose_numbers(dwells).tolist()))
-        widest = max(len(self._columns_of(joints)) for joints in self._joint_groups())
-        require_samples(self.poses_, widest + 1, "poses")
-        self.notes_ = tuple(short_dwells(dwells))
+        dwells = self._enough_dwells(dataset, robot)
         self._take([(*each, self._solved(*each)) for each in self._blocks(dwells)])
         return self
 
-    def interval(self, level: float = 0.95) -> FloatArray:
-        """(p, 2) in which each parameter lies with probability `level`; NaN with a penalty."""
-        from hil.identify.clustered import interval
-
-        return interval(self.coefficients_, self.std_error_, self.degrees_, level)
-
-    def fitted_arrays(self) -> dict[str, FloatArray]:
-        """Parameters, their covariance, gains and residual deviations."""
-        own = {"covariance": self.covariance_, "degrees": self.degrees_}
-        return super().fitted_arrays() | own
-
-    def fitted_facts(self) -> dict[str, Any]:
-        """As of every linear model; what the standard errors are given, and the notes."""
-        told = {"given": STD_ERROR_GIVEN, "leaves_out": STD_ERROR_LEAVES_OUT}
-        errors = {"given": NO_STD_ERROR} if self.method in PENALISED else told
-        return super().fitted_facts() | {"std_error": errors, "poses": self.poses_}
-
-    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
-        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
-        super().restore(arrays, facts)
-        self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
-        self.poses_ = int(facts["poses"])
+    def _std_error_facts(self) -> dict[str, Any]:
+        return {"given": NO_STD_ERROR} if self.method in PENALISED else super()._std_error_facts()
 
     def _blocks(self, dwells: Dataset) -> Iterator[tuple[IntArray, Block]]:
         """The regressions, each with its columns among all parameters."""
@@ -171,14 +129,6 @@ class StaticLinear(StaticModel):
                 ),
             )
 
-    def _require_excited(self, data: Dataset, cube: FloatArray) -> None:
-        """Refuse joints that never moved though gravity depends on them, and constant columns."""
-        turn, span = reach_of(self._form, data.n_joints)
-        require_motion(data, np.flatnonzero(turn).tolist())
-        change, names = np.ptp(cube, axis=0).max(axis=0), self.parameter_names_
-        gravity = slice(0, len(span))
-        require_varied(change[gravity], span, names[gravity])
-
     def _solved(self, columns: IntArray, block: Block) -> Solution:
         if self.method in PENALISED:
             return penalised(block, self.method, self.alpha, self.l1_ratio, self.standardise)
@@ -189,39 +139,15 @@ class StaticLinear(StaticModel):
 
     def _take(self, solved: list[tuple[IntArray, Block, Solution]]) -> None:
         """Put the regressions' parameters together, in the torque domain."""
-        count, n = len(self.parameter_names_), len(self.joint_names_)
-        self.coefficients_, self.degrees_ = np.empty(count), np.empty(count)
-        self.covariance_, self.sigma_ = np.zeros((count, count)), np.empty(n)
-        self.condition_ = max(found.condition for _, _, found in solved)
-        self.correlated_samples_ = np.ones(n)
+        self._allocate()
         for columns, block, found in solved:
             joints = np.fromiter(block.offset, dtype=np.int64)
             unit = float(self._unit(joints)[0])
             self.coefficients_[columns] = unit * found.coefficients
             self.covariance_[np.ix_(columns, columns)] = unit**2 * found.covariance
             self.degrees_[columns] = found.degrees
+            self.condition_ = max(self.condition_, found.condition)
             residual = (block.y - block.X @ found.coefficients).reshape(-1, len(joints))
-            degrees = max(len(residual) - len(columns) / len(joints), 1.0)
-            deviation = np.sqrt(np.sum(residual**2, axis=0) / degrees)
-            self.sigma_[joints] = deviation * self._unit(joints) / self.torque_scale_[joints]
+            in_effort = self._unit(joints) / self.torque_scale_[joints]
+            self.sigma_[joints] = in_effort * deviation(residual, len(columns))
         self.std_error_ = np.sqrt(np.diag(self.covariance_))
-
-    def _unit(self, joints: IntArray) -> FloatArray:
-        """(k,) torque per unit in which the joints are fitted: their efforts, or torques."""
-        alone = self.form == "paper"
-        return self.torque_scale_[joints] if alone else np.ones(len(joints))
-
-    def _joint_groups(self) -> list[IntArray]:
-        joints = np.arange(len(self.joint_names_))
-        return list(joints[:, None]) if self.form == "paper" else [joints]
-
-    def _columns_of(self, joints: IntArray) -> IntArray:
-        """Ascending: gravity columns of the joints, then what each has for itself."""
-        gravity = [k for k, j in enumerate(self._form.joint) if j is None or j in joints]
-        terms = 1 + self.current_term
-        own = [self._offset_of(j) - terms + 1 + t for j in joints for t in range(terms)]
-        return np.array([*gravity, *own], dtype=np.int64)
-
-    def _offset_of(self, joint: int) -> int:
-        """Column of a joint's offset among all parameters."""
-        return len(self._form.names) + (joint + 1) * (1 + self.current_term) - 1

@@ -84,7 +84,7 @@ class StaticModel(WlsEstimator):
         if self.current_term:
             parts[CURRENT_PART] = self._current_part(dataset["effort"])
             effort = effort + parts[CURRENT_PART]
-        valid = np.isfinite(effort) & self._at_rest(dataset)[:, None]
+        valid = whole.valid & np.isfinite(effort) & self._at_rest(dataset)[:, None]
         return Prediction(effort, whole.std, valid, parts)
 
     def stream(self, payload: Payload | None = None) -> Stream:
@@ -135,9 +135,12 @@ class StaticModel(WlsEstimator):
         self._form: GravityForm = (
             PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
         )
-        terms = ("current_squared", "offset") if self.current_term else ("offset",)
-        own = (f"{joint}.{term}" for joint in self.joint_names_ for term in terms)
+        own = (f"{joint}.{term}" for joint in self.joint_names_ for term in self._own_terms())
         self.parameter_names_ = (*self._form.names, *own)
+
+    def _own_terms(self) -> tuple[str, ...]:
+        """What every joint has for itself beside gravity, the offset last."""
+        return ("current_squared", "offset") if self.current_term else ("offset",)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         q, still = data["q"], np.zeros_like(data["q"])
