@@ -1,0 +1,126 @@
+"""Friction of an arm at rest as columns: what a joint's way into the pose has left in its gears.
+
+A joint that slides has friction −F·sign(q̇). When it stops, the bristles of Dahl's model (1968) stay
+bent, and a slide back by some tenths of a millirad unbends them: with length x the state follows
+y ← s + (y − s)·exp(−|Δq|/x), s = sign(Δq), from the positions alone. Several lengths side by side
+describe contacts that let go one after the other; their shares are linear parameters. Each share
+may grow with the torque the gear transmits and change with temperature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from hil.data.arrival import QD, Q
+from hil.typing import FloatArray
+
+SMOOTHED = 7
+"""Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
+slide back is, and Dahl's states would take every noisy step for a small motion."""
+
+REFERENCE_C = 30.0
+"""Temperature at which the columns that go with temperature are 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """Arms at rest, one row each, and how they came there.
+
+    Attributes:
+        q: (D, n) where [rad].
+        load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
+        direction: (D, n) +1 from below, −1 from above, 0 unknown.
+        paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
+        celsius: (D, n) joint temperatures, None when nobody measured them.
+    """
+
+    q: FloatArray
+    load: FloatArray
+    direction: FloatArray
+    paths: FloatArray
+    celsius: FloatArray | None
+
+
+def coulomb_terms(rest: Rest) -> dict[str, FloatArray]:
+    """Dry friction with the sign of the approach, the whole of it and nothing else."""
+    return {"coulomb": rest.direction}
+
+
+def memory_terms(
+    rest: Rest, lengths_rad: Sequence[float], gear_ratio: float | None
+) -> dict[str, FloatArray]:
+    """Columns (D, n) by name.
+
+    Args:
+        rest: What is known of the arms.
+        lengths_rad: Lengths x of Dahl's states [rad].
+        gear_ratio: Motor turns per joint turn, for the ripple of the gear; None for no ripple.
+
+    Returns:
+        `square` (τ·|τ|: eq. 16 solved for the current, to first order), `coulomb` and `memory1…`
+        with their parts that go with load and temperature, `ripple…`.
+    """
+    terms = {"square": rest.load * np.abs(rest.load)}
+    states = dahl_states(smooth(rest.paths[:, :, Q]), lengths_rad)
+    named = {"coulomb": rest.direction}
+    named |= {f"memory{k + 1}": state for k, state in enumerate(states)}
+    for name, state in named.items():
+        terms[name] = state
+        terms[f"{name}_load"] = state * np.abs(rest.load)
+        if rest.celsius is not None:
+            terms[f"{name}_temperature"] = state * (rest.celsius - REFERENCE_C)
+    if gear_ratio is not None:
+        for turns in (1, 2):
+            phase = turns * gear_ratio * rest.q
+            terms |= {f"ripple{turns}_sin": np.sin(phase), f"ripple{turns}_cos": np.cos(phase)}
+    return terms
+
+
+def correction_features(rest: Rest) -> FloatArray:
+    """(n, D, F) inputs of the linear correction of each joint.
+
+    Its own path, position and velocity point by point, the position also times its load; and of
+    all joints the load, the load with the joint's own direction, the load with its magnitude, and
+    the temperature with its own direction: what stopping one joint does to the others.
+    """
+    position, speed = smooth(rest.paths[:, :, Q], 1), rest.paths[:, :, QD]
+    magnitude = np.abs(rest.load)
+    warm = np.zeros_like(rest.load) if rest.celsius is None else rest.celsius - REFERENCE_C
+    shared = np.hstack([rest.load, rest.load * magnitude])
+    found = []
+    for j in range(rest.q.shape[1]):
+        own, side = position[:, :, j], rest.direction[:, [j]]
+        columns = (own, speed[:, :, j], own * magnitude[:, [j]], shared)
+        found.append(np.hstack([*columns, side * magnitude, side * warm]))
+    return np.stack(found)
+
+
+def smooth(paths: FloatArray, points: int = SMOOTHED) -> FloatArray:
+    """(D, K, n) paths as local parabolas through `points` neighbours have them."""
+    if points < 3:
+        return paths
+    smoothed: FloatArray = savgol_filter(paths, points, 2, axis=1)
+    return smoothed
+
+
+def dahl_states(paths: FloatArray, lengths_rad: Sequence[float]) -> list[FloatArray]:
+    """Dahl's state (D, n) at rest for each length, between −1 and 1.
+
+    Args:
+        paths: (D, K, n) positions relative to the place of rest [rad]; every joint slides when its
+            path begins, and comes to 0 at the end.
+        lengths_rad: Lengths [rad].
+    """
+    steps = np.diff(np.concatenate([paths, np.zeros_like(paths[:, :1])], axis=1), axis=1)
+    sign = np.sign(steps)
+    found = []
+    for length in lengths_rad:
+        state, kept = -np.sign(paths[:, 0]), np.exp(-np.abs(steps) / length)
+        for k in range(steps.shape[1]):
+            state = sign[:, k] + (state - sign[:, k]) * kept[:, k]
+        found.append(state)
+    return found

@@ -1,0 +1,245 @@
+"""What models share that know how an arm came to rest: gravity, an offset, and friction columns."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from hil.data.arrival import POINTS, directions
+from hil.data.dataset import Dataset, SeriesKind
+from hil.data.dwells import series_means
+from hil.data.filters import AT_REST
+from hil.data.prediction import Prediction, Stream
+from hil.dynamics import RobotModel, joint_columns
+from hil.errors import FitError
+from hil.identify.base import payload_torque
+from hil.identify.checks import require_samples
+from hil.identify.rest_friction import Rest
+from hil.identify.rest_stream import RestStream
+from hil.identify.static_model import StaticModel
+from hil.payload import Payload
+from hil.typing import BoolArray, FloatArray, IntArray
+
+FIRST_TERMS = ("offset", "coulomb")
+"""What a first fit knows, before loads are known; gravity from it gives the loads."""
+
+NOTHING = 1e-9
+"""A column smaller than this everywhere, in its own unit, is none: joint 1 of an upright arm bears
+no load."""
+
+
+class StaticFriction(StaticModel):
+    """Gravity, offset and columns of friction at rest, for all joints at once in N·m.
+
+    Attributes:
+        load_gravity_: (p,) gravity parameters that the loads in the columns are computed with.
+        celsius_: (n,) mean temperatures in training, for whoever predicts without any; NaN where
+            nobody measured them.
+        period_: Time between samples in training [s].
+    """
+
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
+
+    load_gravity_: FloatArray
+    celsius_: FloatArray
+    period_: float
+
+    form = "shared"
+    current_term = False
+
+    @abstractmethod
+    def _terms(self, rest: Rest) -> dict[str, FloatArray]:
+        """Columns (D, n) by name, the same names always."""
+
+    def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
+        """Fit to the dwells of the data, or to the stays found in motions without a plan.
+
+        Raises:
+            FitError: The data are too few, not finite, of another robot or unit, do not say from
+                where the poses were approached, or do not excite all parameters.
+        """
+        rows = resting(self._dwells(dataset, robot))
+        self.samples_ = len(rows)
+        self._begin(dataset, rows)
+        self.load_gravity_ = np.zeros(len(self._form.names))
+        self._choose_terms(rows, only=FIRST_TERMS)
+        self._solve(rows, weighted=True)
+        self.load_gravity_ = self.coefficients_[: len(self._form.names)]
+        self._choose_terms(rows)
+        # Each pose gives a row to every joint, and every joint has terms of its own.
+        require_samples(self.samples_, 2 * len(self._names), "dwells")
+        self._solve(rows, weighted=True)
+        return self
+
+    def predict(self, dataset: Dataset) -> Prediction:
+        """Gravity, offset, friction and payload per row.
+
+        Friction is known for dwells whose approach is known; elsewhere it is 0, and the rows are
+        marked as not valid.
+
+        Raises:
+            DataError: The data are of another robot or unit.
+        """
+        self._require_match(dataset)
+        still, joints = np.zeros_like(dataset["q"]), dataset.n_joints
+        base = self._predict(dataset, dataset["q"], still, still)
+        parts = {name: np.array(part) for name, part in base.components.items()}
+        parts["friction"] = np.zeros_like(still)
+        std, valid = np.full_like(still, np.nan), np.zeros((len(dataset), joints), dtype=bool)
+        dwells, at, number = _dwells_in(dataset)
+        if len(number):
+            friction, deviation, known = self._friction(resting(dwells))
+            parts["friction"][at] = friction[number]
+            std[at], valid[at] = deviation[number], known[number]
+        effort: FloatArray = np.sum(list(parts.values()), axis=0)
+        return Prediction(effort, std, valid & np.isfinite(effort), parts)
+
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time, at the sample rate of the training data.
+
+        It sees from the positions when the arm stops and how; in motion it knows gravity only.
+        """
+        return RestStream(self, payload or Payload(), self.period_)
+
+    def dry_friction(self) -> FloatArray:
+        """(n,) level of dry friction of an unloaded joint [N·m]."""
+        own = dict(zip(self.parameter_names_, self.coefficients_.tolist(), strict=True))
+        return np.array(
+            [abs(sum(own.get(f"{j}.{t}", 0.0) for t in self._dry())) for j in self.joint_names_]
+        )
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """As of every linear model, and what the columns need."""
+        own = {"load_gravity": self.load_gravity_, "celsius": self.celsius_}
+        return super().fitted_arrays() | own
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """As of every linear model; the sample time, and the terms there might have been."""
+        own = {"period_s": self.period_, "terms": list(self._names)}
+        return super().fitted_facts() | own
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        self.load_gravity_, self.celsius_ = arrays["load_gravity"], arrays["celsius"]
+        self.period_ = float(facts["period_s"])
+        super().restore(arrays, facts)
+        self._take_names(self.parameter_names_, tuple(facts["terms"]))
+
+    def _dry(self) -> tuple[str, ...]:
+        """Terms that add up to the dry friction of an unloaded joint."""
+        return ("coulomb",)
+
+    def _begin(self, dataset: Dataset, rows: Dataset) -> None:
+        if rows.arrivals is None or not np.isfinite(rows.arrivals[:, 0, 0]).any(axis=0).all():
+            raise FitError(
+                f"{self.estimator} needs to know from where the poses were approached, and the "
+                "data do not hold the motion before the dwells for every joint",
+                hint="record the moves as well (hil run does), or fit static-wls",
+            )
+        known = "temperature" in rows.columns
+        self.celsius_ = (
+            np.mean(rows["temperature"], axis=0) if known else np.full(rows.n_joints, np.nan)
+        )
+        steps = np.diff(dataset["t"])
+        self.period_ = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.nan
+
+    def _choose_terms(self, rows: Dataset, only: Sequence[str] = ()) -> None:
+        """Name the parameters: terms that were measured and are not zero throughout."""
+        terms = self._columns(rows)
+        names = [
+            f"{joint}.{term}"
+            for j, joint in enumerate(self.joint_names_)
+            for term, values in terms.items()
+            if np.max(np.abs(values[:, j])) > NOTHING and (not only or term in only)
+        ]
+        self._take_names((*self._form.names, *names), tuple(terms))
+
+    def _take_names(self, parameters: tuple[str, ...], terms: tuple[str, ...]) -> None:
+        known = set(parameters)
+        self.parameter_names_, self._names = parameters, terms
+        self._alive: BoolArray = np.array(
+            [[f"{joint}.{term}" in known for term in terms] for joint in self.joint_names_]
+        )
+
+    def _columns(self, rows: Dataset) -> dict[str, FloatArray]:
+        return {"offset": np.ones_like(rows["q"])} | self._terms(self.rest(rows))
+
+    def _own_coefficients(self) -> FloatArray:
+        """(n, k) of the k terms of every joint, the offset first; 0 for terms it does not have."""
+        own = np.zeros(self._alive.shape)
+        own[self._alive] = self.coefficients_[len(self._form.names) :]
+        return own
+
+    def rest(self, rows: Dataset) -> Rest:
+        """What the columns are made of, for dwells with one row each."""
+        q, still = rows["q"], np.zeros_like(rows["q"])
+        gravity = (self._form.columns(q) @ self.load_gravity_).reshape(q.shape)
+        load = gravity + payload_torque(self.robot_, rows, q, still, still)
+        paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
+        return Rest(
+            q,
+            np.where(np.abs(load) > NOTHING, load, 0.0),
+            directions(paths),
+            np.nan_to_num(paths),
+            self._celsius(rows),
+        )
+
+    def _celsius(self, rows: Dataset) -> FloatArray | None:
+        if not np.isfinite(self.celsius_).all():
+            return None
+        measured = rows.columns.get("temperature", np.full_like(rows["q"], np.nan))
+        return np.where(np.isfinite(measured), measured, self.celsius_)
+
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        q, still = data["q"], np.zeros_like(data["q"])
+        own = joint_columns(self._columns(data))[:, self._alive.ravel()]
+        W = np.hstack([self._form.columns(q), own])
+        load = payload_torque(self.robot_, data, q, still, still)
+        yield slice(0, len(data)), W, data["effort"] * self.torque_scale_ - load
+
+    def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
+        gravity = self._form.columns(q) @ self.coefficients_[: len(self._form.names)]
+        offset = self._own_coefficients()[:, 0] / self.torque_scale_
+        return {
+            "gravity": gravity.reshape(q.shape) / self.torque_scale_,
+            "offset": np.broadcast_to(offset, q.shape),
+        }
+
+    def _friction(self, rows: Dataset) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Friction, its standard deviation (both in effort units) and whether it is known."""
+        rest = self.rest(rows)
+        columns = np.stack(list(self._terms(rest).values()), axis=-1)
+        torque = np.einsum("djk,jk->dj", columns, self._own_coefficients()[:, 1:])
+        known = rest.direction != 0
+        deviation = np.broadcast_to(self.sigma_, torque.shape)
+        return torque / self.torque_scale_, deviation, known
+
+
+def resting(dwells: Dataset) -> Dataset:
+    """The same dwells with one row each: the means of whatever was measured."""
+    columns = {"t": dwells["t"][dwells.offsets[:-1]]}
+    for name in ("q", "effort", "temperature"):
+        if name in dwells.columns:
+            columns[name] = series_means(dwells, dwells[name])
+    return replace(dwells, columns=columns, offsets=np.arange(len(dwells.conditions) + 1))
+
+
+def unknown_paths(rows: Dataset) -> FloatArray:
+    """(S, K, 2, n) paths of which nothing is known."""
+    return np.full((len(rows.conditions), POINTS, 2, rows.n_joints), np.nan)
+
+
+def _dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:
+    """The dwells that have rows, which rows (N,) are theirs, and the dwell of each of those."""
+    there = np.diff(dataset.offsets) > 0
+    chosen = np.array(
+        [c.kind in AT_REST and bool(there[i]) for i, c in enumerate(dataset.conditions)], dtype=bool
+    )
+    ids = {id(c) for c, keep in zip(dataset.conditions, chosen.tolist(), strict=True) if keep}
+    at = chosen[dataset.series_index()]
+    number = (np.cumsum(chosen) - 1)[dataset.series_index()]
+    return dataset.select(lambda c: id(c) in ids), at, number[at]
