@@ -113,21 +113,22 @@ class HandGuiding:
                 with zeros too: whoever calls has to brake.
         """
         held, speeds = self._held, qd.tolist()
+        # min() and max() below would make a full torque of NaN.
+        for j, (angle, speed) in enumerate(zip(q.tolist(), speeds, strict=True)):
+            if not (math.isfinite(angle) and math.isfinite(speed)):
+                out[:] = 0.0
+                raise DataError(
+                    f"{self.joint_names[j]}: position {angle} rad, velocity {speed} rad/s",
+                    hint="brake the arm: its sensors are not read",
+                )
         self._gravity(q, held)
         for j in range(self.n):
             effort = held[j] * self._per_torque[j] + self._offset[j]
             effort += self._level[j] * self._direction(speeds[j])
-            # min() and max() would make a full torque of NaN.
-            if not math.isfinite(effort):
-                out[:] = 0.0
-                raise DataError(
-                    f"{self.joint_names[j]}: position {q[j]} rad, velocity {qd[j]} rad/s",
-                    hint="brake the arm: its sensors are not read",
-                )
             out[j] = min(self._limit[j], max(-self._limit[j], effort))
 
     def _direction(self, speed: float) -> float:
-        """−1 to 1, smooth, and 0 within the dead band; NaN for NaN."""
+        """−1 to 1, smooth, and 0 within the dead band."""
         beyond = (abs(speed) - self._dead_band) / self._ramp
         if beyond <= 0.0:
             return 0.0

@@ -176,9 +176,9 @@ def _nearest(arm: RestingArm, near: FloatArray, found: Sequence[RestPose]) -> Re
     most = found[0].effort + NEAR_SHARE
     by_way = sorted(found, key=lambda pose: _far(pose.q, near))[:3]
     reached = nearest_within(arm, near, most, [near, *(pose.q for pose in by_way)])
-    poses = [described(arm, q, "") for q in reached]
+    poses = [*found, *(described(arm, q, "") for q in reached)]
     cheap = [pose for pose in poses if pose.clear and pose.effort <= most * (1 + 1e-6)]
-    return min([*cheap, *found], key=lambda pose: _far(pose.q, near))
+    return min(cheap, key=lambda pose: _far(pose.q, near))
 
 
 def _far(a: FloatArray, b: FloatArray) -> float:

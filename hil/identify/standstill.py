@@ -23,8 +23,8 @@ from hil.identify.base import RobotEstimator
 from hil.payload import Payload
 from hil.typing import FloatArray
 
-COULOMB = "coulomb"
-"""Name of a joint's dry friction among the parameters of a model that is linear in it."""
+COULOMB, OFFSET = "coulomb", "offset"
+"""Names of a joint's dry friction and offset among the parameters of a model that is linear."""
 
 
 @runtime_checkable
@@ -71,8 +71,13 @@ def at_rest_effort(
             f"the model {model.estimator} does not tell gravity from the rest: it predicts {have}",
             hint="fit an estimator with a gravity part: static-wls, rigid-wls",
         )
-    offset = parts.get("offset", np.zeros_like(parts["gravity"]))
-    return {"gravity": parts["gravity"] + _load_part(model, parts, q, load), "offset": offset}
+    gravity = parts["gravity"] + _load_part(model, parts, q, load)
+    if OFFSET in parts:
+        return {"gravity": gravity, "offset": parts[OFFSET]}
+    # Dynamic models count it as friction; it is among their parameters all the same.
+    torque = _per_joint(model, OFFSET)
+    offset = np.zeros(gravity.shape[1]) if torque is None else torque / model.torque_scale_
+    return {"gravity": gravity, "offset": np.broadcast_to(offset, gravity.shape)}
 
 
 def dry_friction(model: RobotEstimator) -> FloatArray | None:
@@ -85,10 +90,8 @@ def dry_friction(model: RobotEstimator) -> FloatArray | None:
         return None
     if isinstance(model, HasDryFriction):
         return np.abs(model.dry_friction())
-    values: Any = getattr(model, "coefficients_", ())
-    known = dict(zip(getattr(model, "parameter_names_", ()), values, strict=True))
-    levels = [known.get(f"{joint}.{COULOMB}") for joint in model.joint_names_]
-    return None if None in levels else np.abs(np.array(levels, dtype=np.float64))
+    level = _per_joint(model, COULOMB)
+    return None if level is None else np.abs(level)
 
 
 def knows_torque(model: RobotEstimator) -> bool:
@@ -108,6 +111,14 @@ def require_torque(model: RobotEstimator) -> None:
             "how much torque they are",
             hint="fit again on data that say their drive gains",
         )
+
+
+def _per_joint(model: RobotEstimator, name: str) -> FloatArray | None:
+    """(n,) parameters `<joint>.<name>` [N·m], None where a joint has none."""
+    values: Any = getattr(model, "coefficients_", ())
+    known = dict(zip(getattr(model, "parameter_names_", ()), values, strict=True))
+    own = [known.get(f"{joint}.{name}") for joint in model.joint_names_]
+    return None if None in own else np.array(own, dtype=np.float64)
 
 
 def _load_part(
