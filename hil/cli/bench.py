@@ -58,3 +58,5 @@ def _print(document: dict[str, Any]) -> None:
         rows = [(f"  {key}", f"{value:.4g}") for key, value in document[part].items()]
         if rows:
             print_table((f"  {part}", ""), rows)
+    for peer, reason in document.get("skipped", {}).items():
+        typer.echo(f"  {peer} left out: {reason}")
