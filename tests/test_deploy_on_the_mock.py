@@ -41,6 +41,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
+@pytest.fixture(scope="module")
+def found(folder: Path) -> Any:
+    """What is found with nothing mounted and nothing but a table around."""
+    return asked(folder, "--near", "0,-45,45,0,0,0")
+
+
 def asked(*arguments: Any) -> Any:
     """The JSON document of `hil rest-pose`; errors of hil are raised."""
     done = CliRunner().invoke(app, ["rest-pose", *map(str, arguments), "--json"])
@@ -56,30 +62,26 @@ def bench(path: Path, **robot: Any) -> Path:
     return path
 
 
-def test_poses_of_a_fitted_model_load_the_brakes_less_than_home(folder) -> None:
-    document = asked(folder, "--near", "10,-80,20,-90,0,0")
-    efforts = [pose["effort_percent"] for pose in document["poses"]]
-    home, given = document["compared"]
+def test_poses_of_a_fitted_model_load_the_brakes_less_than_home(found) -> None:
+    efforts = [pose["effort_percent"] for pose in found["poses"]]
+    home, given = found["compared"]
     assert min(efforts) < 0.1 < 5.0 < home["effort_percent"]
     assert efforts[0] < given["effort_percent"]
-    assert all(pose["clear"] and pose["clearance_mm"] >= 20 - 1e-3 for pose in document["poses"])
-    assert document["poses"][0]["brakes_fail"]["outcome"] == "tips"
-    assert document["seconds"] < 20
+    assert all(pose["clear"] and pose["clearance_mm"] >= 20 - 1e-3 for pose in found["poses"])
+    assert found["poses"][0]["brakes_fail"]["outcome"] == "tips"
 
 
-def test_walls_of_the_station_are_kept_clear_of(folder, tmp_path) -> None:
+def test_walls_of_the_station_are_kept_clear_of(folder, found, tmp_path) -> None:
     low = {"name": "hood", "point_m": [0, 0, 0.7], "normal": [0, 0, -1]}
     station = bench(tmp_path / "s.yaml", surroundings={"walls": [low]})
     document = asked(folder, "--station", station, "--robot", "left", "--clearance-mm", 35)
-    free = asked(folder)
-    assert document["poses"][0]["effort_percent"] > free["poses"][0]["effort_percent"] + 0.5
+    assert document["poses"][0]["effort_percent"] > found["poses"][0]["effort_percent"] + 0.5
     assert all(pose["clearance_mm"] >= 35 - 1e-3 for pose in document["poses"])
 
 
-def test_a_load_is_held_too(folder) -> None:
-    near = ("--near", "0,-45,45,0,0,0")
-    bare, loaded = (asked(folder, *near, *load) for load in ((), ("--payload", "3,0,0,0.1")))
-    held = [document["compared"][-1]["torque_nm"][1] for document in (bare, loaded)]
+def test_a_load_is_held_too(folder, found) -> None:
+    loaded = asked(folder, "--near", "0,-45,45,0,0,0", "--payload", "3,0,0,0.1")
+    held = [document["compared"][-1]["torque_nm"][1] for document in (found, loaded)]
     assert abs(held[1]) > abs(held[0]) + 15.0
 
 
@@ -113,7 +115,7 @@ def test_what_cannot_be_is_an_error(folder, arguments, error, problem) -> None:
 
 def test_in_a_terminal_of_60_columns_no_line_is_longer(folder) -> None:
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "hil", "rest-pose", str(folder), "--near", "0,-80,20,-90,0,0"]
+    command = [sys.executable, "-m", "hil", "rest-pose", str(folder)]
     environment = {**os.environ, "COLUMNS": "60", "HIL_STATION": ""}
     with subprocess.Popen(command, stdout=theirs, stderr=theirs, env=environment) as child:
         os.close(theirs)

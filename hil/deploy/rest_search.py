@@ -30,6 +30,9 @@ LIGHT = 256
 SPARE_M = 1e-5
 """Kept beyond the clearance, so that rounding does not fall below it."""
 
+FTOL = 1e-8
+"""A search ends when percent squared, or squared radians, change by less."""
+
 Cost = Callable[[FloatArray], tuple[float, FloatArray]]
 """Value and gradient (n,) at q (n,)."""
 
@@ -107,8 +110,9 @@ def nearest_within(
 
 def _effort_cost(arm: RestingArm, q: FloatArray) -> tuple[float, FloatArray]:
     """Sum of squared shares in percent, and its gradient."""
-    percent = 100.0 * arm.share(q[None])[0]
-    slopes = 100.0 * arm.stiffness(q) / arm.limit[:, None]
+    torque, stiffness = arm.torque_and_stiffness(q)
+    percent = 100.0 * torque / arm.limit
+    slopes = 100.0 * stiffness / arm.limit[:, None]
     return float(percent @ percent), 2.0 * slopes.T @ percent
 
 
@@ -126,7 +130,7 @@ def _search(arm: RestingArm, start: FloatArray, cost: Cost, *constraints: Any) -
         method="SLSQP",
         bounds=list(zip(arm.low, arm.high, strict=True)),
         constraints=constraints,
-        options={"maxiter": 100, "ftol": 1e-10},
+        options={"maxiter": 100, "ftol": FTOL},
     )
     reached: FloatArray = np.clip(np.asarray(done.x), arm.low, arm.high)
     return reached

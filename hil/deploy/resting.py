@@ -86,10 +86,14 @@ class RestingArm:
 
         The Hessian of the potential energy, wherever the torques have one.
         """
+        return self.torque_and_stiffness(q)[1]
+
+    def torque_and_stiffness(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) torques [N·m] and (n, n) `stiffness` at `q` (n,), from one call of the model."""
         step = STIFFNESS_STEP_RAD * np.eye(self.n)
-        torque = self.gravity(np.concatenate([q + step, q - step]))
-        change: FloatArray = (torque[: self.n] - torque[self.n :]) / (2 * STIFFNESS_STEP_RAD)
-        return change.T
+        torque = self.gravity(np.concatenate([q[None], q + step, q - step]))
+        change = (torque[1 : self.n + 1] - torque[self.n + 1 :]) / (2 * STIFFNESS_STEP_RAD)
+        return torque[0], change.T
 
     def room(self, q: FloatArray) -> FloatArray:
         """(R,) distances beyond the clearance [m] at `q` (n,); empty where nothing is checked."""

@@ -62,6 +62,7 @@ class RobotModel:
         self._model = model
         self._data = model.createData()
         self._flange = flange
+        self._loaded: tuple[Payload, RobotModel] | None = None
         self.name = name
         self.arm = arm
         self.payloads = payloads
@@ -218,7 +219,10 @@ class RobotModel:
         self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
         """(N, n) what a load adds to the joint torques: inverse dynamics with minus without it."""
-        loaded = self.with_payload(payload).inverse_dynamics(q, qd, qdd)
+        if self._loaded is None or self._loaded[0] != payload:
+            # Asked again and again for one load, sample by sample.
+            self._loaded = payload, self.with_payload(payload)
+        loaded = self._loaded[1].inverse_dynamics(q, qd, qdd)
         return loaded - self.inverse_dynamics(q, qd, qdd)
 
     def payload_regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
