@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from report_runs import dwell_plan, write_run
 from study_parts import register
 
 import hil
@@ -21,16 +22,35 @@ SPEC = """\
 hil: 1
 name: studied
 robot: ur5
-excitation: {kind: dwell, waypoints: 4, approach: both}
+excitation: {kind: dwell, waypoints: 2, approach: both}
 weigh: false
 warm_up: {duration_s: 0}
 reference: {every: 0}
 """
 
 
-def run(root: Path, *studies: str) -> RunReport:
+SEEN: list[Any] = []
+"""Events of the run `done`."""
+
+
+class Watching:
+    """An observer of the engine."""
+
+    def notify(self, event: Any) -> None:
+        SEEN.append(event)
+
+
+def run(root: Path, *studies: str, **options: Any) -> RunReport:
     (root / "spec.yaml").write_text(f"{SPEC}study: [{', '.join(studies)}]\n", "utf-8")
-    return hil.run(hil.load(root / "spec.yaml"), runs=root / "runs")
+    return hil.run(hil.load(root / "spec.yaml"), runs=root / "runs", **options)
+
+
+def recorded(root: Path, *studies: str) -> Path:
+    """A run that was recorded and not studied, without moving anything."""
+    path = write_run(root, dwell_plan(poses=2)).path
+    with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
+        spec.write(f"study: [{', '.join(studies)}]\n")
+    return path
 
 
 def studied(report: RunReport) -> list[Any]:
@@ -46,7 +66,8 @@ def _studies(monkeypatch: pytest.MonkeyPatch) -> None:
 def done(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
     with pytest.MonkeyPatch.context() as patch:
         register(patch)
-        return run(tmp_path_factory.mktemp("done"), "{study: counted, rounds: 2}")
+        root = tmp_path_factory.mktemp("done")
+        return run(root, "{study: counted, rounds: 2}", observers=[Watching()])
 
 
 def test_a_run_makes_the_studies_of_its_spec(done: RunReport) -> None:
@@ -59,8 +80,8 @@ def test_a_study_sees_the_moves_between_the_poses(done: RunReport) -> None:
     (found,) = studied(done)
     (table,) = found.parts[0].tables
     counts = {kind: count for kind, count, _ in table.rows}
-    assert counts["dwell"] == 8
-    assert counts["move"] >= 4
+    assert counts["dwell"] == 4
+    assert counts["move"] >= 2
 
 
 def test_the_file_is_json_without_nan(done: RunReport) -> None:
@@ -92,10 +113,11 @@ def test_a_study_made_again_replaces_its_result_and_the_checksums_still_hold(
 
 
 def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
-    report = run(tmp_path, "{study: counted, rounds: 2}")
-    (found,) = hil.study(report.run, "counted", parameters={"rounds": 4})
+    path = recorded(tmp_path, "{study: counted, rounds: 2}")
+    hil.study(path)
+    (found,) = hil.study(path, "counted", parameters={"rounds": 4})
     assert found.parameters["rounds"] == 4
-    assert len(studied(report)) == 2
+    assert len(study_files(path)) == 2
 
 
 @pytest.mark.parametrize(
@@ -105,13 +127,19 @@ def test_other_parameters_stand_beside_it(tmp_path: Path) -> None:
         ("breaks", "the study counted: counted broke down: ZeroDivisionError: division by zero"),
     ],
 )
-def test_a_study_that_fails_costs_nothing_else(tmp_path: Path, ending: str, told: str) -> None:
-    failing = f"{{study: counted, ending: {ending}}}"
-    report = run(tmp_path, failing, "{study: counted}")
+def test_a_study_that_fails_costs_no_other(tmp_path: Path, ending: str, told: str) -> None:
+    path = recorded(tmp_path, f"{{study: counted, ending: {ending}}}", "{study: counted}")
+    with pytest.raises(FitError) as caught:
+        hil.study(path)
+    assert caught.value.message == told
+    assert [read_study(file).parameters["ending"] for file in study_files(path)] == [""]
+
+
+def test_a_run_whose_study_fails_is_complete_and_told(tmp_path: Path) -> None:
+    report = run(tmp_path, "{study: counted, ending: fails}")
     assert report.outcome == "completed"
     assert isinstance(report.error, FitError)
-    assert report.error.message == told
-    assert [found.parameters["ending"] for found in studied(report)] == [""]
+    assert (report.run / "verdict.json").is_file()
     assert "The study counted could not be made" in " ".join(summary_lines(report.run))
 
 
@@ -122,41 +150,33 @@ def test_ctrl_c_leaves_the_run_complete_and_says_how_to_go_on(tmp_path: Path) ->
     assert report.error.hint == f"make them with: hil study {report.run}"
     assert RunDirectory.open(report.run).status == "completed"
     assert report.report is not None
-    assert len(studied(report)) == 1
+    assert len(study_files(report.run)) == 1
 
 
-def test_progress_is_told_to_observers(tmp_path: Path) -> None:
-    seen: list[dict[str, Any]] = []
-
-    class Watching:
-        def notify(self, event: Any) -> None:
-            seen.append(event)
-
-    (tmp_path / "spec.yaml").write_text(f"{SPEC}study: [{{study: counted}}]", "utf-8")
-    hil.run(hil.load(tmp_path / "spec.yaml"), runs=tmp_path, observers=[Watching()])
-    told = [event for event in seen if event.get("kind") == "study" and event["study"]]
-    assert told[0] == {"kind": "study", "study": "counted", "what": "counting", "done": 1,
-                       "total": 3}  # fmt: skip
-    assert told[-1]["done"] == told[-1]["total"]
+def test_progress_is_told_to_observers(done: RunReport) -> None:
+    told = [event for event in SEEN if event.get("kind") == "study" and event["study"]]
+    assert [event["what"] for event in told] == ["counting"] * len(told)
+    assert (told[-1]["study"], told[-1]["done"], told[-1]["total"]) == ("counted", 2, 2)
 
 
-def test_a_study_is_made_of_a_run_whose_spec_names_none(done: RunReport) -> None:
-    spec = done.run / "spec.yaml"
-    without = spec.read_text("utf-8").replace("study:", "# study:")
-    copy = done.run.parent / "0099-copy"
-    copy.mkdir()
-    for name in ("start.json", "plan.json", "stop.json", "recording", "station.yaml"):
-        (copy / name).symlink_to(done.run / name)
-    (copy / "spec.yaml").write_text(without, "utf-8")
+def test_what_the_spec_asks_for_and_nobody_made_is_the_next_thing_to_do(tmp_path: Path) -> None:
+    path = recorded(tmp_path, "{study: counted}")
+    text = path.joinpath("spec.yaml").read_text("utf-8")
+    path.joinpath("spec.yaml").write_text(text.replace("fit: [", "fit: [] # ["), "utf-8")
+    assert f"next: hil study {path}" in summary_lines(path)
+
+
+def test_a_study_is_made_of_a_run_whose_spec_names_none(tmp_path: Path) -> None:
+    path = write_run(tmp_path, dwell_plan(poses=2)).path
     with pytest.raises(SpecError, match="names no study"):
-        entries_for(copy)
-    assert [entry.study for entry in entries_for(copy, "counted")] == ["counted"]
+        entries_for(path)
+    assert [entry.study for entry in entries_for(path, "counted")] == ["counted"]
 
 
 def test_parameters_for_one_of_several_studies_are_refused(tmp_path: Path) -> None:
-    report = run(tmp_path, "{study: counted}", "{study: counted, rounds: 1}")
+    path = recorded(tmp_path, "{study: counted}", "{study: counted, rounds: 1}")
     with pytest.raises(SpecError, match="could be for any of counted, counted"):
-        entries_for(report.run, None, {"rounds": 9})
+        entries_for(path, None, {"rounds": 9})
 
 
 def test_a_run_without_recording_is_told_as_what_it_is(done: RunReport, tmp_path: Path) -> None:

@@ -16,11 +16,13 @@ from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.record.span import recorded_s
 
+_STUDY_FILES = "study/*/study.json"
+
 
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
     """One entry per run directory, damaged and interrupted ones included, oldest first.
 
-    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `problem`.
+    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`.
     """
     return [_entry(listing) for listing in listings_of(Path(runs))]
 
@@ -45,7 +47,7 @@ def describe_run(run: str | Path) -> dict[str, Any]:
         for file in sorted(directory.path.glob("fit/*/evaluation.json"))
     }
     out["studies"] = {
-        file.parent.name: _study(file) for file in sorted(directory.path.glob("study/*/study.json"))
+        file.parent.name: _study(file) for file in sorted(directory.path.glob(_STUDY_FILES))
     }
     page = directory.path / "report.html"
     return out | {"report": str(page) if page.is_file() else None}
@@ -56,6 +58,10 @@ def verdict_word(run: Path) -> VerdictWord:
     document = _optional(run / "verdict.json") or {}
     passed = document.get("passed")
     return word(passed if isinstance(passed, bool) else None)
+
+
+def _study_name(file: Path) -> str:
+    return file.parent.name.rpartition("-")[0]
 
 
 def _study(file: Path) -> dict[str, Any] | None:
@@ -75,6 +81,7 @@ def _entry(listing: RunListing) -> dict[str, Any]:
         "uid": listing.uid,
         "duration_s": stop.get("device_s", _recorded_s(listing)),
         "verdict": verdict_word(listing.path),
+        "studies": sorted({_study_name(file) for file in listing.path.glob(_STUDY_FILES)}),
         "problem": listing.problem,
     }
 

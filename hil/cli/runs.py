@@ -55,14 +55,19 @@ def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
     elif not entries:
         typer.echo(f"no runs under {runs}; make one with: hil run SPEC")
     else:
-        header = ("run", "status", "duration", "verdict")
-        print_table(
-            header,
-            [
-                (e["run"], e["status"], duration(e["duration_s"] or 0.0), e["verdict"])
-                for e in entries
-            ],
-        )
+        header = ("run", "status", "duration", "verdict", "studies")
+        rows = [
+            (
+                e["run"],
+                e["status"],
+                duration(e["duration_s"] or 0.0),
+                e["verdict"],
+                ", ".join(e["studies"]),
+            )
+            for e in entries
+        ]
+        shown = slice(None) if any(e["studies"] for e in entries) else slice(4)
+        print_table(header[shown], [row[shown] for row in rows])
 
 
 def show(

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import typer
 
 from hil.cli.output import fold, width_of
-from hil.report.study_words import cell_text, protocol_mark
+from hil.report.study_words import columns_of, is_numeric, protocol_mark
 from hil.study.result import StudyResult, Table
 
 APART = 2
@@ -50,19 +50,12 @@ def table_lines(table: Table, width: int | None) -> Iterator[str]:
 
 def _columns(table: Table) -> list[list[str]]:
     """The texts of each column below its heading, all as wide as the widest."""
-    rows = [table.columns, *([cell_text(value) for value in row] for row in table.rows)]
-    numeric = [_numeric(table, i) for i in range(len(table.columns))]
     out = []
-    for i, right in enumerate(numeric):
-        texts = [row[i] for row in rows]
-        width = max(len(text) for text in texts)
-        out.append([text.rjust(width) if right else text.ljust(width) for text in texts])
+    for i, (title, texts) in enumerate(zip(table.columns, columns_of(table), strict=True)):
+        width = max(map(len, (title, *texts)))
+        right = is_numeric(table, i)
+        out.append([text.rjust(width) if right else text.ljust(width) for text in (title, *texts)])
     return out
-
-
-def _numeric(table: Table, i: int) -> bool:
-    values = [row[i] for row in table.rows]
-    return i > 0 and not any(isinstance(value, str) for value in values)
 
 
 def _blocks(columns: Sequence[list[str]], room: int | None) -> Iterator[list[list[str]]]:

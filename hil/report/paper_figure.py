@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from hil.report.paper_style import (
     HATCHES,
     LEAST_PANEL,
+    LETTER,
     LINES,
     MARKS,
     METADATA,
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Sheet
 
-POINTS = 1500
+POINTS = 1000
 """Points of a line or cloud: more than 88 mm of print show."""
 
 BAND_FROM = 30
@@ -92,23 +94,51 @@ def _slanted(figure: Figure, width: float) -> bool:
 
 def _draw(sheet: Sheet, figure: Figure, rows: int, columns: int) -> None:
     looks, shown = looks_of(figure), dict[str, Any]()
-    slanted = _slanted(figure, sheet.get_figwidth() / MM / columns)
-    same_x = len({panel.x_title for panel in figure.panels}) == 1
-    same_y = len({panel.y_title for panel in figure.panels}) == 1
-    n = len(figure.panels)
-    for i, panel in enumerate(figure.panels):
-        axes = sheet.add_subplot(rows, columns, i + 1)
+    width = sheet.get_figwidth() / MM
+    slanted = _slanted(figure, width / columns)
+    places = [sheet.add_subplot(rows, columns, i + 1) for i in range(len(figure.panels))]
+    for axes, panel in zip(places, figure.panels, strict=True):
         shown |= _panel(axes, panel, looks, slanted)
-        if not (same_x and i + columns < n):
-            axes.set_xlabel(panel.x_title)
-        if not (same_y and i % columns):
-            axes.set_ylabel(panel.y_title)
-        if n > 1:
-            axes.set_title(panel.title)
+        if len(places) > 1:
+            axes.set_title(_folded(panel.title, width / columns))
+    _titles(sheet, places, figure.panels, columns)
     if len(shown) > 1:
-        wide = max(len(name) for name in shown)
-        across = max(1, min(len(shown), int(sheet.get_figwidth() / MM / (9 + 1.3 * wide))))
-        sheet.legend(list(shown.values()), list(shown), loc="outside upper center", ncols=across)
+        _legend(sheet, shown, width)
+
+
+def _titles(sheet: Sheet, places: Sequence[Axes], panels: Sequence[Panel], columns: int) -> None:
+    """Axis titles; one that all panels share stands once, below or beside all of them."""
+    width = sheet.get_figwidth() / MM
+    x, y = ({getattr(panel, name) for panel in panels} for name in ("x_title", "y_title"))
+    if len(x) == 1 and len(places) > 1:
+        sheet.supxlabel(_folded(min(x), width), fontsize=STYLE["axes.labelsize"])
+    if len(y) == 1 and len(places) > columns:
+        sheet.supylabel(_folded(min(y), 60), fontsize=STYLE["axes.labelsize"])
+    for i, (axes, panel) in enumerate(zip(places, panels, strict=True)):
+        if len(x) > 1 or len(places) == 1:
+            axes.set_xlabel(_folded(panel.x_title, width / columns))
+        if len(y) > 1 or (len(places) <= columns and i == 0):
+            axes.set_ylabel(_folded(panel.y_title, 40))
+
+
+def _folded(text: str, room: float) -> str:
+    """A title in as many lines as it takes in `room` mm."""
+    return "\n".join(wrap(text, max(12, int(room / LETTER)))) if text else ""
+
+
+def _legend(sheet: Sheet, shown: Mapping[str, Any], width: float) -> None:
+    """Above all panels: in one row if it fits, else in columns as wide as the longest name."""
+    from matplotlib.lines import Line2D
+
+    rooms = [10 + LETTER * len(name) for name in shown]
+    across = len(rooms) if sum(rooms) < width else max(1, int(width / max(rooms)))
+    legend = sheet.legend(
+        list(shown.values()), list(shown), loc="outside upper center", ncols=across
+    )
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):  # a mark of a dense cloud is too small to be told
+            handle.set_markersize(3.5)
+            handle.set_alpha(1)
 
 
 def _panel(axes: Axes, panel: Panel, looks: Mapping[str, Look], slanted: bool) -> dict[str, Any]:
@@ -122,6 +152,7 @@ def _panel(axes: Axes, panel: Panel, looks: Mapping[str, Look], slanted: bool) -
             (artist,) = axes.plot(
                 ends, ends, color=IDENTITY.colour, ls=LINES[IDENTITY.dash], lw=0.7, zorder=3
             )
+            _square(axes, ends)
         elif curve.style == "bars":
             artist = _bars(axes, curve, looks[curve.name], names, (bars.index(curve), len(bars)))
         else:
@@ -163,16 +194,40 @@ def _series(axes: Axes, curve: Curve, look: Look, names: list[str]) -> Any:
             axes.fill_between(x, y - error, y + error, color=look.colour, alpha=0.2, lw=0)
             error = None
         few = len(y) <= BAND_FROM
-        mark = MARKS[look.symbol] if few else ""
+        mark = MARKS[look.symbol.removesuffix("-open")] if few else ""
         (artist,) = axes.plot(x, y, color=look.colour, ls=LINES[look.dash], marker=mark, ms=2.5)
     else:
-        size = 3.0 if len(y) <= 60 else 1.8 if len(y) <= 400 else 1.2
-        (artist,) = axes.plot(
-            x, y, color=look.colour, ls="", marker=MARKS[look.symbol], ms=size, mew=0, alpha=0.75
-        )
+        artist = _marks(axes, x, y, look)
     if error is not None:
         axes.errorbar(x, y, yerr=error, fmt="none", ecolor=look.colour, lw=0.6, capsize=1.2)
     return artist
+
+
+def _marks(axes: Axes, x: FloatArray, y: FloatArray, look: Look) -> Any:
+    """Few marks are drawn large, many small; every second kind is an outline."""
+    size = 3.5 if len(y) <= 60 else 1.8 if len(y) <= 400 else 1.3
+    is_open = look.symbol.endswith("-open")
+    (artist,) = axes.plot(
+        x,
+        y,
+        color=look.colour,
+        ls="",
+        marker=MARKS[look.symbol.removesuffix("-open")],
+        ms=size * (1.3 if is_open else 1.0),
+        mew=(0.25 if len(y) > 60 else 0.7) if is_open else 0,
+        mfc="none" if is_open else look.colour,
+        alpha=0.8,
+        zorder=4 if len(y) <= 60 else 2,
+    )
+    return artist
+
+
+def _square(axes: Axes, ends: FloatArray) -> None:
+    """The same range along both axes, so that the line y = x is the diagonal."""
+    apart = 0.05 * float(ends[1] - ends[0])
+    axes.set_xlim(ends[0] - apart, ends[1] + apart)
+    axes.set_ylim(ends[0] - apart, ends[1] + apart)
+    axes.set_box_aspect(1)
 
 
 def _places(curve: Curve, names: list[str]) -> FloatArray:

@@ -7,6 +7,9 @@ from typing import Any
 MM = 1 / 25.4
 """One millimetre [inch]."""
 
+LETTER = 1.25
+"""Width of a letter of an axis title or legend, on average [mm]."""
+
 WIDTHS = {"column": 88.0, "page": 181.0}
 """Of a figure [mm]: one column, or the whole page, of the journals of the field."""
 
@@ -64,8 +67,8 @@ MARKS = {
     "triangle-up": "^",
     "triangle-down": "v",
     "cross": "P",
-    "x": "X",
 }
+"""Of what plotly calls `square`, or `square-open` when it is only an outline."""
 HATCHES = {"": "", "/": "/////", "x": "xxxxx", ".": ".....", "\\": "\\\\\\\\\\", "+": "+++++",
            "-": "-----"}  # fmt: skip
 

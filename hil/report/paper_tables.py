@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 
-from hil.report.study_words import cell_text
+from hil.report.study_words import columns_of, is_numeric
 from hil.study.result import Table, Value
 
 _GREEK = {
@@ -96,14 +97,18 @@ def csv_text(table: Table) -> str:
 def latex_text(table: Table) -> str:
     """The table as a `tabular` with the rules of booktabs; title and note above it."""
     said = [table.title, *([table.note] if table.note else [])]
-    numeric = [_is_numeric(table, i) for i in range(len(table.columns))]
-    rows = [" & ".join(map(_escaped, row)) + r" \\" for row in table.rows]
+    numeric = [is_numeric(table, i) for i in range(len(table.columns))]
+    texts = [
+        [_escaped(text, is_number) for text in column]
+        for column, is_number in zip(columns_of(table), numeric, strict=True)
+    ]
+    rows = [_row(row) for row in zip(*texts, strict=True)]
     lines = [
         *(f"% {line}" for text in said for line in text.splitlines()),
         r"% needs \usepackage{booktabs}",
         rf"\begin{{tabular}}{{{''.join('r' if right else 'l' for right in numeric)}}}",
         r"\toprule",
-        " & ".join(map(_escaped, table.columns)) + r" \\",
+        _row([_escaped(title) for title in table.columns]),
         r"\midrule",
         *rows,
         r"\bottomrule",
@@ -118,12 +123,12 @@ def _exact(value: Value) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def _escaped(value: Value) -> str:
-    text = cell_text(value)
-    if not isinstance(value, str) and text.startswith("-"):
-        text = "−" + text[1:]  # a hyphen is shorter than a minus
-    return text.translate(_LATEX)
+def _row(texts: Sequence[str]) -> str:
+    """A row; a bracket at its beginning would be taken for an option of the line before."""
+    first = "{}" if texts[0].startswith("[") else ""
+    return first + " & ".join(texts) + r" \\"
 
 
-def _is_numeric(table: Table, i: int) -> bool:
-    return i > 0 and not any(isinstance(row[i], str) for row in table.rows)
+def _escaped(text: str, is_number: bool = False) -> str:
+    # A hyphen is shorter than a minus.
+    return (text.replace("-", "−") if is_number else text).translate(_LATEX)

@@ -22,6 +22,16 @@ PALETTE = (
     colours.JOINTS[5],
     colours.NEUTRAL,
 )
+SYMBOLS = (
+    "circle",
+    "square-open",
+    "diamond",
+    "triangle-up-open",
+    "triangle-down",
+    "diamond-open",
+    "cross",
+)
+"""Full and open in turn: in a dense cloud shapes alone tell nothing."""
 PATTERNS = ("", "/", "x", ".", "\\", "+", "-")
 
 
@@ -60,7 +70,7 @@ def looks_of(figure: Figure) -> dict[str, Look]:
         looks[curve.name] = Look(
             PALETTE[i % len(PALETTE)],
             colours.DASHES[lines % len(colours.DASHES)],
-            colours.SYMBOLS[i % len(colours.SYMBOLS)],
+            SYMBOLS[i % len(SYMBOLS)],
             PATTERNS[i % len(PATTERNS)],
         )
         lines += curve.style == "line"

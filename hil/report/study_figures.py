@@ -27,12 +27,12 @@ from hil.study.result import Curve, Figure, Panel
 
 GLYPHS = {
     "circle": "●",
-    "square": "■",
+    "square-open": "□",
     "diamond": "◆",
-    "triangle-up": "▲",
+    "triangle-up-open": "△",
     "triangle-down": "▼",
+    "diamond-open": "◇",
     "cross": "✚",
-    "x": "✖",
 }
 BAND_FROM = 30
 """Error bars of a line with more points than this would be a smear: they become its edges."""
@@ -64,8 +64,9 @@ def _plotly(panel: Panel, looks: Mapping[str, Look], points: int) -> plotly_figu
     bars = any(curve.style == "bars" for curve in panel.curves)
     layout = axes(panel.x_title, panel.y_title, barmode="group", showlegend=bars)
     if names := categories(panel):
-        order = {"type": "category", "categoryorder": "array"}
-        layout["xaxis"] |= order | {"categoryarray": [escape(name) for name in names]}
+        shown = [escape(name) for name in names]
+        layout["xaxis"] |= {"type": "category", "tickmode": "array", "tickvals": shown}
+        layout["xaxis"] |= {"categoryorder": "array", "categoryarray": shown}
     if panel.corner:
         layout["annotations"] = corner(panel.corner)
     return {"data": traces, "layout": layout}
@@ -79,7 +80,7 @@ def _traces(panel: Panel, curve: Curve, look: Look) -> list[Trace]:
         return [_bar(curve, look)]
     x, y = x_of(curve), y_of(curve)
     if curve.style == "points":
-        size = 3.0 if len(y) > 300 else 4.0 if len(y) > 100 else 6.0
+        size = 3.0 if len(y) > 300 else 4.0 if len(y) > 100 else 6.0 if len(y) > 30 else 9.0
         trace = markers(x, y, curve.name, look.colour, symbol=look.symbol, size=size)
     else:
         trace = line(x, y, curve.name, look.colour, dash=look.dash, width=1.5)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.report.blocks import Block, Cell, Column, Facts, Notes, Paragraphs, Section, Table, items
+from hil.report.blocks import Block, Column, Facts, Notes, Paragraphs, Section, Table, cells, items
 from hil.report.study_curves import curve_count
 from hil.report.study_figures import plots_of
-from hil.report.study_words import HONEST, cell_text, protocol_mark
+from hil.report.study_words import HONEST, columns_of, is_numeric, protocol_mark
 from hil.report.words import duration, in_words
 from hil.study import result as found
 
@@ -57,8 +57,7 @@ def _lead(protocol: str) -> str:
 
 def _table(table: found.Table) -> Table:
     columns = tuple(
-        Column(title, number=i > 0 and not any(isinstance(row[i], str) for row in table.rows))
-        for i, title in enumerate(table.columns)
+        Column(title, number=is_numeric(table, i)) for i, title in enumerate(table.columns)
     )
-    rows = tuple(tuple(Cell(cell_text(value)) for value in row) for row in table.rows)
+    rows = tuple(zip(*(cells(*column) for column in columns_of(table)), strict=True))
     return Table(table.title, columns, rows, table.note)

@@ -2,26 +2,57 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from hil.report.words import UNKNOWN, number
-from hil.study.result import Value
+from hil.study.result import Table, Value
 
 HONEST = "honest"
-DIGITS = 4
-"""Tables of studies compare methods that differ by a few per cent."""
+
+DIGITS = 3
+"""Significant digits of the smallest number of a column, and of any that stands by itself."""
+MOST_DIGITS = 6
+"""A column whose largest number would take more is not brought to common decimals."""
 
 
-def cell_text(value: Value) -> str:
-    """A value of a table as people read it; a dash where there is none."""
-    if value is None:
-        return UNKNOWN
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return str(value)
-    return number(value, DIGITS) if isinstance(value, float) else value
+def columns_of(table: Table) -> list[list[str]]:
+    """The texts of each column; the numbers of one have equally many decimals where they can."""
+    return [_column([row[i] for row in table.rows]) for i in range(len(table.columns))]
+
+
+def is_numeric(table: Table, i: int) -> bool:
+    """Whether a column holds numbers only; the first names the rows."""
+    return i > 0 and not any(isinstance(row[i], str) for row in table.rows)
 
 
 def protocol_mark(protocol: str) -> str:
     """`honest protocol`, `paper protocol`; empty for parts about no model."""
     word = protocol.partition(":")[0].strip()
     return f"{word} protocol" if word else ""
+
+
+def _column(values: Sequence[Value]) -> list[str]:
+    decimals = _decimals([value for value in values if isinstance(value, float)])
+    return [_text(value, decimals) for value in values]
+
+
+def _decimals(values: Sequence[float]) -> int | None:
+    """How many decimals suit all of some numbers; None where each needs its own."""
+    sizes = [abs(value) for value in values if math.isfinite(value) and value]
+    if not sizes:
+        return None
+    low, high = (math.floor(math.log10(size)) for size in (min(sizes), max(sizes)))
+    decimals = max(0, DIGITS - 1 - low)
+    return decimals if high + 1 + decimals <= MOST_DIGITS else None
+
+
+def _text(value: Value, decimals: int | None) -> str:
+    if value is None:
+        return UNKNOWN
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        known = decimals is not None and math.isfinite(value)
+        return f"{value:.{decimals}f}" if known else number(value, DIGITS)
+    return str(value)

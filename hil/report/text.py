@@ -48,7 +48,7 @@ def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
     for study in facts.studies.made:
         lines += ["", *wrap(f"study {study.study}: {study.title}", width)]
         for text in study.summary:
-            lines += _wrapped(text, width, "  ", "  ")
+            lines += _wrapped(text, width, "- ", "  ")
     for warning in _warnings(facts):
         lines += ["", *_paragraph(f"Warning: {warning}", width)]
     return lines + _commands(facts, run)

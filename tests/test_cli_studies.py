@@ -1,0 +1,130 @@
+"""`hil study` and `hil figures`: what a person sees, on a terminal and in a pipe."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from report_runs import dwell_plan, write_run
+from study_parts import register
+from typer.testing import CliRunner
+
+from hil.cli.app import app
+from hil.cli.progress import ProgressLines
+from hil.cli.study_progress import StudyBar
+from hil.cli.study_tables import table_lines
+from hil.errors import FitError, Stopped
+from hil.study.result import Table
+
+WIDE = Table(
+    "t",
+    "RMSE",
+    ("method", *(f"J{j} [A]" for j in range(1, 13))),
+    tuple((f"method {i}", *(0.1 * j + i for j in range(12))) for i in range(3)),
+)
+
+
+@pytest.fixture(autouse=True)
+def _studies(monkeypatch: pytest.MonkeyPatch) -> None:
+    register(monkeypatch)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    path = write_run(tmp_path, dwell_plan(poses=2)).path
+    with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
+        spec.write("study: [{study: counted}]\n")
+    return path
+
+
+class Terminal(io.StringIO):
+    """Standard error that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_sentences_and_tables_are_printed_and_the_page_is_written(run: Path) -> None:
+    done = CliRunner().invoke(app, ["study", str(run)])
+    assert done.exit_code == 0, done.output
+    assert "ur5 has" in done.stdout
+    assert re.search(r"^kind +series  share$", done.stdout, re.MULTILINE)
+    assert re.search(r"^dwell +4 +–$", done.stdout, re.MULTILINE)
+    assert "Counts again (paper protocol): Series by kind" in done.stdout
+    assert f"report: {run / 'report.html'}" in done.stdout
+    assert "counted: counting 1/3" in done.stderr
+
+
+def test_json_is_one_document_without_nan(run: Path) -> None:
+    done = CliRunner().invoke(app, ["study", str(run), "--json", "--set", "rounds=5"])
+    document = json.loads(done.stdout, parse_constant=lambda name: pytest.fail(name))
+    (study,) = document["studies"]
+    assert study["parameters"]["rounds"] == 5
+    assert Path(study["folder"], "study.json").is_file()
+
+
+def test_a_study_that_fails_is_an_exit_code_and_one_error(run: Path) -> None:
+    done = CliRunner().invoke(app, ["study", str(run), "--set", "ending=fails"])
+    assert isinstance(done.exception, FitError)
+    assert done.exception.hint == "record more poses"
+
+
+def test_ctrl_c_says_how_to_go_on(run: Path) -> None:
+    done = CliRunner().invoke(app, ["study", str(run), "--set", "ending=ctrl-c"])
+    assert isinstance(done.exception, Stopped)
+    assert (done.exception.by_signal, done.exception.hint) == (True, f"hil study {run}")
+
+
+def test_figures_are_listed_as_they_were_written(run: Path, tmp_path: Path) -> None:
+    CliRunner().invoke(app, ["study", str(run)])
+    out = tmp_path / "paper"
+    done = CliRunner().invoke(app, ["figures", str(run), "--out", str(out), "--format", "svg"])
+    assert done.exit_code == 0, done.output
+    assert {Path(line) for line in done.stdout.split()} == set(out.iterdir())
+    assert out / "table-1-honest.csv" in out.iterdir()
+
+
+def test_a_wide_table_is_broken_between_columns_on_a_narrow_terminal() -> None:
+    lines = list(table_lines(WIDE, 40))
+    assert max(map(len, lines)) <= 40
+    assert sum(line.startswith("method ") and "J" in line for line in lines) > 1
+    values = re.findall(r"\d\.\d+", " ".join(lines))
+    assert len(values) == 36
+
+
+def test_in_a_pipe_nothing_is_broken() -> None:
+    assert len(list(table_lines(WIDE, None))) == 4
+
+
+def test_numbers_stand_below_each_other_at_their_right_ends() -> None:
+    header, *rows = table_lines(WIDE, None)
+    assert {len(line) for line in rows} == {len(header)}
+
+
+def test_a_terminal_shows_a_bar_that_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("TERM", "xterm")
+    lines = ProgressLines()
+    event = {"kind": "study", "study": "counted", "what": "layouts [4, 1]", "done": 3, "total": 8}
+    lines.notify(event)
+    lines.notify({"kind": "study", "study": ""})
+    lines.notify({"kind": "stage", "stage": "writing the report"})
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
+    assert "counted: layouts [4, 1]" in text
+    assert "3/8" in text
+    assert text.endswith("writing the report …\n")
+    hidden, back = (terminal.getvalue().rfind(f"\x1b[?25{end}") for end in "lh")
+    assert back >= hidden, "the cursor stays hidden"
+
+
+def test_in_a_pipe_lines_come_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+    bar = StudyBar()
+    for done in range(1000):
+        bar.show("counted", "fitting", done, 1000)
+    assert capsys.readouterr().err.splitlines() == ["counted: fitting 0/1000"]

@@ -1,0 +1,165 @@
+"""What the page shows of studies."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report_runs import dwell_plan, write_run
+from study_parts import bars, curve, result, six_panels
+
+from hil.errors import DataError, FitError
+from hil.report import render_report
+from hil.report.blocks import Badge, Page, Plots
+from hil.report.render import page_html
+from hil.report.study_curves import diagonal, fewer, looks_of
+from hil.report.study_figures import plots_of
+from hil.report.study_sections import study_sections
+from hil.report.study_words import columns_of
+from hil.report.text import summary_lines
+from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.study.store import read_study, write_problem, write_study
+
+
+def traces(figure: Figure, panel: int = 0) -> list[dict[str, object]]:
+    data: list[dict[str, object]] = plots_of(figure, 1200).panels[panel].figure["data"]
+    return data
+
+
+def test_parts_are_folded_below_an_open_summary() -> None:
+    sections = study_sections([result(bars())])
+    assert [(s.title, s.folded) for s in sections] == [
+        ("Study: A study", False),
+        ("Honest (honest protocol)", True),
+    ]
+
+
+def test_a_part_that_follows_a_paper_says_what_its_numbers_are_no_measure_of() -> None:
+    part = Part("As in the paper", "paper: the current is among the inputs")
+    _, section = study_sections([replace(result(), parts=(part,))])
+    assert section.title == "As in the paper (paper protocol)"
+    assert section.lead.startswith("Protocol paper: the current is among the inputs. ")
+    assert "no measure of how well a model predicts" in section.lead
+
+
+def test_a_name_looks_the_same_in_every_panel() -> None:
+    panels = plots_of(six_panels(), 1200).panels
+    colours = {
+        (trace["name"], (trace.get("line") or trace["marker"])["color"])
+        for panel in panels
+        for trace in panel.figure["data"]
+    }
+    assert len(colours) == 3
+
+
+def test_neighbours_are_told_apart_without_colour() -> None:
+    looks = looks_of(bars()).values()
+    assert len({look.pattern for look in looks}) == 2
+    names = [Curve(str(i), (0.0,), (0.0,)) for i in range(6)]
+    lines = looks_of(Figure("f", "", "", (Panel("", "", "", tuple(names)),))).values()
+    assert len({look.dash for look in lines}) == len({look.symbol for look in lines}) == 6
+
+
+def test_bars_have_error_bars_and_every_name_below_them() -> None:
+    names = tuple(f"parameter {i}" for i in range(20))
+    panel = plots_of(bars(names), 1200).panels[0]
+    assert panel.figure["layout"]["xaxis"]["tickvals"] == list(names)
+    first = panel.figure["data"][0]
+    assert (first["type"], first["error_y"]["array"].tolist()) == ("bar", [0.1] * 20)
+
+
+def test_the_identity_line_goes_over_everything_in_the_panel() -> None:
+    panel = Panel("", "", "", (curve("a", [-1, 2], [0, 5]), Curve("same", style="identity")))
+    assert diagonal(panel).tolist() == [-1, 5]
+
+
+def test_uncertainty_of_a_long_line_is_drawn_as_its_edges() -> None:
+    x = tuple(map(float, range(40)))
+    long = Curve("r", x, x, "line", tuple(0.5 for _ in x))
+    figure = Figure("f", "", "", (Panel("", "", "", (long,)),))
+    upper, lower, _ = traces(figure)
+    assert np.allclose(np.subtract(upper["y"], lower["y"]), 1.0)
+    short = replace(figure, panels=(Panel("", "", "", (fewer(long, 10),)),))
+    (trace,) = traces(short)
+    assert "error_y" in trace
+
+
+def test_a_page_with_a_hundred_large_panels_stays_light() -> None:
+    """Twenty figures of six panels, two series of 6500 points each; plotly itself is 5 MB."""
+    x = np.arange(6500.0)
+    y = np.sin(x / 100)
+    both = (curve("measured", x, y), curve("estimated", x, y, "points"))
+    panels = tuple(Panel(f"J{j}", "time [s]", "current [A]", both) for j in range(6))
+    figures = [Figure(f"fig-{i}", "Many", "", panels) for i in range(20)]
+    sections = tuple(study_sections([result(*figures)]))
+    page = Page("many", "", Badge("PASSED", "pass"), "", sections=sections)
+    assert len(page_html(page).encode()) < 9e6
+
+
+def test_numbers_of_a_column_have_equally_many_decimals_where_they_can() -> None:
+    rows = (("a", 0.0235, 1e-9), ("b", 0.4757, 12.0), ("c", float("nan"), 3))
+    table = Table("t", "", ("", "x", "y"), rows)
+    assert columns_of(table)[1:] == [["0.0235", "0.4757", "–"], ["1.00e-09", "12.0", "3"]]
+
+
+def test_a_damaged_result_is_a_warning_and_costs_nothing_else(tmp_path: Path) -> None:
+    run = write_run(tmp_path, dwell_plan(poses=4))
+    path = write_study(result(bars()), run.path / "study" / "counted-1")
+    path.write_text(path.read_text("utf-8")[:-40], "utf-8")
+    with pytest.raises(DataError, match="is damaged"):
+        read_study(path)
+    assert "is damaged" in " ".join(summary_lines(run.path))
+    assert "is damaged" in render_report(run.path).read_text("utf-8")
+
+
+def test_a_failed_study_is_told_until_it_is_made(tmp_path: Path) -> None:
+    run = write_run(tmp_path, dwell_plan(poses=4))
+    folder = run.path / "study" / "counted-1"
+    write_problem("counted", "too few poses", "record more", folder)
+    told = "The study counted could not be made: too few poses → record more"
+    assert told in " ".join(" ".join(summary_lines(run.path)).split())
+    write_study(result(bars()), folder)
+    assert "could not be made" not in " ".join(summary_lines(run.path))
+
+
+@pytest.mark.parametrize(
+    ("panel", "table", "told"),
+    [
+        (Panel("P", "", "", (Curve("c", (1.0,), ()),)), None, "1 values of x for 0 of y"),
+        (Panel("P", "", "", (Curve("c", ("a", 1.0), (1.0, 2.0)),)), None, "mixes names and"),
+        (None, Table("t", "", ("a", "b"), (("x",),)), "1 values for 2 columns in 'x'"),
+    ],
+)
+def test_a_result_that_cannot_be_shown_is_refused_when_it_is_made(
+    tmp_path: Path, panel: Panel | None, table: Table | None, told: str
+) -> None:
+    figures = (Figure("f", "", "", (panel,)),) if panel else ()
+    with pytest.raises(FitError, match=told):
+        write_study(result(*figures, tables=(table,) if table else ()), tmp_path)
+    assert not (tmp_path / "study.json").exists()
+
+
+def test_a_result_survives_its_file(tmp_path: Path) -> None:
+    made = result(six_panels(5), tables=(Table("t", "T", ("a", "b"), (("x", 0.5),)),))
+    path = write_study(made, tmp_path)
+    assert read_study(path) == StudyResult.from_dict(json.loads(path.read_text("utf-8"))) == made
+
+
+def test_texts_are_escaped(tmp_path: Path) -> None:
+    run = write_run(tmp_path, dwell_plan(poses=4))
+    nasty = "<script>alert(1)</script>"
+    panel = Panel(nasty, nasty, nasty, (Curve(nasty, (nasty,), (1.0,), "bars"),), corner=nasty)
+    figure = Figure("f", nasty, nasty, (panel,))
+    part = Part(nasty, nasty, (nasty,), (), (figure,))
+    study = StudyResult("s", nasty, (nasty,), (part,), {}, 0.0, (nasty,))
+    write_study(study, run.path / "study" / "s-1")
+    assert nasty not in render_report(run.path).read_text("utf-8")
+
+
+def test_two_panels_a_row_are_larger_than_three() -> None:
+    two = replace(six_panels(), per_row=2)
+    assert [plots_of(figure, 100).columns for figure in (two, six_panels())] == [2, 0]
+    assert isinstance(plots_of(two, 100), Plots)
