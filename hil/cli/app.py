@@ -17,6 +17,7 @@ import hil
 from hil.cli import (
     bench,
     data,
+    gains,
     listening,
     live,
     models,
@@ -54,8 +55,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, running, listening, runs, live, recover, replaying, models, studies, resting, data,
-    system, bench,
+    specs, running, listening, runs, live, recover, replaying, models, gains, studies, resting,
+    data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

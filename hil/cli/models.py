@@ -62,11 +62,11 @@ def fit(
     from hil import api
 
     result = api.fit(
-        _found(sources, runs),
+        found(sources, runs),
         estimator=estimator,
         robot=robot or None,
         payload=payload or None,
-        validate=_found(validate or (), runs),
+        validate=found(validate or (), runs),
         parameters=api.parse_parameters(options or ()),
         out=out,
         page=page,
@@ -88,7 +88,7 @@ def evaluate(
     """Judge a saved model on recordings it has not seen."""
     from hil import api
 
-    rows = api.evaluate(model, _found(sources, runs))
+    rows = api.evaluate(model, found(sources, runs))
     if json:
         print_json({"model": str(model), "validation": rows})
     else:
@@ -112,7 +112,7 @@ def report(
         typer.echo(str(page))
 
 
-def _found(sources: Iterable[str], runs: Path) -> list[Path]:
+def found(sources: Iterable[str], runs: Path) -> list[Path]:
     """Files and directories as they are given; anything else is a run's name or number."""
     from hil.record.catalogue import find_run
 
