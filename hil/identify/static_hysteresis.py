@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from hil.data.dataset import Dataset
+from hil.data.dwells import DwellRule, dwells_of
 from hil.dynamics import RobotModel
 from hil.errors import SpecError
 from hil.identify.dwell_rows import pose_numbers
@@ -75,7 +76,8 @@ class StaticHysteresis(StaticFriction):
         super().fit(dataset, robot)
         if not self.correction:
             return self
-        rows = resting(self._dwells(dataset, robot))
+        # Not `_dwells`, which would begin the fit anew.
+        rows = resting(dwells_of(dataset, DwellRule(speed=self.rest_speed / 2)))
         residual = rows["effort"] - self.predict(rows).effort
         features, groups = correction_features(self.rest(rows)), pose_numbers(rows)
         self._corrections = tuple(
