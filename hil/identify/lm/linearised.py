@@ -82,9 +82,9 @@ class Linearised:
             stop = min(start + BLOCK, self.rows)
             block = total[:, start:stop, :stop]
             for seen, delta in self._layers():
-                a = seen[:, :, start:stop].swapaxes(-1, -2) @ seen[:, :, :stop]
-                a *= delta[:, :, start:stop].swapaxes(-1, -2) @ delta[:, :, :stop]
-                block += a
+                product = delta[:, :, start:stop].swapaxes(-1, -2) @ delta[:, :, :stop]
+                product *= seen[:, :, start:stop].swapaxes(-1, -2) @ seen[:, :, :stop]
+                block += product
         return total
 
     def _layers(self) -> Iterator[tuple[Array, Array]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.errors import FitError
 from hil.identify.lm.rows import Rows
 from hil.typing import FloatArray
 
@@ -34,11 +35,20 @@ class Scaling:
 
     @staticmethod
     def of(rows: Rows) -> Scaling:
-        """From the weighted rows; constant columns are warned of and only centred."""
-        x_mean = np.einsum("n,bnd->bd", rows.weight, rows.X)
-        x_square = np.einsum("n,bnd->bd", rows.weight, (rows.X - x_mean[:, None]) ** 2)
-        y_mean = rows.weight @ rows.Y
-        y_square = rows.weight @ (rows.Y - y_mean) ** 2
+        """From the weighted rows; constant columns are warned of and only centred.
+
+        What averaging took away counts too, so that averaged rows are scaled as all of them.
+
+        Raises:
+            FitError: Values are so large that their squares overflow.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            x_mean = np.einsum("n,bnd->bd", rows.weight, rows.X)
+            x_square = np.einsum("n,bnd->bd", rows.weight, (rows.X - x_mean[:, None]) ** 2)
+            y_mean = rows.weight @ rows.Y
+            y_square = rows.weight @ (rows.Y - y_mean) ** 2 + rows.scatter
+        if not np.all(np.isfinite(x_square)) or not np.all(np.isfinite(y_square)):
+            raise FitError("inputs or targets are too large to be squared: are the units right?")
         x_scale = _deviation(x_square, x_mean)
         constant = np.flatnonzero(np.all(x_scale == 0, axis=0))
         if len(constant):
