@@ -11,8 +11,8 @@ import pytest
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 HEAVY = (
     "torch", "mujoco", "numba", "sklearn", "scipy", "plotly", "pinocchio", "rtde_control",
-    "rtde_receive", "can", "canopen", "distributed", "mcap", "foxglove", "hil_mock_robot",
-    "hil_drivers",
+    "rtde_receive", "can", "canopen", "distributed", "mcap", "foxglove", "matplotlib",
+    "hil_mock_robot", "hil_drivers",
 )  # fmt: skip
 
 
