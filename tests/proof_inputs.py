@@ -23,6 +23,7 @@ FILES = (
     "tests/test_fault_matrix_can.py",
     "tests/test_campaign_weighing.py",
     "tests/test_bench_can.py",
+    "tests/test_bench_lm.py",
     "tests/test_robot_conformance.py",
     "tests/test_ur_conformance.py",
     "tests/test_ur_driver_connecting.py",
