@@ -12,16 +12,14 @@ held out from it (`validation_percent`), whole poses, not samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction, Stream
-from hil.data.splits import split
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError, SpecError
+from hil.errors import FitError, SpecError
 from hil.identify.checks import require_samples
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.lm.arrays import Precision
@@ -29,13 +27,14 @@ from hil.identify.lm.network import Mlp
 from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.settings import Settings, whole
 from hil.identify.lm.train import train
-from hil.identify.lm.trained import Callback, History, Trained
+from hil.identify.lm.trained import Callback, Trained
 from hil.identify.network_inputs import (
     checked_names,
     network_inputs,
     position_inputs,
     positions_only,
 )
+from hil.identify.network_result import NetworkResult, held_out_poses
 from hil.identify.parameters import choice, flag, number
 from hil.identify.static_model import Form, StaticModel
 from hil.identify.stream import MemorylessStream
@@ -43,34 +42,6 @@ from hil.payload import Payload
 from hil.typing import FloatArray, IntArray
 
 FRICTION = "friction"
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkResult:
-    """How the training of one joint's network went, as `model.json` keeps it.
-
-    Attributes:
-        epochs: Done.
-        best_epoch: Whose weights were kept.
-        stopped: Why it ended, see `hil.identify.lm.trained.History`.
-        train_rmse, validation_rmse: Of the weights kept, over all rows, in effort units; None
-            without validation poses.
-    """
-
-    epochs: int
-    best_epoch: int
-    stopped: str
-    train_rmse: float
-    validation_rmse: float | None
-
-    @staticmethod
-    def of(history: History) -> NetworkResult:
-        """From the history of a training."""
-        held_out = history.final_validation_rmse
-        return NetworkResult(
-            history.epochs, history.best_epoch, history.stopped, history.final_train_rmse,
-            held_out if np.isfinite(held_out) else None,
-        )  # fmt: skip
 
 
 class StaticMlpLm(StaticModel):
@@ -220,7 +191,7 @@ class StaticMlpLm(StaticModel):
 
     def _train(self, dwells: Dataset) -> None:
         """Networks for what gravity and offset leave of the dwells."""
-        training, held_out = self._split(dwells)
+        training, held_out = held_out_poses(dwells, self.validation_percent, self.seed)
         X, Y, groups = self._rows(training)
         self._require_layout(X)
         validation = None if held_out is None else self._rows(held_out)
@@ -231,19 +202,6 @@ class StaticMlpLm(StaticModel):
         )  # fmt: skip
         self.results_ = tuple(NetworkResult.of(h) for h in self.networks_.histories)
         self.sigma_ = np.array([r.validation_rmse or r.train_rmse for r in self.results_])
-
-    def _split(self, dwells: Dataset) -> tuple[Dataset, Dataset | None]:
-        """Dwells to train on, and those of the poses held out."""
-        if self.validation_percent == 0:
-            return dwells, None
-        try:
-            parts = split(dwells, "pose", self.validation_percent / 100.0, self.seed)
-        except DataError as error:
-            raise FitError(
-                f"no poses can be held out to stop the training by: {error.message}",
-                hint="give more poses, or validation_percent: 0",
-            ) from error
-        return parts.train, parts.test
 
     def _rows(self, dwells: Dataset) -> tuple[FloatArray, FloatArray, IntArray]:
         """Inputs, residual (N, n) and number of the dwell of every row."""
