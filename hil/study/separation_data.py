@@ -1,0 +1,163 @@
+"""What a separation study takes from a run: its dwells, the noise in them, and who is paired."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset
+from hil.data.dwells import SAMPLES_PER_DWELL, dwells_of, series_means
+from hil.data.splits import group_of
+from hil.dynamics import RobotModel
+from hil.errors import FitError
+from hil.identify.checks import STILL_RAD, require_robot
+from hil.identify.dwell_rows import scatter
+from hil.typing import FloatArray, IntArray
+
+FEWEST_POSES = 4
+"""Two to fit on and two to judge on; what each model needs it says itself."""
+
+DWELL = "dwell_number"
+ROW = "row_number"
+"""Columns by which rows are found again after a split."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A run as a separation study sees it.
+
+    Attributes:
+        whole: All of it, moves included.
+        dwells: Settled dwells of finite samples, with their row and dwell numbers as columns.
+        robot: Model of the arm.
+        notes: What was left out, and what else is not as it should be.
+    """
+
+    whole: Dataset
+    dwells: Dataset
+    robot: RobotModel
+    notes: tuple[str, ...]
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the efforts are motor currents."""
+        return self.dwells.effort_kind == "current"
+
+
+def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
+    """The dwells of a run that can be used.
+
+    Raises:
+        FitError: There are none, too few poses, or the model is of another robot.
+    """
+    require_robot(whole, robot)
+    every = dwells_of(whole)
+    dwells, notes = _finite(every)
+    poses = len({pose_key(c) for c in dwells.conditions})
+    if poses < FEWEST_POSES:
+        raise FitError(
+            f"{poses} poses at rest are too few: a study needs at least {FEWEST_POSES}",
+            hint="record a dwell program of some hundred poses (excitation: {kind: dwell})",
+        )
+    unsettled = sum(c.kind == "dwell" and not c.settled for c in whole.conditions)
+    if unsettled:
+        notes.append(f"{unsettled} dwells that never came to rest are left out")
+    notes += [*_short(dwells), *_still(dwells)]
+    return Recording(whole, numbered(dwells), robot, tuple(notes))
+
+
+def numbered(dwells: Dataset) -> Dataset:
+    """With the numbers of rows and dwells as columns."""
+    number = dwells.series_index().astype(np.float64)
+    return dwells.with_columns(**{ROW: np.arange(len(dwells), dtype=np.float64), DWELL: number})
+
+
+def rows_in(part: Dataset) -> IntArray:
+    """(N,) which rows of the numbered dataset a part of it holds."""
+    return np.asarray(part[ROW].astype(np.int64))
+
+
+def dwells_in(part: Dataset) -> IntArray:
+    """(N,) the dwell of the numbered dataset that each row belongs to."""
+    return np.asarray(part[DWELL].astype(np.int64))
+
+
+def pose_key(condition: Conditions) -> Hashable:
+    """The same for dwells of one pose with one load; dwells without a pose stand alone."""
+    return group_of(condition, "pose") or condition.id, condition.load
+
+
+def one_per_pose(dwells: Dataset, seed: int) -> Dataset:
+    """One dwell of every pose, drawn: the paper's program visits each pose once."""
+    of_pose: dict[Hashable, list[int]] = {}
+    for number, condition in enumerate(dwells.conditions):
+        of_pose.setdefault(pose_key(condition), []).append(number)
+    draw = np.random.default_rng([seed, 1])
+    chosen = {numbers[int(draw.integers(len(numbers)))] for numbers in of_pose.values()}
+    ids = {id(dwells.conditions[number]) for number in chosen}
+    return numbered(dwells.select(lambda condition: id(condition) in ids))
+
+
+def pairs(conditions: tuple[Conditions, ...]) -> list[tuple[list[int], list[int]]]:
+    """Per pose approached from both sides: its dwells from below, and those from above."""
+    sides: dict[Hashable, tuple[list[int], list[int]]] = {}
+    for number, condition in enumerate(conditions):
+        if condition.approach:
+            both = sides.setdefault(pose_key(condition), ([], []))
+            both[0 if condition.approach > 0 else 1].append(number)
+    return [both for both in sides.values() if both[0] and both[1]]
+
+
+def dwell_means(dwells: Dataset, values: FloatArray) -> FloatArray:
+    """(S, n) mean of values (N, n) over each dwell."""
+    return series_means(dwells, values)
+
+
+def sample_noise(dwells: Dataset) -> FloatArray:
+    """(n,) scatter of a single sample about the mean of its dwell, in effort units."""
+    freedom = np.maximum(np.diff(dwells.offsets) - 1.0, 0.0)
+    total = max(float(np.sum(freedom)), 1.0)
+    return np.asarray(np.sqrt(freedom @ scatter(dwells) / total))
+
+
+def mean_noise(dwells: Dataset) -> FloatArray:
+    """(n,) what that scatter leaves in the mean of a dwell."""
+    count = np.diff(dwells.offsets)
+    return np.asarray(sample_noise(dwells) * np.sqrt(np.mean(1.0 / np.maximum(count, 1))))
+
+
+def _finite(dwells: Dataset) -> tuple[Dataset, list[str]]:
+    """The dwells all of whose samples are numbers."""
+    sound = np.isfinite(dwells["q"]).all(axis=1) & np.isfinite(dwells["effort"]).all(axis=1)
+    bad = set(dwells.series_index()[~sound].tolist())
+    if not bad:
+        return dwells, []
+    kept = {id(c) for number, c in enumerate(dwells.conditions) if number not in bad}
+    note = f"{len(bad)} dwells hold NaN or infinite positions or efforts and are left out"
+    return dwells.select(lambda condition: id(condition) in kept), [note]
+
+
+def _short(dwells: Dataset) -> list[str]:
+    counts = np.diff(dwells.offsets)
+    short = counts[counts < SAMPLES_PER_DWELL]
+    if not len(short):
+        return []
+    return [
+        f"{len(short)} of {len(counts)} dwells have fewer than {SAMPLES_PER_DWELL} samples (the "
+        f"shortest {short.min()}); each is used as it is"
+    ]
+
+
+def _still(dwells: Dataset) -> list[str]:
+    span = np.ptp(dwells["q"], axis=0)
+    still = [name for name, s in zip(dwells.joint_names, span, strict=True) if s < STILL_RAD]
+    return [f"{', '.join(still)} never moved: nothing is learned about it"] if still else []
+
+
+def bare(dwells: Dataset) -> Dataset:
+    """Without what no estimator asks for: it travels to every process."""
+    kept = ("t", "q", "qd", "effort", "temperature", ROW, DWELL)
+    columns = {name: dwells[name] for name in kept if name in dwells.columns}
+    return replace(dwells, columns=columns)

@@ -1,0 +1,101 @@
+"""Networks of the paper protocol: what the linear model leaves of the training samples, by LM."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hil.identify.lm.network import Mlp
+from hil.identify.lm.scaling import ConstantInputWarning
+from hil.identify.lm.train import train
+from hil.study.separation_tasks import Task
+from hil.typing import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSettings:
+    """How the networks of the paper protocol are trained: no early stop, as in the paper.
+
+    Attributes:
+        epochs: Of Levenberg–Marquardt.
+        seed: Of the start weights.
+        linear_first: Whether the first hidden layer is linear, as the paper's text has it.
+    """
+
+    epochs: int
+    seed: int
+    linear_first: bool
+
+    def mlp(self, layers: Sequence[int]) -> Mlp:
+        """A network of some layout."""
+        hidden = ["tanh"] * (len(layers) - 2)
+        if self.linear_first and hidden:
+            hidden[0] = "linear"
+        return Mlp(layers, [*hidden, "linear"])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What six networks are to learn.
+
+    Attributes:
+        inputs: (S, 4) q2…q5 of every dwell, means of its samples.
+        values: (N, n) what the linear model leaves of the training samples.
+        dwell: (N,) dwell of each.
+    """
+
+    inputs: FloatArray
+    values: FloatArray
+    dwell: IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Networks:
+    """The networks of all joints, trained.
+
+    Attributes:
+        outputs: (S, n) at every dwell.
+        seconds: (n,) each took on one core.
+        weights: Number of weights of each.
+    """
+
+    outputs: FloatArray
+    seconds: FloatArray
+    weights: int
+
+
+def network_tasks(
+    target: Target, layers: Sequence[int], settings: NetworkSettings, joints: Sequence[int]
+) -> list[Task]:
+    """One training per joint."""
+    mlp = settings.mlp(layers)
+    cost = 1e-9 * settings.epochs * len(target.inputs) * mlp.n_weights * min(
+        len(target.inputs), mlp.n_weights
+    )  # fmt: skip
+    return [Task(partial(_trained, mlp, target, joint, settings), cost) for joint in joints]
+
+
+def gathered(found: Sequence[tuple[FloatArray, float]], weights: int) -> Networks:
+    """The results of `network_tasks`, put together."""
+    outputs = np.stack([output for output, _ in found], axis=1)
+    return Networks(outputs, np.array([seconds for _, seconds in found]), weights)
+
+
+def _trained(
+    mlp: Mlp, target: Target, joint: int, settings: NetworkSettings
+) -> tuple[FloatArray, float]:
+    """(S,) outputs at every dwell, and the seconds it took."""
+    begin = time.perf_counter()
+    with warnings.catch_warnings():
+        # A joint that never moved is among the study's own warnings.
+        warnings.simplefilter("ignore", ConstantInputWarning)
+        trained = train(
+            mlp, target.inputs[target.dwell], target.values[:, joint], groups=target.dwell,
+            initial=mlp.initial(settings.seed, joint)[None], epochs=settings.epochs,
+        )  # fmt: skip
+    return trained.predict(target.inputs)[:, 0], time.perf_counter() - begin
