@@ -23,6 +23,7 @@ from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
     from hil.fitting import FitReport
+    from hil.rest_report import RestReport
     from hil.study.result import StudyResult
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "list_runs",
     "load",
     "plan",
+    "rest_poses",
     "resume",
     "run",
     "study",
@@ -262,6 +264,53 @@ def figures(
     from hil.report.paper import write_papers
 
     return write_papers(Path(run), Path(out), formats=formats, width=width)
+
+
+def rest_poses(
+    model: AnyPath,
+    *,
+    station: AnyPath | None = None,
+    robot: str | None = None,
+    payload: str | None = None,
+    clearance_mm: float | None = None,
+    near_deg: Sequence[float] | None = None,
+    count: int = 3,
+    seed: int = 0,
+    unchecked: bool = False,
+) -> RestReport:
+    """The poses in which a model's arm loads its brakes least.
+
+    Args:
+        model: Its folder.
+        station: Says what stands around the arm; by default the one experiments here would use,
+            or a table at its base.
+        robot: Name in the station; by default its only robot that is the model's.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted.
+        clearance_mm: Distance that is kept; by default the station's.
+        near_deg: Where the arm stands now, or would rather be [°].
+        count: How many poses.
+        seed: Of the search.
+        unchecked: Leave clearance out, the only way for an arm without collision bodies.
+
+    Raises:
+        FitError: The model has no gravity, or cannot tell torques.
+        SpecError: The robot is another arm, or an argument cannot be.
+        PlanError: No pose is within limits and clear.
+    """
+    from hil.fitting import parse_payload
+    from hil.rest_report import find_rest_poses
+
+    return find_rest_poses(
+        Path(model),
+        station=Path(station) if station else None,
+        robot=robot,
+        payload=parse_payload(payload) if payload else None,
+        clearance_mm=clearance_mm,
+        near_deg=near_deg,
+        count=count,
+        seed=seed,
+        unchecked=unchecked,
+    )
 
 
 def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:

@@ -51,6 +51,8 @@ class RestReport:
         payload: What is mounted.
         limit: (n,) torque limits [N·m].
         friction: (n,) dry friction [N·m], None where the model does not know it.
+        deviation: (n,) of what the model was fitted to from it [N·m], one standard deviation;
+            stick friction is part of it.
         poses: The poses found, the best first.
         compared: `home`, where programs of this arm begin, and the pose given.
         seconds: The search took.
@@ -65,6 +67,7 @@ class RestReport:
     payload: Payload
     limit: FloatArray
     friction: FloatArray | None
+    deviation: FloatArray
     poses: tuple[RestPose, ...]
     compared: tuple[RestPose, ...]
     seconds: float
@@ -81,6 +84,7 @@ class RestReport:
             "payload": {"mass_kg": self.payload.mass, "com_m": list(self.payload.com)},
             "torque_limit_nm": self.limit.tolist(),
             "dry_friction_nm": None if self.friction is None else self.friction.tolist(),
+            "model_deviation_nm": self.deviation.tolist(),
             "poses": [pose.to_dict() for pose in self.poses],
             "compared": [pose.to_dict() for pose in self.compared],
             "seconds": self.seconds,
@@ -143,10 +147,11 @@ def find_rest_poses(
         payload=load,
         limit=resting.limit,
         friction=resting.friction,
+        deviation=model.sigma_ * model.torque_scale_,
         poses=poses,
         compared=tuple(compared),
         seconds=time.perf_counter() - begin,
-        notes=tuple(_notes(resting, unchecked)),
+        notes=tuple(_notes(model, resting, unchecked)),
     )
 
 
@@ -223,6 +228,11 @@ def _pose(degrees: Sequence[float], model: RobotEstimator) -> FloatArray:
     return np.asarray(q)
 
 
-def _notes(arm: RestingArm, unchecked: bool) -> list[str]:
-    told = [NO_FRICTION] if arm.friction is None else []
+def _notes(model: RobotEstimator, arm: RestingArm, unchecked: bool) -> list[str]:
+    deviation = ", ".join(f"{sigma:.1f}" for sigma in model.sigma_ * model.torque_scale_)
+    told = [
+        f"what was measured deviates from the model by {deviation} N·m, stick friction included: "
+        "torques far below that are as good as none"
+    ]
+    told += [NO_FRICTION] if arm.friction is None else []
     return [*told, UNCHECKED] if unchecked else told

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 LABEL_WIDTH = 15
 NUMBER_WIDTH = 7
+INDENT = "   "
 
 
 def register(app: typer.Typer) -> None:
@@ -58,14 +59,13 @@ def rest_pose(
     json: JsonFlag = False,
 ) -> None:
     """Find the pose in which the brakes hold least, and say what happens when they fail."""
-    from hil.fitting import parse_payload
-    from hil.rest_report import find_rest_poses
+    from hil import api
 
-    report = find_rest_poses(
+    report = api.rest_poses(
         model,
         station=station,
         robot=robot or None,
-        payload=parse_payload(payload) if payload else None,
+        payload=payload or None,
         clearance_mm=clearance_mm,
         near_deg=_angles(near) if near else None,
         unchecked=unchecked,
@@ -132,23 +132,23 @@ def _print_pose(report: RestReport, name: str, pose: RestPose) -> None:
         rows.append(("friction spare", [f"{spare:.2f}" for spare in pose.fail.spare]))
     _print_joints(rows, len(report.joint_names))
     if not pose.clear:
-        _say(f"   not within limits, or too close: {' and '.join(pose.bodies)}")
+        _say(f"not within limits, or too close: {' and '.join(pose.bodies)}", INDENT)
     elif np.isfinite(pose.clearance):
-        _say(f"   {1e3 * pose.clearance:.0f} mm between {' and '.join(pose.bodies)}")
-    _say(f"   {_ending(report, pose)}")
+        _say(f"{1e3 * pose.clearance:.0f} mm between {' and '.join(pose.bodies)}", INDENT)
+    _say(_ending(report, pose), INDENT)
 
 
 def _print_joints(rows: list[tuple[str, list[str]]], joints: int) -> None:
     """Numbers joint by joint, in as many blocks as a terminal needs."""
     width = width_of(sys.stdout) or 10_000
-    most = max(1, (width - LABEL_WIDTH - 3) // NUMBER_WIDTH)
+    most = max(1, (width - LABEL_WIDTH - len(INDENT)) // NUMBER_WIDTH)
     for start in range(0, joints, most):
         block = range(start, min(start + most, joints))
         head = "".join(f"J{j + 1}".rjust(NUMBER_WIDTH) for j in block)
-        typer.echo(f"   {'':{LABEL_WIDTH}}{head}")
+        typer.echo(f"{INDENT}{'':{LABEL_WIDTH}}{head}")
         for label, cells in rows:
             numbers = "".join(cells[j].rjust(NUMBER_WIDTH) for j in block)
-            typer.echo(f"   {label:{LABEL_WIDTH}}{numbers}")
+            typer.echo(f"{INDENT}{label:{LABEL_WIDTH}}{numbers}")
 
 
 def _ending(report: RestReport, pose: RestPose) -> str:
@@ -160,16 +160,18 @@ def _ending(report: RestReport, pose: RestPose) -> str:
     known = report.friction is not None
     return {
         "stays": "without brakes it stays: no torque, and no way down",
-        "held": f"without brakes dry friction holds it, with {spare:.2f} N·m to spare in "
+        "held": f"without brakes half of its dry friction holds it, {spare:.2f} N·m are left in "
         f"{report.joint_names[weakest]}"
         + (f"; pushed, it tips over by {first}" if fail.unstable else ""),
-        "tips": f"without brakes it tips over by {first}: balanced, but on a summit",
+        "tips": f"without brakes it tips over by {first}: balanced, but unstable",
         "falls": f"without brakes it falls: {report.joint_names[weakest]} lacks {spare:.2f} N·m "
-        "of friction"
+        "of friction (half of it counted)"
         if known
         else "without brakes it falls, unless its friction holds the torque",
     }[fail.outcome]
 
 
-def _say(text: str) -> None:
-    typer.echo(fold(text, width_of(sys.stdout)))
+def _say(text: str, indent: str = "") -> None:
+    width = width_of(sys.stdout)
+    folded = fold(text, None if width is None else width - len(indent))
+    typer.echo("\n".join(indent + line for line in folded.splitlines()))
