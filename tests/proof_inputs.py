@@ -18,6 +18,7 @@ FILES = (
     "tests/test_proof.py",
     "tests/test_proof_recording.py",
     "tests/test_proof_ur.py",
+    "tests/test_proof_static.py",
     "tests/test_fault_matrix.py",
     "tests/test_fault_matrix_ur.py",
     "tests/test_fault_matrix_can.py",
