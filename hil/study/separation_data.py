@@ -40,11 +40,6 @@ class Recording:
     robot: RobotModel
     notes: tuple[str, ...]
 
-    @property
-    def is_current(self) -> bool:
-        """Whether the efforts are motor currents."""
-        return self.dwells.effort_kind == "current"
-
 
 def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
     """The dwells of a run that can be used.

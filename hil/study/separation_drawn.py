@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from hil.errors import HilError
-from hil.identify.linear_methods import Method, Weights
+from hil.identify.linear_methods import Weights
 from hil.identify.static_linear import StaticLinear
 from hil.study.result import Figure
 from hil.study.separation_band import SHORT, Bands, friction_of
 from hil.study.separation_data import Recording
 from hil.study.separation_figures import clouds, parameters, regression, series
 from hil.study.separation_honest import HonestRun
-from hil.study.separation_paper import METHODS, PaperRun
-from hil.study.separation_paper_part import WORDS
+from hil.study.separation_paper import METHODS
+from hil.study.separation_paper_run import PaperRun
+from hil.study.separation_printed import WORDS
 from hil.typing import FloatArray
 
-FIVE: tuple[Method, ...] = METHODS
 OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls")
 """What is shown as the model in the honest figures: the first of them that was fitted."""
 
@@ -24,9 +24,9 @@ OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls"
 def paper_figures(run: PaperRun, joint: int) -> tuple[Figure, ...]:
     """Figures 4, 5, 7 and 8; `joint` from 0 beside joint 1 in Fig. 5, and in Fig. 7."""
     current, test, train = run.data["effort"], run.partition.test, run.partition.train
-    whole = run.wls.estimate + run.separated().outputs[run.dwell]
+    whole = run.wls.estimate + run.separated().friction
     axes = ("test sample, in order of time", "current [A]")
-    linear = {WORDS[method]: run.linear[method].estimate[test] for method in FIVE}
+    linear = {WORDS[method]: run.linear[method].estimate[test] for method in METHODS}
     fitted = {
         "a) training samples": (current[train, joint], whole[train, joint]),
         "b) test samples": (current[test, joint], whole[test, joint]),
@@ -55,32 +55,27 @@ def honest_figures(
     unit = run.dwells.effort_unit
     effort, axes = f"effort [{unit}]", "dwell held out, in order of time"
     found = _parameters(recording, weights)
-    linear = {WORDS[method]: run.methods[method].effort for method in FIVE if method in run.methods}
+    linear = {
+        WORDS[method]: run.methods[method].effort for method in METHODS if method in run.methods
+    }
     if linear:
         found.append(
             series("fig-5h", "Measured and estimated efforts", "The five methods without the "
                    "measured current, at poses they have not seen.",
                    {"measured": run.measured, **linear}, sorted({0, joint}), (axes, effort))
         )  # fmt: skip
-    shown = [key for key in ("network", *OURS) if key in run.methods][:2]
-    sets = {
-        run.methods[key].method.words: (run.measured[:, joint], run.methods[key].effort[:, joint])
-        for key in shown
-    }
-    best = next((key for key in OURS if key in run.methods), shown[0] if shown else None)
-    if sets:
-        found.append(
-            regression("fig-7h", f"Regression plots of J{joint + 1}", "Poses not seen; each point "
-                       "is the mean of a dwell.", sets,
-                       (f"measured [{unit}]", f"estimated [{unit}]"))
-        )  # fmt: skip
-    if best is not None:
-        modelled = {"measured": run.measured, "modelled": run.methods[best].effort}
-        found.append(
-            series("fig-8h", "Performance of the static model", "Measured and modelled means of "
-                   f"dwells at poses not seen; the model is {run.methods[best].method.words}.",
-                   modelled, range(run.dwells.n_joints), (axes, effort))
-        )  # fmt: skip
+    best = next((key for key in OURS if key in run.methods), next(iter(run.methods)))
+    chosen = [run.methods[key] for key in dict.fromkeys(("network", best)) if key in run.methods]
+    sets = {one.method.words: (run.measured[:, joint], one.effort[:, joint]) for one in chosen}
+    modelled = {"measured": run.measured, "modelled": run.methods[best].effort}
+    found += [
+        regression("fig-7h", f"Regression plots of J{joint + 1}", "Poses not seen; each point "
+                   "is the mean of a dwell.", sets,
+                   (f"measured [{unit}]", f"estimated [{unit}]")),
+        series("fig-8h", "Performance of the static model", "Measured and modelled means of "
+               f"dwells at poses not seen; the model: {run.methods[best].method.words}.",
+               modelled, range(run.dwells.n_joints), (axes, effort)),
+    ]  # fmt: skip
     if both is not None:
         found.append(_band(both, unit))
     return tuple(found)

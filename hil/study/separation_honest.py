@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ from hil.data.splits import Split, kfold, split
 from hil.errors import DataError, FitError
 from hil.evaluate.metrics import correlation, rmse
 from hil.study.separation_data import Recording, bare, dwell_means, dwells_in, mean_noise
-from hil.study.separation_methods import Method, Outcome, fit_task
+from hil.study.separation_methods import Method, Outcome, best_of, fit_tasks
 from hil.study.separation_tasks import Task
 from hil.typing import BoolArray, FloatArray, IntArray
 
@@ -132,9 +133,10 @@ class HonestProtocol:
     def tasks(self) -> list[Task]:
         """Every fit, in the order `gather` wants their results."""
         return [
-            fit_task(method, part.train, part.test, self._recording.robot)
+            task
             for method in self._methods
             for part in self._splits
+            for task in fit_tasks(method, part.train, part.test, self._recording.robot)
         ]
 
     def gather(self, outcomes: Sequence[Outcome]) -> HonestRun:
@@ -144,11 +146,13 @@ class HonestProtocol:
             FitError: No method could be fitted.
         """
         dwells, count = self._recording.dwells, len(self._splits)
+        remaining = iter(outcomes)
         numbers = np.concatenate([_numbers(part) for part in self._splits])
         order = np.argsort(numbers, kind="stable")
         notes, methods = [], dict[str, Judged]()
-        for i, method in enumerate(self._methods):
-            found = outcomes[i * count : (i + 1) * count]
+        for method in self._methods:
+            size = len(method.grid)
+            found = [best_of(list(islice(remaining, size))) for _ in range(count)]
             if failed := _failure(found):
                 notes.append(f"{method.words} ({method.estimator}) is left out: {failed}")
             else:

@@ -7,6 +7,7 @@ import numpy as np
 from hil.identify.base import HONEST
 from hil.study.result import Figure, Part, Table
 from hil.study.separation_band import Bands, band_tables
+from hil.study.separation_data import pose_key
 from hil.study.separation_honest import HonestRun
 from hil.study.separation_text import joint_titles, listed, mean_of, value, with_mean
 
@@ -24,7 +25,7 @@ def honest_part(run: HonestRun, both: Bands | None, figures: tuple[Figure, ...])
     return Part("Honest", HONEST, tuple(_text(run, both)), tuple(tables), figures)
 
 
-def summary(run: HonestRun) -> list[str]:
+def honest_summary(run: HonestRun) -> list[str]:
     """What a reader should take away."""
     unit = run.dwells.effort_unit
     errors = {key: mean_of(run.rmse(key)) for key in run.methods}
@@ -79,7 +80,7 @@ def _beside(run: HonestRun) -> Table:
 
 
 def _text(run: HonestRun, both: Bands | None) -> list[str]:
-    poses = len({(c.source, c.pose) for c in run.dwells.conditions})
+    poses = len({pose_key(condition) for condition in run.dwells.conditions})
     how = (
         f"in {run.folds} folds each pose is held out once, both approaches of it together"
         if run.folds > 1

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import HilError
-from hil.identify.base import RobotEstimator, estimator
+from hil.identify.base import estimator
 from hil.identify.lm.scaling import ConstantInputWarning
 from hil.study.separation_data import dwell_means
 from hil.study.separation_tasks import Task
@@ -27,6 +27,9 @@ from hil.typing import FloatArray
 
 WEIGHT_DECAYS = (0.0, 1e-4, 1e-3)
 """Candidates for the networks."""
+
+NETWORK_COST = 10.0
+"""Seconds that six networks take until they stop, about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,12 @@ class Method:
     params: Mapping[str, Any] = field(default_factory=dict)
     grid: tuple[Mapping[str, Any], ...] = ({},)
     cost: float = 1.0
+
+    def candidates(self) -> tuple[Method, ...]:
+        """One for each entry of the grid."""
+        return tuple(
+            replace(self, params={**self.params, **chosen}, grid=(chosen,)) for chosen in self.grid
+        )
 
 
 def known_methods(
@@ -71,13 +80,13 @@ def known_methods(
         Method("coulomb", "gravity + Fc·sign(approach)", "static-coulomb"),
         Method(
             "network", "gravity + network of q2…q5", "static-mlp-lm",
-            {**network, "inputs": angles, "layers": list(layout)}, decays, 100.0,
+            {**network, "inputs": angles, "layers": list(layout)}, decays, NETWORK_COST,
         ),
         Method(
             "network-approach", "gravity + network of q2…q5, approach", "static-mlp-lm",
-            {**network, **with_approach}, decays, 100.0,
+            {**network, **with_approach}, decays, NETWORK_COST,
         ),
-        Method("hysteresis", "ours: friction with memory", "static-hysteresis", cost=5.0),
+        Method("hysteresis", "ours: friction with memory", "static-hysteresis"),
     )  # fmt: skip
     return {method.key: method for method in found}
 
@@ -92,47 +101,47 @@ class Outcome:
     Attributes:
         effort: (S, n) mean over each dwell; NaN where the model cannot say.
         std: (S, n) one standard deviation of that, NaN where the model cannot say.
-        seconds: The fit took, tuning included.
+        own_error: What the model itself found on poses it held out within its training, mean over
+            the joints; of its training where it held out none.
+        seconds: The fit took, of one core.
         failed: Why there is nothing, in words; empty when there is.
-        chosen: What was chosen from the method's grid, in words.
+        chosen: The candidate of the method's grid, in words; empty with only one.
     """
 
     effort: FloatArray
     std: FloatArray
+    own_error: float = np.inf
     seconds: float = 0.0
     failed: str = ""
     chosen: str = ""
 
 
-def fit_task(method: Method, train: Dataset, test: Dataset, robot: RobotModel) -> Task:
-    """Fit a method to some dwells and predict others."""
-    return Task(partial(_fitted, method, train, test, robot), method.cost)
+def fit_tasks(method: Method, train: Dataset, test: Dataset, robot: RobotModel) -> list[Task]:
+    """Fit every candidate of a method to some dwells and predict others."""
+    return [
+        Task(partial(_fitted, candidate, train, test, robot), candidate.cost)
+        for candidate in method.candidates()
+    ]
+
+
+def best_of(outcomes: Sequence[Outcome]) -> Outcome:
+    """The candidate with the least error of its own; the time of all of them."""
+    best = min(outcomes, key=lambda outcome: outcome.own_error)
+    return replace(best, seconds=sum(outcome.seconds for outcome in outcomes))
 
 
 def _fitted(method: Method, train: Dataset, test: Dataset, robot: RobotModel) -> Outcome:
     nothing = np.full((len(test.conditions), test.n_joints), np.nan)
-    begin = time.perf_counter()
+    begin = time.process_time()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConstantInputWarning)
-            model, chosen = _best(method, train, robot)
-        seconds = time.perf_counter() - begin
+            model = estimator(method.estimator, **method.params).fit(train, robot)
+        seconds = time.process_time() - begin
         predicted = model.predict(test)
     except HilError as error:
         return Outcome(nothing, nothing, failed=error.message)
     effort = dwell_means(test, np.where(predicted.valid, predicted.effort, np.nan))
-    return Outcome(effort, dwell_means(test, np.array(predicted.std)), seconds, "", chosen)
-
-
-def _best(method: Method, train: Dataset, robot: RobotModel) -> tuple[RobotEstimator, str]:
-    """The candidate of the grid with the least error at the poses it held out itself."""
-    fitted = [
-        estimator(method.estimator, **{**method.params, **candidate}).fit(train, robot)
-        for candidate in method.grid
-    ]
-    if len(fitted) == 1:
-        return fitted[0], ""
-    errors = [float(np.mean(model.sigma_)) for model in fitted]
-    best = int(np.argmin(errors))
-    chosen = ", ".join(f"{name} {value:g}" for name, value in method.grid[best].items())
-    return fitted[best], chosen
+    std = dwell_means(test, np.array(predicted.std))
+    chosen = ", ".join(f"{name} {value:g}" for name, value in method.grid[0].items())
+    return Outcome(effort, std, float(np.mean(model.sigma_)), seconds, "", chosen)

@@ -16,6 +16,9 @@ from hil.identify.lm.train import train
 from hil.study.separation_tasks import Task
 from hil.typing import FloatArray, IntArray
 
+S_PER_PRODUCT = 3e-11
+"""Seconds per number multiplied in a training, about: the longest trainings begin first."""
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
@@ -55,12 +58,21 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class NetworkResult:
+    """One network, trained: (S,) outputs at every dwell, seconds of one core, and weights."""
+
+    outputs: FloatArray
+    seconds: float
+    weights: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Networks:
     """The networks of all joints, trained.
 
     Attributes:
         outputs: (S, n) at every dwell.
-        seconds: (n,) each took on one core.
+        seconds: (n,) each took of one core.
         weights: Number of weights of each.
     """
 
@@ -74,23 +86,19 @@ def network_tasks(
 ) -> list[Task]:
     """One training per joint."""
     mlp = settings.mlp(layers)
-    cost = 1e-9 * settings.epochs * len(target.inputs) * mlp.n_weights * min(
-        len(target.inputs), mlp.n_weights
-    )  # fmt: skip
+    rows = len(target.inputs)
+    cost = S_PER_PRODUCT * settings.epochs * rows * mlp.n_weights * min(rows, mlp.n_weights)
     return [Task(partial(_trained, mlp, target, joint, settings), cost) for joint in joints]
 
 
-def gathered(found: Sequence[tuple[FloatArray, float]], weights: int) -> Networks:
+def gathered(found: Sequence[NetworkResult]) -> Networks:
     """The results of `network_tasks`, put together."""
-    outputs = np.stack([output for output, _ in found], axis=1)
-    return Networks(outputs, np.array([seconds for _, seconds in found]), weights)
+    outputs = np.stack([one.outputs for one in found], axis=1)
+    return Networks(outputs, np.array([one.seconds for one in found]), found[0].weights)
 
 
-def _trained(
-    mlp: Mlp, target: Target, joint: int, settings: NetworkSettings
-) -> tuple[FloatArray, float]:
-    """(S,) outputs at every dwell, and the seconds it took."""
-    begin = time.perf_counter()
+def _trained(mlp: Mlp, target: Target, joint: int, settings: NetworkSettings) -> NetworkResult:
+    begin = time.process_time()
     with warnings.catch_warnings():
         # A joint that never moved is among the study's own warnings.
         warnings.simplefilter("ignore", ConstantInputWarning)
@@ -98,4 +106,5 @@ def _trained(
             mlp, target.inputs[target.dwell], target.values[:, joint], groups=target.dwell,
             initial=mlp.initial(settings.seed, joint)[None], epochs=settings.epochs,
         )  # fmt: skip
-    return trained.predict(target.inputs)[:, 0], time.perf_counter() - begin
+    outputs = trained.predict(target.inputs)[:, 0]
+    return NetworkResult(outputs, time.process_time() - begin, mlp.n_weights)

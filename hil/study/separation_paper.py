@@ -7,138 +7,32 @@ measured current is among the inputs, and each pose is on both sides of the spli
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from hil.data.dataset import Dataset
-from hil.data.splits import paper_sample_split, split
-from hil.evaluate.metrics import rmse
-from hil.identify.dwell_rows import scatter
+from hil.errors import DataError, FitError
 from hil.identify.linear_methods import Method, Weights
 from hil.identify.static_linear import StaticLinear
-from hil.study.separation_data import Recording, dwell_means, one_per_pose, rows_in
+from hil.study.separation_data import Recording, dwell_means, one_per_pose
 from hil.study.separation_networks import (
-    Networks,
+    NetworkResult,
     NetworkSettings,
     Target,
     gathered,
     network_tasks,
 )
+from hil.study.separation_paper_run import Layout, LinearFit, PaperRun, Separated
+from hil.study.separation_split import Partition, by_pose, by_sample
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray, IntArray
+from hil.typing import FloatArray
 
 METHODS: tuple[Method, ...] = ("ls", "ridge", "lasso", "elastic-net", "wls")
 INPUTS = slice(1, 5)
 """q2…q5, what the paper's networks see."""
 
-SHARES = (0.75, 0.20, 0.05)
 TIMED = 3
 """Fits of which the fastest is reported: the first one also loads libraries."""
-
-Layout = tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Partition:
-    """Rows to train, test and validate on.
-
-    Attributes:
-        training: The training rows as a dataset.
-        train, test, validation: (·,) row numbers.
-    """
-
-    training: Dataset
-    train: IntArray
-    test: IntArray
-    validation: IntArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearFit:
-    """One of the five methods on eq. 20.
-
-    Attributes:
-        model: Fitted to the training rows.
-        estimate: (N, n) current of every row.
-        seconds: The fit took.
-    """
-
-    model: StaticLinear
-    estimate: FloatArray
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Separated:
-    """Gravity by WLS and friction by networks, under one split and for one target.
-
-    Attributes:
-        partition: Which rows were for what.
-        residual: (N, n) what WLS leaves, or what stands in its place.
-        outputs: (S, n) of the networks, per dwell.
-    """
-
-    partition: Partition
-    residual: FloatArray
-    outputs: FloatArray
-
-    def error(self, dwell: IntArray) -> FloatArray:
-        """(N, n) of the whole model, for rows of these dwells (N,)."""
-        left: FloatArray = self.residual - self.outputs[dwell]
-        return left
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperRun:
-    """Everything found under the paper's protocol.
-
-    Attributes:
-        data: One dwell per pose.
-        dwell: (N,) dwell of each row.
-        partition: By sample.
-        linear: The five methods, by name.
-        networks: By layout.
-        layout: The one that figures and Table 4 show.
-        poses_held_out: The same with whole poses held out.
-        dealt: Friction dealt out among the poses, split by sample and by pose.
-    """
-
-    data: Dataset
-    dwell: IntArray
-    partition: Partition
-    linear: Mapping[Method, LinearFit]
-    networks: Mapping[Layout, Networks]
-    layout: Layout
-    poses_held_out: Separated
-    dealt: tuple[Separated, Separated]
-
-    @property
-    def wls(self) -> LinearFit:
-        """What the networks build on."""
-        return self.linear["wls"]
-
-    def separated(self, layout: Layout | None = None) -> Separated:
-        """WLS and the networks of a layout."""
-        outputs = self.networks[layout or self.layout].outputs
-        return Separated(self.partition, self.data["effort"] - self.wls.estimate, outputs)
-
-    def means_rmse(self, rows: IntArray) -> FloatArray:
-        """(n,) RMSE of the errors, averaged over what `rows` hold of each dwell."""
-        error, dwell = self.separated().error(self.dwell)[rows], self.dwell[rows]
-        _, number = np.unique(dwell, return_inverse=True)
-        sums = np.zeros((int(number.max(initial=-1)) + 1, error.shape[1]))
-        np.add.at(sums, number, error)
-        means = sums / np.bincount(number)[:, None]
-        return rmse(means, np.zeros_like(means))
-
-    def residual_noise(self) -> FloatArray:
-        """(n,) scatter of WLS's residual within dwells: no function of the pose gets below it."""
-        left = self.separated().residual
-        dwells = self.data.with_columns(effort=left)
-        freedom = np.diff(self.data.offsets) - 1.0
-        return np.asarray(np.sqrt(freedom @ scatter(dwells) / max(float(freedom.sum()), 1.0)))
 
 
 class PaperProtocol:
@@ -172,20 +66,20 @@ class PaperProtocol:
         self._data = data = one_per_pose(recording.dwells, settings.seed)
         self._dwell = data.series_index()
         self._inputs = dwell_means(data, data["q"])[:, INPUTS]
-        self._by_sample = by_sample(data, settings.seed)
-        self._by_pose = by_pose(data, settings.seed)
-        self._linear = {method: self._fitted(method, self._by_sample) for method in METHODS}
-        held_out = self._fitted("wls", self._by_pose)
+        try:
+            sample, pose = by_sample(data, settings.seed), by_pose(data, settings.seed)
+        except DataError as error:
+            raise FitError(error.message, hint=error.hint) from error
+        self._partition = sample
+        self._linear = {method: self._fitted(method, sample) for method in METHODS}
         self._residual = data["effort"] - self._linear["wls"].estimate
-        self._targets = (
-            (self._by_pose, data["effort"] - held_out.estimate),
-            (self._by_sample, self._dealt(self._residual)),
-            (self._by_pose, self._dealt(self._residual)),
-        )
+        held_out = data["effort"] - self._fitted("wls", pose).estimate
+        dealt = self._dealt(self._residual)
+        self._targets = ((pose, held_out), (sample, dealt), (pose, dealt))
 
     def tasks(self) -> list[Task]:
         """Every training, in the order `gather` wants their results."""
-        wanted = [(layout, self._by_sample, self._residual) for layout in self._layouts]
+        wanted = [(layout, self._partition, self._residual) for layout in self._layouts]
         wanted += [(self._layout, *target) for target in self._targets]
         joints = range(self._data.n_joints)
         return [
@@ -196,23 +90,20 @@ class PaperProtocol:
             )
         ]
 
-    def gather(self, results: Sequence[tuple[FloatArray, float]]) -> PaperRun:
+    def gather(self, results: Sequence[NetworkResult]) -> PaperRun:
         """The results of `tasks`, put together."""
         n = self._data.n_joints
-        each = [results[start : start + n] for start in range(0, len(results), n)]
-        networks = {
-            layout: gathered(found, self._settings.mlp(layout).n_weights)
-            for layout, found in zip(self._layouts, each, strict=False)
-        }
-        others = [
-            Separated(partition, residual, gathered(found, 0).outputs)
+        each = [gathered(results[start : start + n]) for start in range(0, len(results), n)]
+        networks = dict(zip(self._layouts, each, strict=False))
+        poses, *dealt = (
+            Separated(partition, residual, found.outputs[self._dwell])
             for (partition, residual), found in zip(
                 self._targets, each[len(self._layouts) :], strict=True
             )
-        ]
+        )
         return PaperRun(
-            self._data, self._dwell, self._by_sample, self._linear, networks, self._layout,
-            others[0], (others[1], others[2]),
+            self._data, self._dwell, self._partition, self._linear, networks, self._layout,
+            poses, (dealt[0], dealt[1]),
         )  # fmt: skip
 
     def _fitted(self, method: Method, partition: Partition) -> LinearFit:
@@ -222,9 +113,9 @@ class PaperProtocol:
                 method=method, form="paper", rows="samples", current_term=True,
                 alpha=self._alpha, weights=self._weights,
             )  # fmt: skip
-            begin = time.perf_counter()
+            begin = time.process_time()
             model.fit(partition.training, self._robot)
-            best = min(best, time.perf_counter() - begin)
+            best = min(best, time.process_time() - begin)
         return LinearFit(model, model.predict(self._data).effort, best)
 
     def _target(self, partition: Partition, residual: FloatArray) -> Target:
@@ -237,17 +128,3 @@ class PaperProtocol:
         order = np.random.default_rng([self._settings.seed, 2]).permutation(len(means))
         moved: FloatArray = residual + (means[order] - means)[self._dwell]
         return moved
-
-
-def by_sample(data: Dataset, seed: int) -> Partition:
-    """75/20/5 % of the samples, as the paper: ten samples of a pose land on all sides."""
-    training, test, validation = paper_sample_split(data, SHARES, seed)
-    return Partition(training, rows_in(training), rows_in(test), rows_in(validation))
-
-
-def by_pose(data: Dataset, seed: int) -> Partition:
-    """The same shares of whole poses."""
-    outer = split(data, "pose", SHARES[1], seed)
-    inner = split(outer.train, "pose", SHARES[2] / (1 - SHARES[1]), seed)
-    parts = inner.train, outer.test, inner.test
-    return Partition(inner.train, *(rows_in(part) for part in parts))

@@ -39,3 +39,8 @@ def with_mean(per_joint: FloatArray) -> tuple[Value, ...]:
 def listed(items: Sequence[str]) -> str:
     """`a, b and c`."""
     return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else list(items))
+
+
+def layout_name(layout: Sequence[int]) -> str:
+    """`4-20-20-10-1`."""
+    return "-".join(str(units) for units in layout)
