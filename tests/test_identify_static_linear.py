@@ -74,6 +74,12 @@ def test_solutions_are_scikit_learns(method, rows, term) -> None:
         np.testing.assert_allclose(own(model, joint), found, rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.parametrize("method", ["ridge", "lasso", "elastic-net"])
+def test_no_penalty_is_least_squares(method) -> None:
+    found = fitted(method=method, alpha=0.0).coefficients_
+    np.testing.assert_allclose(found, fitted().coefficients_, atol=1e-9)
+
+
 @pytest.mark.parametrize("joint", [1, 3])
 def test_standardised_penalties_are_scikit_learns_on_scaled_columns(joint) -> None:
     R, current = matrix(joint, "dwells", True)

@@ -140,8 +140,10 @@ def penalised(
 
 
 def _regressor(method: str, alpha: float, l1_ratio: float) -> Any:
-    from sklearn.linear_model import ElasticNet, Lasso, Ridge
+    from sklearn.linear_model import ElasticNet, Lasso, LinearRegression, Ridge
 
+    if alpha == 0.0:  # scikit-learn advises against descending to least squares
+        return LinearRegression(fit_intercept=False)
     descent: dict[str, Any] = {"fit_intercept": False, "tol": TOLERANCE, "max_iter": MOST_PASSES}
     if method == "ridge":
         return Ridge(alpha=alpha, fit_intercept=False)
