@@ -130,7 +130,7 @@ class Dataset:
     def select(self, keep: Callable[[Conditions], bool]) -> Dataset:
         """The whole series whose conditions satisfy `keep`, in order."""
         chosen = [i for i, condition in enumerate(self.conditions) if keep(condition)]
-        return self._take(chosen)
+        return self.take(chosen)
 
     def of_kind(self, *kinds: SeriesKind) -> Dataset:
         """The series of the given kinds."""
@@ -140,7 +140,8 @@ class Dataset:
         """A copy with columns added or replaced."""
         return replace(self, columns={**self.columns, **columns})
 
-    def _take(self, chosen: Sequence[int]) -> Dataset:
+    def take(self, chosen: Sequence[int] | IntArray) -> Dataset:
+        """The series of the given numbers, in that order."""
         spans = [np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]
         rows = np.concatenate(spans) if spans else np.empty(0, dtype=np.int64)
         lengths = [len(span) for span in spans]
@@ -149,7 +150,7 @@ class Dataset:
             columns={name: values[rows] for name, values in self.columns.items()},
             offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
             conditions=tuple(self.conditions[i] for i in chosen),
-            arrivals=None if self.arrivals is None else self.arrivals[chosen],
+            arrivals=None if self.arrivals is None else self.arrivals[np.asarray(chosen, int)],
         )
 
     @staticmethod
@@ -171,7 +172,7 @@ class Dataset:
             columns={n: np.concatenate([part.columns[n] for part in parts]) for n in shared},
             offsets=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
             conditions=tuple(c for part in parts for c in part.conditions),
-            arrivals=_joined([part.arrivals for part in parts]),
+            arrivals=_joined(parts),
         )
 
 
@@ -186,10 +187,20 @@ def rows_of(dataset: Dataset, keep: BoolArray) -> Dataset:
     )
 
 
-def _joined(parts: Sequence[FloatArray | None]) -> FloatArray | None:
-    """All arrivals, or None when some part has none."""
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
+def _joined(parts: Sequence[Dataset]) -> FloatArray | None:
+    """All arrivals, NaN for the series of parts without any; None when no part has any."""
+    known = [part.arrivals for part in parts if part.arrivals is not None]
+    if not known:
+        return None
+    nobody = np.full(known[0].shape[1:], np.nan)
+    return np.concatenate(
+        [
+            np.broadcast_to(nobody, (len(part.conditions), *nobody.shape))
+            if part.arrivals is None
+            else part.arrivals
+            for part in parts
+        ]
+    )
 
 
 def _require_compatible(a: Dataset, b: Dataset) -> None:

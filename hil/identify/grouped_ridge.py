@@ -13,8 +13,9 @@ import numpy as np
 from hil.typing import FloatArray, IntArray
 
 FOLDS = 5
-PENALTIES = np.logspace(0, 7, 15)
-"""Candidates, per row of unit variance; the largest of them shrinks everything away."""
+PENALTIES = np.logspace(7, 0, 15)
+"""Candidates, beside columns of variance 1. The first shrinks everything away, and is the one where
+nothing can be held out."""
 
 FARTHEST = 6.0
 """Standard deviations from the mean of training beyond which an input counts as no farther."""

@@ -22,9 +22,6 @@ SMOOTHED = 7
 """Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
 slide back is, and Dahl's states would take every noisy step for a small motion."""
 
-REFERENCE_C = 30.0
-"""Temperature at which the columns that go with temperature are 0."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
@@ -35,14 +32,14 @@ class Rest:
         load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
         direction: (D, n) +1 from below, −1 from above, 0 unknown.
         paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
-        celsius: (D, n) joint temperatures, None when nobody measured them.
+        warmer: (D, n) joint temperatures less their mean in training [K]; 0 where unknown.
     """
 
     q: FloatArray
     load: FloatArray
     direction: FloatArray
     paths: FloatArray
-    celsius: FloatArray | None
+    warmer: FloatArray
 
 
 def coulomb_terms(rest: Rest) -> dict[str, FloatArray]:
@@ -71,8 +68,7 @@ def memory_terms(
     for name, state in named.items():
         terms[name] = state
         terms[f"{name}_load"] = state * np.abs(rest.load)
-        if rest.celsius is not None:
-            terms[f"{name}_temperature"] = state * (rest.celsius - REFERENCE_C)
+        terms[f"{name}_temperature"] = state * rest.warmer
     if gear_ratio is not None:
         for turns in (1, 2):
             phase = turns * gear_ratio * rest.q
@@ -89,13 +85,12 @@ def correction_features(rest: Rest) -> FloatArray:
     """
     position, speed = smooth(rest.paths[:, :, Q], 1), rest.paths[:, :, QD]
     magnitude = np.abs(rest.load)
-    warm = np.zeros_like(rest.load) if rest.celsius is None else rest.celsius - REFERENCE_C
     shared = np.hstack([rest.load, rest.load * magnitude])
     found = []
     for j in range(rest.q.shape[1]):
         own, side = position[:, :, j], rest.direction[:, [j]]
         columns = (own, speed[:, :, j], own * magnitude[:, [j]], shared)
-        found.append(np.hstack([*columns, side * magnitude, side * warm]))
+        found.append(np.hstack([*columns, side * magnitude, side * rest.warmer]))
     return np.stack(found)
 
 

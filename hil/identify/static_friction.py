@@ -4,28 +4,37 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from hil.data.arrival import POINTS, directions
+from hil.data.arrival import directions
 from hil.data.dataset import Dataset, SeriesKind
-from hil.data.dwells import series_means
-from hil.data.filters import AT_REST
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError
 from hil.identify.base import payload_torque
 from hil.identify.checks import require_samples
 from hil.identify.rest_friction import Rest
+from hil.identify.rest_rows import (
+    celsius,
+    dwells_in,
+    mean_celsius,
+    period,
+    resting,
+    unknown_paths,
+)
 from hil.identify.rest_stream import RestStream
 from hil.identify.static_model import StaticModel
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray, IntArray
+from hil.typing import BoolArray, FloatArray
 
 FIRST_TERMS = ("offset", "coulomb")
 """What a first fit knows, before loads are known; gravity from it gives the loads."""
+
+FARTHEST_LOAD = 2.0
+"""Friction goes with the load up to so many times the largest one in training: a joint that bore
+next to none, as the last one of an arm without a load, knows next to nothing about it."""
 
 NOTHING = 1e-9
 """A column smaller than this everywhere, in its own unit, is none: joint 1 of an upright arm bears
@@ -37,14 +46,16 @@ class StaticFriction(StaticModel):
 
     Attributes:
         load_gravity_: (p,) gravity parameters that the loads in the columns are computed with.
-        celsius_: (n,) mean temperatures in training, for whoever predicts without any; NaN where
-            nobody measured them.
+        load_limit_: (n,) largest torque in the columns [N·m], see `FARTHEST_LOAD`.
+        celsius_: (n,) mean temperatures in training; NaN where nobody measured them, or they
+            hardly changed.
         period_: Time between samples in training [s].
     """
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
 
     load_gravity_: FloatArray
+    load_limit_: FloatArray
     celsius_: FloatArray
     period_: float
 
@@ -56,24 +67,34 @@ class StaticFriction(StaticModel):
         """Columns (D, n) by name, the same names always."""
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the dwells of the data, or to the stays found in motions without a plan.
+        """Fit to the dwells of the data.
+
+        Dwells of which it is not known from where every joint came are left out, and `notes_` says
+        how many.
 
         Raises:
             FitError: The data are too few, not finite, of another robot or unit, do not say from
                 where the poses were approached, or do not excite all parameters.
         """
-        rows = resting(self._dwells(dataset, robot))
+        rows = self._approached(resting(self._dwells(dataset, robot)))
         self.samples_ = len(rows)
-        self._begin(dataset, rows)
+        self.period_ = period(dataset["t"])
+        self.celsius_ = mean_celsius(rows)
         self.load_gravity_ = np.zeros(len(self._form.names))
+        self.load_limit_ = np.full(rows.n_joints, np.inf)
         self._choose_terms(rows, only=FIRST_TERMS)
-        self._solve(rows, weighted=True)
-        self.load_gravity_ = self.coefficients_[: len(self._form.names)]
-        self._choose_terms(rows)
         # Each pose gives a row to every joint, and every joint has terms of its own.
         require_samples(self.samples_, 2 * len(self._names), "dwells")
         self._solve(rows, weighted=True)
+        self.load_gravity_ = self.coefficients_[: len(self._form.names)]
+        self.load_limit_ = FARTHEST_LOAD * np.max(np.abs(self.rest(rows).load), axis=0)
+        self._choose_terms(rows)
+        self._solve(rows, weighted=True)
+        self._learn(rows)
         return self
+
+    def _learn(self, rows: Dataset) -> None:
+        """Add to the fit what else there is to learn from dwells with one row each."""
 
     def predict(self, dataset: Dataset) -> Prediction:
         """Gravity, offset, friction and payload per row.
@@ -90,7 +111,7 @@ class StaticFriction(StaticModel):
         parts = {name: np.array(part) for name, part in base.components.items()}
         parts["friction"] = np.zeros_like(still)
         std, valid = np.full_like(still, np.nan), np.zeros((len(dataset), joints), dtype=bool)
-        dwells, at, number = _dwells_in(dataset)
+        dwells, at, number = dwells_in(dataset)
         if len(number):
             friction, deviation, known = self._friction(resting(dwells))
             parts["friction"][at] = friction[number]
@@ -114,8 +135,11 @@ class StaticFriction(StaticModel):
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """As of every linear model, and what the columns need."""
-        own = {"load_gravity": self.load_gravity_, "celsius": self.celsius_}
-        return super().fitted_arrays() | own
+        return super().fitted_arrays() | {
+            "load_gravity": self.load_gravity_,
+            "load_limit": self.load_limit_,
+            "celsius": self.celsius_,
+        }
 
     def fitted_facts(self) -> dict[str, Any]:
         """As of every linear model; the sample time, and the terms there might have been."""
@@ -124,7 +148,8 @@ class StaticFriction(StaticModel):
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
-        self.load_gravity_, self.celsius_ = arrays["load_gravity"], arrays["celsius"]
+        self.load_gravity_, self.load_limit_ = arrays["load_gravity"], arrays["load_limit"]
+        self.celsius_ = arrays["celsius"]
         self.period_ = float(facts["period_s"])
         super().restore(arrays, facts)
         self._take_names(self.parameter_names_, tuple(facts["terms"]))
@@ -133,19 +158,31 @@ class StaticFriction(StaticModel):
         """Terms that add up to the dry friction of an unloaded joint."""
         return ("coulomb",)
 
-    def _begin(self, dataset: Dataset, rows: Dataset) -> None:
-        if rows.arrivals is None or not np.isfinite(rows.arrivals[:, 0, 0]).any(axis=0).all():
+    def _approached(self, rows: Dataset) -> Dataset:
+        """The dwells of which it is known from where every joint came."""
+        paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
+        known = directions(paths) != 0
+        if not known.any():
             raise FitError(
                 f"{self.estimator} needs to know from where the poses were approached, and the "
-                "data do not hold the motion before the dwells for every joint",
+                "data do not hold the motion before the dwells",
                 hint="record the moves as well (hil run does), or fit static-wls",
             )
-        known = "temperature" in rows.columns
-        self.celsius_ = (
-            np.mean(rows["temperature"], axis=0) if known else np.full(rows.n_joints, np.nan)
+        if not known.any(axis=0).all():
+            names = [rows.joint_names[j] for j in np.flatnonzero(~known.any(axis=0))]
+            raise FitError(
+                f"{', '.join(names)} did not move before any of the dwells, so how friction holds "
+                "it there is not known",
+                hint="record a program in which every joint moves, or fit static-wls",
+            )
+        whole = known.all(axis=1)
+        left_out = len(whole) - int(whole.sum())
+        told = (
+            f"{left_out} of {len(whole)} dwells are left out: from where some joint came there is "
+            "not in the data"
         )
-        steps = np.diff(dataset["t"])
-        self.period_ = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.nan
+        self.notes_ = (told,) if left_out else ()
+        return rows.take(np.flatnonzero(whole))
 
     def _choose_terms(self, rows: Dataset, only: Sequence[str] = ()) -> None:
         """Name the parameters: terms that were measured and are not zero throughout."""
@@ -179,20 +216,15 @@ class StaticFriction(StaticModel):
         q, still = rows["q"], np.zeros_like(rows["q"])
         gravity = (self._form.columns(q) @ self.load_gravity_).reshape(q.shape)
         load = gravity + payload_torque(self.robot_, rows, q, still, still)
+        load = np.clip(load, -self.load_limit_, self.load_limit_)
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
         return Rest(
             q,
             np.where(np.abs(load) > NOTHING, load, 0.0),
             directions(paths),
             np.nan_to_num(paths),
-            self._celsius(rows),
+            np.nan_to_num(celsius(rows) - self.celsius_),
         )
-
-    def _celsius(self, rows: Dataset) -> FloatArray | None:
-        if not np.isfinite(self.celsius_).all():
-            return None
-        measured = rows.columns.get("temperature", np.full_like(rows["q"], np.nan))
-        return np.where(np.isfinite(measured), measured, self.celsius_)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         q, still = data["q"], np.zeros_like(data["q"])
@@ -217,29 +249,3 @@ class StaticFriction(StaticModel):
         known = rest.direction != 0
         deviation = np.broadcast_to(self.sigma_, torque.shape)
         return torque / self.torque_scale_, deviation, known
-
-
-def resting(dwells: Dataset) -> Dataset:
-    """The same dwells with one row each: the means of whatever was measured."""
-    columns = {"t": dwells["t"][dwells.offsets[:-1]]}
-    for name in ("q", "effort", "temperature"):
-        if name in dwells.columns:
-            columns[name] = series_means(dwells, dwells[name])
-    return replace(dwells, columns=columns, offsets=np.arange(len(dwells.conditions) + 1))
-
-
-def unknown_paths(rows: Dataset) -> FloatArray:
-    """(S, K, 2, n) paths of which nothing is known."""
-    return np.full((len(rows.conditions), POINTS, 2, rows.n_joints), np.nan)
-
-
-def _dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:
-    """The dwells that have rows, which rows (N,) are theirs, and the dwell of each of those."""
-    there = np.diff(dataset.offsets) > 0
-    chosen = np.array(
-        [c.kind in AT_REST and bool(there[i]) for i, c in enumerate(dataset.conditions)], dtype=bool
-    )
-    ids = {id(c) for c, keep in zip(dataset.conditions, chosen.tolist(), strict=True) if keep}
-    at = chosen[dataset.series_index()]
-    number = (np.cumsum(chosen) - 1)[dataset.series_index()]
-    return dataset.select(lambda c: id(c) in ids), at, number[at]

@@ -10,19 +10,17 @@ The current of the pose that is predicted is nowhere among the inputs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.dwells import DwellRule, dwells_of
-from hil.dynamics import RobotModel
 from hil.errors import SpecError
 from hil.identify.dwell_rows import pose_numbers
 from hil.identify.grouped_ridge import GroupedRidge
 from hil.identify.parameters import flag, number
 from hil.identify.rest_friction import Rest, correction_features, memory_terms
-from hil.identify.static_friction import StaticFriction, resting
+from hil.identify.static_friction import StaticFriction
 from hil.typing import BoolArray, FloatArray
 
 LENGTHS_RAD = (0.7e-4, 1.4e-4, 2.8e-4, 5.6e-4)
@@ -65,19 +63,10 @@ class StaticHysteresis(StaticFriction):
         self.correction = flag("correction", correction)
         self.rest_speed = number("rest_speed", rest_speed, above=0.0)
 
-    def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
-        """Fit to the dwells of the data.
-
-        Raises:
-            FitError: The data are too few, not finite, of another robot or unit, do not say from
-                where the poses were approached, or do not excite all parameters.
-        """
-        self._corrections = ()
-        super().fit(dataset, robot)
+    def _learn(self, rows: Dataset) -> None:
+        self._corrections, self.penalty_ = (), np.empty(0)
         if not self.correction:
-            return self
-        # Not `_dwells`, which would begin the fit anew.
-        rows = resting(dwells_of(dataset, DwellRule(speed=self.rest_speed / 2)))
+            return
         residual = rows["effort"] - self.predict(rows).effort
         features, groups = correction_features(self.rest(rows)), pose_numbers(rows)
         self._corrections = tuple(
@@ -87,7 +76,6 @@ class StaticHysteresis(StaticFriction):
         degrees = len(rows) / max(len(rows) - len(self.parameter_names_) / rows.n_joints, 1.0)
         left = np.stack([one.residual for one in self._corrections])
         self.sigma_ = np.sqrt(np.mean(left**2, axis=1) * degrees)
-        return self
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """As of every linear model, and the corrections."""
