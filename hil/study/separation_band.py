@@ -43,11 +43,13 @@ class Bands:
         measured: Of the recording.
         predicted: By the methods, by key; of poses they have not seen.
         common: (P, n) where both approaches are compared.
+        unit: Of the effort.
     """
 
     measured: Sides
     predicted: dict[str, Sides]
     common: BoolArray
+    unit: str
 
     @property
     def load(self) -> FloatArray:
@@ -63,7 +65,7 @@ def bands(run: HonestRun) -> Bands | None:
         return None
     predicted = {key: _sides(one.effort, both) for key, one in run.methods.items()}
     common = np.array([run.common[below + above].all(axis=0) for below, above in both])
-    return Bands(_sides(run.measured, both), predicted, common)
+    return Bands(_sides(run.measured, both), predicted, common, run.dwells.effort_unit)
 
 
 def band_tables(found: Bands) -> tuple[Table, ...]:
@@ -115,7 +117,7 @@ def _both(found: Bands) -> Table:
     return Table(
         "table-sides",
         "Both approaches of a pose: RMSE of their mean, and of half their difference, the band "
-        "[unit of the effort]",
+        f"[{found.unit}]",
         columns,
         tuple(body),
         f"{len(found.common)} poses. In the mean of both sides stick friction cancels; half their "
@@ -142,12 +144,12 @@ def _over_load(found: Bands) -> Table:
         body.append(tuple(row))
     return Table(
         "table-load",
-        "Friction band and load: means over the third of the poses with least and most load "
-        "[unit of the effort]",
+        "Friction band and load: means over the third of the poses with least and with most load "
+        f"[{found.unit}]",
         tuple(columns),
         tuple(body),
-        "Load is what the drive holds in the mean of both sides. Gears under load stick harder: "
-        "Fc·sign(approach) cannot say so.",
+        "Load is what the drive holds in the mean of both sides. Fc·sign(approach) has one band "
+        "for all loads.",
     )
 
 

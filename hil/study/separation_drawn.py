@@ -77,7 +77,7 @@ def honest_figures(
                modelled, range(run.dwells.n_joints), (axes, effort)),
     ]  # fmt: skip
     if both is not None:
-        found.append(_band(both, unit))
+        found.append(_band(both))
     return tuple(found)
 
 
@@ -92,7 +92,7 @@ def _parameters(recording: Recording, weights: Weights) -> list[Figure]:
     return [parameters("fig-4h", model, caption)]
 
 
-def _band(both: Bands, unit: str) -> Figure:
+def _band(both: Bands) -> Figure:
     curves: dict[str, FloatArray] = {"measured": both.measured.half}
     curves |= {SHORT[key]: both.predicted[key].half for key in reversed(friction_of(both))}
     known = both.common
@@ -103,5 +103,5 @@ def _band(both: Bands, unit: str) -> Figure:
         "Stick friction of a pose, measured and as predicted for poses not seen.",
         both.load,
         shown,
-        (f"load [{unit}]", f"half difference [{unit}]"),
+        (f"load [{both.unit}]", f"half difference [{both.unit}]"),
     )

@@ -141,6 +141,10 @@ def _fitted(method: Method, train: Dataset, test: Dataset, robot: RobotModel) ->
         predicted = model.predict(test)
     except HilError as error:
         return Outcome(nothing, nothing, failed=error.message)
+    # Estimators are plug-ins: one that breaks down must not cost the hour the others took.
+    except Exception as error:
+        words = f"it broke down: {type(error).__name__}: {error}"
+        return Outcome(nothing, nothing, failed=words)
     effort = dwell_means(test, np.where(predicted.valid, predicted.effort, np.nan))
     std = dwell_means(test, np.array(predicted.std))
     chosen = ", ".join(f"{name} {value:g}" for name, value in method.grid[0].items())
