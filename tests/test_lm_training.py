@@ -1,5 +1,8 @@
 """Levenberg–Marquardt on small problems whose answer is known."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -197,6 +200,28 @@ def test_a_callback_that_raises_ends_the_processes() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         train(MLP, *surface(), epochs=100_000, jobs=2, callback=enough)
+
+
+def test_processes_end_when_their_parent_is_killed(tmp_path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "import numpy as np\n"
+        "from hil.identify.lm.network import Mlp\n"
+        "from hil.identify.lm.train import train\n"
+        "def told(epoch):\n"
+        "    print(epoch.network, flush=True)\n"
+        "if __name__ == '__main__':\n"
+        "    X = np.random.default_rng(0).normal(size=(2000, 4))\n"
+        "    Y = np.random.default_rng(1).normal(size=(2000, 2))\n"
+        "    train(Mlp((4, 6, 1)), X, Y, epochs=10**6, jobs=2, callback=told)\n"
+    )
+    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    parent.stdout.readline()
+    parent.kill()
+    # The workers hold the other end of the pipe: it closes when the last of them has ended.
+    out, _ = parent.communicate(timeout=30)
+    assert out == "" or set(out.split()) <= {"0", "1"}
 
 
 def test_training_ends_at_the_target() -> None:

@@ -7,6 +7,8 @@ has used BLAS can hang.
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
@@ -118,6 +120,8 @@ _report: Callable[[Epoch], None] | None = None
 
 
 def _open(reports: Any, ended: Any, wanted: bool) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
     def report(epoch: Epoch) -> None:
         if ended.is_set():
             raise _Ended
@@ -126,6 +130,14 @@ def _open(reports: Any, ended: Any, wanted: bool) -> None:
 
     global _report
     _report = report
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed can stop nobody, and its workers would wait for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _run(task: Task) -> Result:
