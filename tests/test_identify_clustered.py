@@ -95,13 +95,13 @@ def test_intervals_of_few_clusters_hold_what_they_promise() -> None:
     clusters = np.repeat(np.arange(12), 5)
     X = np.column_stack([random.normal(size=(12, 2))[clusters], np.ones(60)])
     hits, naive = [], []
-    for _ in range(250):
+    for _ in range(150):
         y = random.normal(size=12)[clusters] + 0.1 * random.normal(size=60)
         low, high = ClusteredLeastSquares().fit(X, y, clusters=clusters).interval(0.95).T
         hits.append((low <= 0) & (high >= 0))
         low, high = ClusteredLeastSquares().fit(X, y).interval(0.95).T
         naive.append((low <= 0) & (high >= 0))
-    assert 0.92 < np.mean(hits) < 0.98
+    assert 0.91 < np.mean(hits) < 0.99
     assert np.mean(naive) < 0.75
 
 

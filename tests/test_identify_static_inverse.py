@@ -64,7 +64,7 @@ def test_drive_constants_and_gravity_come_back_from_exact_data() -> None:
 
 @pytest.mark.parametrize("form", ["paper", "shared"])
 def test_new_poses_are_predicted_where_a_linear_model_fails(form) -> None:
-    train, test = bent(noise_a=0.002), bent(50, seed=5)
+    train, test = bent(60, noise_a=0.002), bent(20, seed=5)
     models = StaticInverse(form=form), StaticLinear(form=form)
     bends, straight = (
         np.sqrt(
@@ -78,7 +78,7 @@ def test_new_poses_are_predicted_where_a_linear_model_fails(form) -> None:
 
 def test_noise_does_not_pull_the_curve_as_it_does_with_the_current_among_the_inputs() -> None:
     squares, printed = [], []
-    for seed in range(8):
+    for seed in range(6):
         data = bent(80, seed=seed, stiction_nm=4.0)
         squares.append(StaticInverse(square="free").fit(data, nominal()).constants_[1][1])
         paper = StaticLinear(current_term=True).fit(data, nominal())
@@ -91,12 +91,12 @@ def test_noise_does_not_pull_the_curve_as_it_does_with_the_current_among_the_inp
 
 def test_intervals_hold_the_true_constant_as_often_as_they_say() -> None:
     hits = []
-    for seed in range(24):
+    for seed in range(16):
         found = StaticInverse(square="free").fit(bent(80, seed=seed, stiction_nm=1.0), nominal())
         at = found.parameter_names_.index("shoulder_lift_joint.square")
         low, high = found.interval(0.8)[at]
         hits.append(low <= K2[1] <= high)
-    assert 13 <= np.sum(hits) <= 23
+    assert 8 <= np.sum(hits) <= 15
 
 
 def test_the_model_says_what_there_is_to_know_of_each_joint(model) -> None:

@@ -168,7 +168,7 @@ def test_ten_samples_of_a_dwell_count_once_in_standard_errors() -> None:
 def test_true_gravity_lies_in_the_intervals_as_often_as_they_say() -> None:
     truth = base_parameters(nominal(), gravity_only=True).combine(plant().parameters(rotor=False))
     hits = []
-    for seed in range(16):
+    for seed in range(12):
         one_sided = dwelling(25, seed=seed, stiction_nm=2.0)
         low, high = StaticLinear(form="shared").fit(one_sided, nominal()).interval(0.9).T
         hits.append((low[: len(truth)] <= truth) & (truth <= high[: len(truth)]))
@@ -184,14 +184,14 @@ def test_intervals_know_that_the_papers_weights_come_from_the_same_data(noise) -
     index = np.arange(40)
     series = DwellSeries(index, np.zeros((40, 1)), np.full(40, 10))
     estimates, told = [], []
-    for _ in range(250):
+    for _ in range(120):
         y = random.normal(size=40) if noise == "normal" else random.standard_t(4, size=40)
         block = Block(X, y, np.zeros(40, dtype=int), index, {0: 2}, series)
         found = least_squares(block, "paper")
         estimates.append(found.coefficients)
         told.append(np.diag(found.covariance))
     ratio = np.sqrt(np.mean(told) / np.mean(np.var(estimates, axis=0)))
-    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert ratio == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("method", ["ridge", "lasso", "elastic-net"])

@@ -80,7 +80,21 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
     Raises:
         FitError: It does not settle.
     """
-    p = data.X.shape[1]
+    theta, solver = _settled(data, squares)
+    J, residual = _linearised(data, theta, squares)
+    sums = ClusterSums.of(J, residual, data.weight, data.pose)
+    found = clustered_covariance(solver.bread_, sums)
+    condition, p = float(solver.condition_), data.X.shape[1]
+    return CurrentFit(theta[:p], theta[p:], found, residual, int(solver.rank_), condition, J)
+
+
+def linear_residual(data: Currents) -> FloatArray:
+    """(N,) error of the currents of a drive that does not bend."""
+    return _linearised(data, _settled(data, [])[0], [])[1]
+
+
+def _settled(data: Currents, squares: list[int]) -> tuple[FloatArray, WeightedLeastSquares]:
+    """Coefficients and K₂ at which the error is least, and the last step's solver."""
     torque = data.k1 * data.current - data.load
     start = WeightedLeastSquares().fit(data.X, torque, data.weight / data.k1**2)
     theta = np.append(start.coef_, np.zeros(len(squares)))
@@ -90,17 +104,11 @@ def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
         solver = WeightedLeastSquares().fit(J, residual, data.weight)
         theta = _shortened(data, theta, solver.coef_, squares, residual)
         if float(np.max(np.abs(J @ solver.coef_))) <= SMALL_STEP * largest:
-            break
-    else:
-        raise FitError(
-            "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
-            hint="fit with square: zero, or record poses with larger gravity torques",
-        )
-    J, residual = _linearised(data, theta, squares)
-    sums = ClusterSums.of(J, residual, data.weight, data.pose)
-    found = clustered_covariance(solver.bread_, sums)
-    condition = float(solver.condition_)
-    return CurrentFit(theta[:p], theta[p:], found, residual, int(solver.rank_), condition, J)
+            return theta, solver
+    raise FitError(
+        "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
+        hint="fit with square: zero, or record poses with larger gravity torques",
+    )
 
 
 def visible_squares(data: Currents, joints: list[int]) -> list[int]:
@@ -109,17 +117,15 @@ def visible_squares(data: Currents, joints: list[int]) -> list[int]:
     To first order about a linear drive: the standard error of K₂·i at the joint's largest current
     must be below `VISIBLE` of K₁. With less, the curve is fitted to friction.
     """
-    linear = fit_currents(data, [])
-    return [
-        joint for joint in joints if _is_visible(data, np.append(linear.coefficients, 0.0), joint)
-    ]
+    theta = np.append(_settled(data, [])[0], 0.0) if joints else np.empty(0)
+    return [joint for joint in joints if _is_visible(data, theta, joint)]
 
 
 def _is_visible(data: Currents, theta: FloatArray, joint: int) -> bool:
     J, residual = _linearised(data, theta, [joint])
     solver = WeightedLeastSquares().fit(J, residual, data.weight)
     sums = ClusterSums.of(J, residual - J @ solver.coef_, data.weight, data.pose)
-    error = np.sqrt(clustered_covariance(solver.bread_, sums).covariance[-1, -1])
+    error = np.sqrt(clustered_covariance(solver.bread_, sums, "CR1").covariance[-1, -1])
     rows = data.joint == joint
     largest = float(np.max(np.abs(data.current[rows])))
     determined = solver.rank_ == len(theta)

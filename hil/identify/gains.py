@@ -41,7 +41,7 @@ NO_TORQUE = (
 MOST_ERROR = 0.05
 """Relative standard error of a gain beyond which it is not called determined."""
 
-MOST_BEND_ERROR = 0.015
+MOST_BEND_ERROR = 0.03
 """Standard error of K₂·i at the largest current, as a share of the gain; beyond it K₂ says nothing
 about a drive, which bends by a few percent."""
 

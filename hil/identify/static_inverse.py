@@ -27,7 +27,13 @@ from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.identify.base import payload_torque
 from hil.identify.checks import require_rank
-from hil.identify.current_fit import CurrentFit, Currents, fit_currents, visible_squares
+from hil.identify.current_fit import (
+    CurrentFit,
+    Currents,
+    fit_currents,
+    linear_residual,
+    visible_squares,
+)
 from hil.identify.dwell_rows import one_row_each, pose_numbers
 from hil.identify.motor import has_current, nearest_current
 from hil.identify.parameters import choice, number
@@ -141,7 +147,7 @@ class StaticInverse(PoseClustered):
         pulled = [int(j) for j in joints if np.max(np.abs(gravity[:, j])) > NO_COLUMN]
         linear = self._currents(data, gravity, joints, pose)
         # As in static-wls: quiet joints count more, by the residual of a linear fit.
-        rough = fit_currents(linear, []).residual.reshape(-1, len(joints))
+        rough = linear_residual(linear).reshape(-1, len(joints))
         sigma = np.maximum(deviation(rough, linear.X.shape[1]), 1e-12)
         rows = Currents(
             linear.X, linear.load, linear.current, linear.k1, linear.joint, linear.pose,
