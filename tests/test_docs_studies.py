@@ -1,25 +1,48 @@
-"""The how-to about studies: its example is a study, and works."""
+"""The page about studies names every parameter with its default, every method, table and figure."""
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
-from report_runs import dwell_plan, write_run
-from study_parts import register
 
-import hil
+from hil import plugins
+from hil.spec.yaml_values import scalar
+from hil.study.base import GROUP
+from hil.study.separation_methods import METHOD_KEYS, known_methods
+from hil.study.static_separation import TABLE_3
 
-PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "add-a-study.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "studies.md").read_text("utf-8")
+OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]
+IN_WORDS = {"the eight of Table 3": TABLE_3, "all": METHOD_KEYS, "none": None}
 
 
-def test_the_example_is_a_study_that_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    (tmp_path / "drift_example.py").write_text(code, "utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    register(monkeypatch, drift="drift_example:Drift")
-    run = write_run(tmp_path / "runs", dwell_plan(poses=5)).path
-    (result,) = hil.study(run, "drift", parameters={"least_dwells": 5})
-    assert result.summary == ("10 dwells were compared.",)
-    assert len(result.parts[0].figures[0].panels) == 6
+def rows_of(title: str) -> list[tuple[str, str]]:
+    section = re.split(r"\n#", PAGE.split(f"\n{title}\n")[1])[0]
+    return re.findall(r"^\| (`[^|]+`) \| (.+?) \|", section, re.MULTILINE)
+
+
+def test_our_studies_are_registered() -> None:
+    assert "static-separation" in OURS
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_parameter_of_a_study_has_a_row_with_its_default(name: str) -> None:
+    parameters = inspect.signature(plugins.load(GROUP, name)).parameters
+    shown = {key.strip("`"): text for key, text in rows_of(f"## `{name}`")}
+    assert list(shown) == list(parameters)
+    for key, parameter in parameters.items():
+        text, default = shown[key], parameter.default
+        expected = list(default) if isinstance(default, tuple) else default
+        told = IN_WORDS[text] if text in IN_WORDS else scalar(text.strip("`"))
+        assert (list(told) if isinstance(told, tuple) else told) == expected, key
+
+
+def test_every_method_has_a_row_with_its_estimator() -> None:
+    shown = dict(rows_of("### Methods"))
+    assert tuple(key.strip("`") for key in shown) == METHOD_KEYS
+    known = known_methods(alpha=0.001, weights="paper", layout=(4, 1), epochs=1, seed=0)
+    for key, text in shown.items():
+        assert f"`{known[key.strip('`')].estimator}`" in text or "the same" in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ SMALL: dict[str, Any] = {
     "folds": 2,
     "jobs": 1,
 }
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "studies.md"
 SPEC = Path(__file__).parents[1] / "experiments" / "ur5_static_separation.yaml"
 
 
@@ -92,6 +94,13 @@ def test_all_tables_and_figures_of_the_paper_are_there(found: StudyResult) -> No
         "fig-3", "fig-4", "fig-5", "fig-7", "fig-8", "fig-4h", "fig-5h", "fig-7h", "fig-8h",
         "fig-band",
     }  # fmt: skip
+
+
+def test_the_page_about_studies_lists_the_tables_and_figures_there_are(found: StudyResult) -> None:
+    rows = re.findall(r"^\| `((?:table|fig)-.+?) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    listed = {key.strip("`") for row in rows for key in row.split(", ")}
+    made = {one.key for part in found.parts for one in (*part.tables, *part.figures)}
+    assert listed == made
 
 
 def test_no_panel_has_more_points_than_a_page_shows(found: StudyResult) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
-from hil.data.dataset import Dataset
+from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
@@ -79,6 +79,7 @@ class StaticSeparation(Study):
     """
 
     study: ClassVar[str] = "static-separation"
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
 
     def __init__(
         self,
