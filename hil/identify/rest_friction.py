@@ -22,6 +22,8 @@ SMOOTHED = 7
 """Points of a path that a local parabola is fitted to: the encoder's noise is a tenth of what the
 slide back is, and Dahl's states would take every noisy step for a small motion."""
 
+GAIN = "gain"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rest:
@@ -58,10 +60,11 @@ def memory_terms(
         gear_ratio: Motor turns per joint turn, for the ripple of the gear; None for no ripple.
 
     Returns:
-        `square` (τ·|τ|: eq. 16 solved for the current, to first order), `coulomb` and `memory1…`
-        with their parts that go with load and temperature, `ripple…`.
+        `gain` (τ: the error of a joint's drive gain beside the other joints'), `square` (τ·|τ|:
+        eq. 16 solved for the current, to first order), `coulomb` and `memory1…` with their parts
+        that go with load and temperature, `ripple…`.
     """
-    terms = {"square": rest.load * np.abs(rest.load)}
+    terms = {GAIN: rest.load, "square": rest.load * np.abs(rest.load)}
     states = dahl_states(smooth(rest.paths[:, :, Q]), lengths_rad)
     named = {"coulomb": rest.direction}
     named |= {f"memory{k + 1}": state for k, state in enumerate(states)}

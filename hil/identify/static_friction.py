@@ -15,7 +15,7 @@ from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError
 from hil.identify.base import payload_torque
 from hil.identify.checks import require_samples
-from hil.identify.rest_friction import Rest
+from hil.identify.rest_friction import GAIN, Rest
 from hil.identify.rest_rows import (
     celsius,
     dwells_in,
@@ -185,14 +185,20 @@ class StaticFriction(StaticModel):
         return rows.take(np.flatnonzero(whole))
 
     def _choose_terms(self, rows: Dataset, only: Sequence[str] = ()) -> None:
-        """Name the parameters: terms that were measured and are not zero throughout."""
+        """Name the parameters: terms that were measured and are not zero throughout.
+
+        The gain of the joint that bears most is left out: if all were wrong by one factor, the
+        gravity parameters would be, and nobody could tell.
+        """
         terms = self._columns(rows)
+        reference = f"{self.joint_names_[int(np.argmax(self.load_limit_))]}.{GAIN}"
         names = [
             f"{joint}.{term}"
             for j, joint in enumerate(self.joint_names_)
             for term, values in terms.items()
             if np.max(np.abs(values[:, j])) > NOTHING and (not only or term in only)
         ]
+        names = [name for name in names if name != reference]
         self._take_names((*self._form.names, *names), tuple(terms))
 
     def _take_names(self, parameters: tuple[str, ...], terms: tuple[str, ...]) -> None:
