@@ -17,12 +17,13 @@ from hil.data.dataset import Dataset
 from hil.data.splits import group_of
 from hil.identify.gravity import paper_functions
 from hil.identify.model_file import json_bytes
-from hil.study.base import study
+from hil.study.base import silent, study
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.separation_data import dwells_in, one_per_pose, recording_of, rows_in
 from hil.study.separation_honest import HonestProtocol
 from hil.study.separation_methods import METHOD_KEYS, fit_tasks, known_methods
 from hil.study.separation_split import by_pose, by_sample
+from hil.study.separation_tasks import run_tasks
 from hil.study.soundness import faults_of
 
 SMALL: dict[str, Any] = {
@@ -180,11 +181,8 @@ def test_no_honest_prediction_depends_on_the_current_it_is_to_predict(
     test = dwells.select(lambda c: c.pose < 20)
     other = test.with_columns(effort=np.full_like(test["effort"], 3.0))
     (method,) = methods(key)
-    (a, *_), (b, *_) = (
-        fit_tasks(method, train, test, robot()),
-        fit_tasks(method, train, other, robot()),
-    )
-    first, second = a.run(), b.run()
+    tasks = [fit_tasks(method, train, one, robot())[0] for one in (test, other)]
+    first, second = run_tasks(tasks, 1, "fits", silent)
     assert not first.failed
     assert np.isfinite(first.effort).all()
     assert np.array_equal(first.effort, second.effort)
