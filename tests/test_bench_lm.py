@@ -38,6 +38,7 @@ def test_pyrenn_starts_from_the_same_function(peers) -> None:
     assert with_pyrenn.target_norm(rows) ** 2 * cost == pytest.approx(np.sum(error**2))
 
 
+@pytest.mark.proof
 def test_everybody_gets_to_the_same_error() -> None:
     document = benchmarking.measure("lm", quick=True)
     figures = document["figures"]
