@@ -25,6 +25,7 @@ from hil.study.separation_methods import METHOD_KEYS, fit_tasks, known_methods
 from hil.study.separation_split import by_pose, by_sample
 from hil.study.separation_tasks import run_tasks
 from hil.study.soundness import faults_of
+from hil.study.store import read_study, study_files
 
 SMALL: dict[str, Any] = {
     "epochs": 40,
@@ -33,6 +34,16 @@ SMALL: dict[str, Any] = {
     "folds": 2,
     "jobs": 1,
 }
+MOCK_SPEC = """\
+hil: 1
+name: separation
+robot: ur5
+excitation: {kind: dwell, waypoints: 16, approach: both, seed: 3}
+warm_up: {duration_s: 0}
+reference: {every: 0}
+study:
+  - {study: static-separation, layouts: [[4, 1]], layout: [4, 2, 1], epochs: 3, folds: 2, jobs: 1}
+"""
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "studies.md"
 SPEC = Path(__file__).parents[1] / "experiments" / "ur5_static_separation.yaml"
 
@@ -233,3 +244,15 @@ def test_the_spec_names_the_study_with_parameters_it_accepts() -> None:
     (entry,) = hil.load(SPEC).spec.study
     asked = study(entry.study, **entry.parameters)
     assert (asked.layout, asked.epochs) == ([4, 20, 20, 10, 1], 1000)  # type: ignore[attr-defined]
+
+
+def test_a_run_on_the_mock_leaves_both_protocols_behind(tmp_path: Path) -> None:
+    (tmp_path / "spec.yaml").write_text(MOCK_SPEC, "utf-8")
+    report = hil.run(hil.load(tmp_path / "spec.yaml"), runs=tmp_path / "runs")
+    assert report.error is None
+    (file,) = study_files(report.run)
+    made = read_study(file)
+    assert [one.title for one in made.parts] == ["The recording", "As in the paper", "Honest"]
+    honest = table(made, "table-honest")
+    coulomb = cell(honest, "gravity + Fc·sign(approach)", "mean")
+    assert coulomb < cell(honest, "gravity by WLS, shared", "mean") / 2

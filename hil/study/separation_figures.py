@@ -16,6 +16,9 @@ from hil.typing import FloatArray, IntArray
 MOST = 700
 """Points of a panel, all curves together."""
 
+IN_A_ROW = 80
+"""Of efforts that jump from row to row, more cannot be told apart."""
+
 
 def joint_angles(whole: Dataset) -> Figure:
     """Fig. 3: where each joint was, over time."""
@@ -51,13 +54,18 @@ def series(
     joints: Sequence[int],
     axes: tuple[str, str],
 ) -> Figure:
-    """Fig. 5 and 8: measured and modelled efforts (N, n) by name, the first rows of them."""
-    rows = MOST // len(curves)
+    """Fig. 5 and 8: the first rows of efforts (N, n) by name.
+
+    What was measured, the first curve, is a line; a single estimate beside it is points, several
+    are lines, because points would hide each other.
+    """
+    style: Style = "line" if len(curves) > 2 else "points"
+    rows = np.arange(min(IN_A_ROW, *(len(values) for values in curves.values())))
     panels = []
     for j in joints:
         found = [
-            line(name, np.arange(min(rows, len(values))), values[:rows, j])
-            for name, values in curves.items()
+            line(name, rows, values[rows, j], style if k else "line")
+            for k, (name, values) in enumerate(curves.items())
         ]
         panels.append(Panel(f"J{j + 1}", *axes, tuple(found)))
     return Figure(key, title, caption, tuple(panels), 2)
