@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from hil.data import Conditions, Dataset
+from hil.data.arrival import POINTS, STEP_S
 from hil.dynamics import RobotModel, load_model
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -140,3 +141,47 @@ def raw(data: Dataset) -> Dataset:
     """The dataset without its prepared columns."""
     kept = {name: values for name, values in data.columns.items() if not name.endswith("_f")}
     return replace(data, columns=kept)
+
+
+def arriving(
+    poses: int,
+    *,
+    seed: int = 0,
+    dry_nm: FloatArray = COULOMB,
+    slide_rad: float = 3e-4,
+    length_rad: float = 2e-4,
+    load_share: float = 0.0,
+    per_k: float = 0.0,
+    load: Payload | None = None,
+    noise_a: float = 0.002,
+) -> Dataset:
+    """Dwells at random poses, from both sides, whose arrivals say how friction is stuck.
+
+    Every joint comes 1 mrad in one direction and slides back by up to `slide_rad`. Dahl's friction
+    of length `length_rad` is then side·(2·exp(−slide/length) − 1) of what it is in motion, which is
+    `dry_nm`, more by `load_share` of the torque borne and by `per_k` of itself per kelvin.
+    """
+    random = np.random.default_rng(1000 + seed)
+    stays = dwelling(poses, seed=seed, both=True, load=load, noise_a=noise_a)
+    q = stays["q"][stays.offsets[:-1]]
+    side = np.array([c.approach for c in stays.conditions], dtype=float)[:, None]
+    slid = slide_rad * random.random(q.shape)
+    warmer = np.linspace(-5.0, 5.0, len(q))[:, None] * np.ones(6)
+    borne = (plant().with_payload(load) if load else plant()).gravity(q)
+    level = (dry_nm + load_share * np.abs(borne)) * (1.0 + per_k * warmer)
+    friction = level * side * (2.0 * np.exp(-slid / length_rad) - 1.0)
+    columns = {
+        **stays.columns,
+        "effort": stays["effort"] + np.repeat(friction / GAINS, 10, axis=0),
+        "temperature": np.repeat(35.0 + warmer, 10, axis=0),
+    }
+    return replace(stays, columns=columns, arrivals=arrivals_of(side, slid))
+
+
+def arrivals_of(side: FloatArray, slid: FloatArray) -> FloatArray:
+    """Paths (D, K, 2, n) that come from `side` (D, 1), and slide back by `slid` (D, n)."""
+    way = (np.arange(POINTS) / 9.0)[None, :, None]
+    coming = -1e-3 + (1e-3 + slid[:, None]) * (1.0 - (1.0 - np.minimum(way, 1.0)) ** 2)
+    back = np.clip(way - 1.0, 0.0, 1.0) * slid[:, None]
+    position = side[:, None] * (coming - back)
+    return np.stack([position, np.gradient(position, STEP_S, axis=1)], axis=2)
