@@ -206,6 +206,19 @@ def test_an_approach_that_is_always_the_same_is_warned_of() -> None:
 
 
 @pytest.mark.parametrize(
+    "name", ["effort", "effort3", "effort_f", "own:effort", "own:effort_f", "effort_target2"]
+)
+def test_the_effort_is_no_input_in_any_of_its_forms(name) -> None:
+    with pytest.raises(SpecError, match="given its answer"):
+        StaticMlpLm(layers=(2, 3, 1), inputs=["q2", name])
+
+
+def test_motion_and_temperature_are_inputs() -> None:
+    names = ["q2", "qd3", "q_target", "qdd_target", "own:temperature", "approach", "side"]
+    assert StaticMlpLm(inputs=names).inputs == names
+
+
+@pytest.mark.parametrize(
     ("options", "told"),
     [
         ({"layers": [4, 8, 2]}, "layers"),

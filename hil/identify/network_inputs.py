@@ -4,6 +4,9 @@
 - `approach`: +1 or −1, from which side the pose was approached; 0 where that is not known;
 - `history`: any other column (N, n) of the dataset as a whole, n inputs;
 - `own:history`: of such a column only the joint whose network it is, 1 input.
+
+Not the effort itself, in none of its forms: a network that is shown the current predicts nothing.
+The commanded effort is no better: at rest it is the measured one without the noise.
 """
 
 from __future__ import annotations
@@ -19,6 +22,9 @@ from hil.typing import FloatArray
 
 APPROACH = "approach"
 OWN = "own:"
+TARGETS = ("effort", "current", "torque")
+"""Columns whose names hold one of these are what is to be predicted, or made of it."""
+
 _NUMBERED = re.compile(r"([A-Za-z_]+)(\d+)")
 
 
@@ -26,7 +32,7 @@ def checked_names(names: Any) -> list[str]:
     """Names as a list.
 
     Raises:
-        SpecError: It is no list of names, is empty, or a name occurs twice.
+        SpecError: It is no list of names, is empty, a name occurs twice, or it is the effort.
     """
     if isinstance(names, str) or not isinstance(names, list | tuple) or not names:
         raise SpecError(f"inputs is {names!r}, but must be a list of names such as [q2, approach]")
@@ -35,7 +41,19 @@ def checked_names(names: Any) -> list[str]:
         raise SpecError(f"inputs: {wrong[0]!r} is no name of a column")
     if len(set(names)) != len(names):
         raise SpecError(f"inputs: {max(names, key=names.count)} is there twice")
+    _require_no_target(names)
     return list(names)
+
+
+def _require_no_target(names: list[str] | tuple[str, ...]) -> None:
+    for name in names:
+        if any(target in name.lower() for target in TARGETS):
+            raise SpecError(
+                f"inputs: {name!r} is the effort that is to be predicted, or made of it: the model "
+                "would be given its answer",
+                hint="use positions, velocities, temperature, approach, or columns of your own "
+                "that are known without measuring or commanding an effort",
+            )
 
 
 def positions_only(names: list[str]) -> bool:
