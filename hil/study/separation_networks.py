@@ -59,10 +59,11 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NetworkResult:
-    """One network, trained: (S,) outputs at every dwell, seconds of one core, and weights."""
+    """One network, trained: (S,) outputs at every dwell, seconds of one core, epochs, weights."""
 
     outputs: FloatArray
     seconds: float
+    epochs: int
     weights: int
 
 
@@ -73,11 +74,13 @@ class Networks:
     Attributes:
         outputs: (S, n) at every dwell.
         seconds: (n,) each took of one core.
+        epochs: (n,) done until no step lowered the cost any more, or all there were.
         weights: Number of weights of each.
     """
 
     outputs: FloatArray
     seconds: FloatArray
+    epochs: IntArray
     weights: int
 
 
@@ -94,7 +97,9 @@ def network_tasks(
 def gathered(found: Sequence[NetworkResult]) -> Networks:
     """The results of `network_tasks`, put together."""
     outputs = np.stack([one.outputs for one in found], axis=1)
-    return Networks(outputs, np.array([one.seconds for one in found]), found[0].weights)
+    seconds = np.array([one.seconds for one in found])
+    epochs = np.array([one.epochs for one in found])
+    return Networks(outputs, seconds, epochs, found[0].weights)
 
 
 def _trained(mlp: Mlp, target: Target, joint: int, settings: NetworkSettings) -> NetworkResult:
@@ -107,4 +112,5 @@ def _trained(mlp: Mlp, target: Target, joint: int, settings: NetworkSettings) ->
             initial=mlp.initial(settings.seed, joint)[None], epochs=settings.epochs,
         )  # fmt: skip
     outputs = trained.predict(target.inputs)[:, 0]
-    return NetworkResult(outputs, time.process_time() - begin, mlp.n_weights)
+    seconds = time.process_time() - begin
+    return NetworkResult(outputs, seconds, trained.histories[0].epochs, mlp.n_weights)

@@ -45,8 +45,8 @@ def _what(run: PaperRun, epochs: int) -> str:
         f"What the paper does. Every pose is visited once (from which side is drawn): "
         f"{len(run.data.conditions)} poses, {len(run.data)} samples. The current i of a joint is "
         "regressed on gravity, i²·sign(i) and 1 (eq. 20); what that leaves, networks learn from "
-        f"the angles of joints 2 to 5, one per joint, in {epochs} epochs. Of all samples 75 % "
-        "train, 20 % test, and 5 % are set aside. The samples of a dwell differ by the noise of "
+        f"the angles of joints 2 to 5, one per joint, in up to {epochs} epochs. Of all samples "
+        "75 % train, 20 % test, and 5 % are set aside. The samples of a dwell differ by noise of "
         "the encoders alone, so the networks see the mean angles of the dwell: its samples then "
         "are one row of more weight, which gives the same network in less time."
     )

@@ -53,11 +53,13 @@ def _table_3(run: PaperRun, epochs: int) -> Table:
             "test",
             "train in the paper",
             "test in the paper",
+            "epochs",
             "training [s]",
         ),
         tuple(_layout_row(run, layout) for layout in run.networks),
-        f"{epochs} epochs of Levenberg–Marquardt; seconds of one core for the networks of all "
-        "joints. Single samples: what their noise alone costs is in Table 4.",
+        f"At most {epochs} epochs of Levenberg–Marquardt; a network is done when no step lowers "
+        "its error any more. Epochs are means over the joints, seconds of one core for all of "
+        "them. Errors are of single samples: what their noise alone costs is in Table 4.",
     )
 
 
@@ -65,8 +67,9 @@ def _layout_row(run: PaperRun, layout: Layout) -> tuple[Value, ...]:
     networks, found = run.networks[layout], run.separated(layout)
     printed: tuple[Value, ...] = TABLE_3.get(layout, (None, None))
     errors = mean_of(found.train), mean_of(found.test)
-    hidden, seconds = len(layout) - 2, float(networks.seconds.sum())
-    return layout_name(layout), hidden, networks.weights, *errors, *printed, seconds
+    training = round(float(networks.epochs.mean())), float(networks.seconds.sum())
+    sizes = len(layout) - 2, networks.weights
+    return layout_name(layout), *sizes, *errors, *printed, *training
 
 
 def _table_4(run: PaperRun) -> Table:
