@@ -15,6 +15,9 @@ from hil.typing import BoolArray, FloatArray, IntArray
 LEAST_SPAN_K = 1.0
 """Temperatures that change by less in training say nothing about how friction goes with them."""
 
+LEAST_OWN = 1e-4
+"""Share of a column that no others account for, below which it is left out."""
+
 
 def resting(dwells: Dataset) -> Dataset:
     """The same dwells with one row each: the means of whatever was measured."""
@@ -59,3 +62,18 @@ def dwells_in(dataset: Dataset) -> tuple[Dataset, BoolArray, IntArray]:
     series = dataset.series_index()
     at = chosen[series]
     return dataset.take(np.flatnonzero(chosen)), at, (np.cumsum(chosen) - 1)[series[at]]
+
+
+def independent(columns: FloatArray) -> BoolArray:
+    """(k,) which of the columns (D, k) are no combination of those kept before them."""
+    basis = np.empty((len(columns), 0))
+    kept = []
+    for column in columns.T:
+        left = column
+        for _ in range(2):  # once is not enough for columns that are nearly a combination
+            left = left - basis @ (basis.T @ left)
+        size, own = float(np.linalg.norm(column)), float(np.linalg.norm(left))
+        kept.append(own > LEAST_OWN * size)
+        if kept[-1]:
+            basis = np.column_stack([basis, left / own])
+    return np.array(kept, dtype=bool)

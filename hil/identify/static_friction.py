@@ -19,6 +19,7 @@ from hil.identify.rest_friction import GAIN, Rest
 from hil.identify.rest_rows import (
     celsius,
     dwells_in,
+    independent,
     mean_celsius,
     period,
     resting,
@@ -185,21 +186,25 @@ class StaticFriction(StaticModel):
         return rows.take(np.flatnonzero(whole))
 
     def _choose_terms(self, rows: Dataset, only: Sequence[str] = ()) -> None:
-        """Name the parameters: terms that were measured and are not zero throughout.
+        """Name the parameters: terms that say something which those before them do not.
 
-        The gain of the joint that bears most is left out: if all were wrong by one factor, the
-        gravity parameters would be, and nobody could tell.
+        Joint 1 of an upright arm bears no load; where nothing slides back all states are the sign
+        of the approach. The gain of the joint that bears most is left out: if all gains were wrong
+        by one factor, the gravity parameters would be, and nobody could tell.
         """
         terms = self._columns(rows)
-        reference = f"{self.joint_names_[int(np.argmax(self.load_limit_))]}.{GAIN}"
-        names = [
-            f"{joint}.{term}"
-            for j, joint in enumerate(self.joint_names_)
-            for term, values in terms.items()
-            if np.max(np.abs(values[:, j])) > NOTHING and (not only or term in only)
-        ]
-        names = [name for name in names if name != reference]
-        self._take_names((*self._form.names, *names), tuple(terms))
+        heaviest, names = int(np.argmax(self.load_limit_)), list(self._form.names)
+        for j, joint in enumerate(self.joint_names_):
+            own = {
+                term: values[:, j]
+                for term, values in terms.items()
+                if (not only or term in only)
+                and (term != GAIN or j != heaviest)
+                and np.max(np.abs(values[:, j])) > NOTHING
+            }
+            told = independent(np.stack(list(own.values()), axis=1)).tolist()
+            names += [f"{joint}.{term}" for term, new in zip(own, told, strict=True) if new]
+        self._take_names(tuple(names), tuple(terms))
 
     def _take_names(self, parameters: tuple[str, ...], terms: tuple[str, ...]) -> None:
         known = set(parameters)
