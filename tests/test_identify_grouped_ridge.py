@@ -64,7 +64,7 @@ def test_rows_of_one_group_are_never_apart() -> None:
     together = GroupedRidge.fit(np.tile(X, (2, 1)), np.tile(y, 2), np.tile(groups, 2))
     torn = GroupedRidge.fit(np.tile(X, (2, 1)), np.tile(y, 2), np.arange(80))
     assert np.std(together.residual) > 0.9 * np.std(y)
-    assert np.std(torn.residual) < 0.5 * np.std(y)
+    assert np.std(torn.residual) < 0.7 * np.std(y)
 
 
 def test_pure_noise_is_shrunk_to_nothing() -> None:
