@@ -106,6 +106,18 @@ def test_a_joint_with_too_little_torque_against_its_friction_is_not_determined()
     assert "too little against friction" in found.reasons[3]
 
 
+@pytest.mark.parametrize("joint", [1, 5])
+def test_a_negative_gain_is_not_determined_and_says_what_it_may_come_from(joint) -> None:
+    data = sweep(None, BESIDE)
+    effort = data["effort"].copy()
+    effort[:, joint] *= -1.0
+    found = calibrate_gains(data.with_columns(effort=effort), nominal())
+    assert found.determined.tolist() == [j not in (0, joint) for j in range(6)]
+    assert np.isnan(found.gain[joint])
+    assert "counts in the other direction" in found.reasons[joint]
+    assert found.to_dict()["yaml"][0].count("-") == 0
+
+
 def test_recordings_of_each_load_with_their_own_numbers_are_paired_by_position() -> None:
     data = sweep(None, BESIDE)
     apart = tuple(

@@ -39,7 +39,13 @@ NO_TORQUE = (
 )
 
 MOST_ERROR = 0.05
-"""Relative standard error of a gain beyond which it is not called determined."""
+"""Relative standard error of a gain beyond which it is not called determined. A gain that passes is
+twenty standard errors away from 0."""
+
+NOT_POSITIVE = (
+    "the current falls where the loads' torque rises: the current or the joint counts in the other "
+    "direction than the robot model, or the mass or centre of a load is wrong"
+)
 
 MOST_BEND_ERROR = 0.03
 """Standard error of K₂·i at the largest current, as a share of the gain; beyond it K₂ says nothing
@@ -193,10 +199,12 @@ def _of_joint(pairs: GainPairs, j: int) -> _Joint:
         return _Joint(
             reason=f"the loads add at most {most:.2g} N·m, too little against friction: {told}"
         )
+    if gain <= 0:
+        return _Joint(reason=f"{gain:.3g} ± {error:.2g} N·m/A is not above 0: {NOT_POSITIVE}")
     both = np.column_stack([current, pairs.square[:, j]])
     bent = instrumental(both, torque, np.column_stack([torque, pairs.instrument[:, j]]), pairs.pose)
     (k1, k2), (k1_error, k2_error) = bent.coefficients.tolist(), bent.std_error.tolist()
-    if not k2_error * pairs.largest[j] < MOST_BEND_ERROR * abs(gain):
+    if not k2_error * pairs.largest[j] < MOST_BEND_ERROR * gain:
         return _Joint(gain, error)
     return _Joint(gain, error, k1, k1_error, k2, k2_error)
 
