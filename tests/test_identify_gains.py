@@ -128,6 +128,18 @@ def test_recordings_of_each_load_with_their_own_numbers_are_paired_by_position()
     )
 
 
+def test_poses_without_a_partner_are_counted_in_a_note() -> None:
+    data = sweep(None, BESIDE)
+    assert calibrate_gains(data, nominal()).notes == ()
+    # Pose 3 lacks one approach under load, poses 4 and 5 were never visited with it.
+    partial = data.select(
+        lambda c: not c.load or (c.pose not in (4, 5) and (c.pose, c.approach) != (3, -1))
+    )
+    found = calibrate_gains(partial, nominal())
+    assert (found.poses, found.both_sides) == (27, True)
+    assert "3 of 30 poses are left out: they were not approached from both sides" in found.notes[0]
+
+
 def test_three_loads_are_all_used() -> None:
     found = calibrated(None, Payload(1.5, BESIDE.com), BESIDE)
     assert found.masses == (0.0, 1.5, 3.0)

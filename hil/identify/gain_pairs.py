@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +70,8 @@ def paired(dwells: Dataset, robot: RobotModel) -> GainPairs:
     own = levels[load, np.arange(len(load))]
     whole = own + robot.gravity(q)
     values = np.stack([own, current, current * np.abs(current), whole * np.abs(whole)], axis=1)
-    rows, poses, sides = _differences(dwells, q, load, values)
+    at = _poses(q)
+    rows, poses, sides = _differences(dwells, at, load, values)
     # Approached from both sides: +1 and −1. Where nobody knows, a pose has the approach 0 only.
     both = 2 in sides
     kept = [k for k, count in enumerate(sides) if count == (2 if both else 1)]
@@ -78,16 +80,27 @@ def paired(dwells: Dataset, robot: RobotModel) -> GainPairs:
     masses = tuple(load.mass for load in loads)
     pose = np.array([poses[k] for k in kept], dtype=np.int64)
     largest = np.max(np.abs(current), axis=0, initial=0.0)
-    notes = () if both else (ONE_SIDED,)
+    notes = (*(() if both else (ONE_SIDED,)), *_left_out(set(at), set(pose.tolist()), both))
     return GainPairs(torque, amps, square, instrument, pose, largest, masses, both, notes)
 
 
+def _left_out(measured: set[int], used: set[int], both: bool) -> Iterator[str]:
+    """A note when there are poses that tell nothing."""
+    lost = len(measured - used)
+    if lost:
+        sides = "from both sides " if both else "the same way "
+        yield (
+            f"{lost} of {len(measured)} poses are left out: they were not approached {sides}with "
+            "the lightest and with a heavier load"
+        )
+
+
 def _differences(
-    dwells: Dataset, q: FloatArray, load: IntArray, values: FloatArray
+    dwells: Dataset, poses: list[int], load: IntArray, values: FloatArray
 ) -> tuple[list[FloatArray], list[int], list[int]]:
     """Per pose and heavier load: difference of `values`, pose, and how many approaches."""
     at: dict[tuple[int, int], dict[int, int]] = {}
-    for series, (pose, condition) in enumerate(zip(_poses(q), dwells.conditions, strict=True)):
+    for series, (pose, condition) in enumerate(zip(poses, dwells.conditions, strict=True)):
         # Of a dwell that was measured again in a later attempt, the last one counts.
         at.setdefault((pose, condition.approach), {})[int(load[series])] = series
     found: dict[tuple[int, int], list[FloatArray]] = {}
