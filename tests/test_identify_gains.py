@@ -128,6 +128,19 @@ def test_recordings_of_each_load_with_their_own_numbers_are_paired_by_position()
     )
 
 
+def test_an_arm_that_sags_under_the_load_has_the_same_gains() -> None:
+    data = sweep(None, BESIDE, noise_a=0.0, stiction_nm=0.0)
+    loaded = np.repeat([c.load for c in data.conditions], 10)[:, None]
+    whole, q = plant().with_payload(BESIDE), data["q"]
+    # 4 mrad at 15 N·m, as a controller without an integral part gives way.
+    low = q - 0.004 / 15 * (whole.gravity(q) - plant().gravity(q))
+    effort = data["effort"] + loaded * (whole.gravity(low) - whole.gravity(q)) / GAINS
+    sagging = data.with_columns(q=np.where(loaded, low, q), effort=effort)
+    assert 0.003 < np.max(np.abs(low - q)) < 0.01
+    found = calibrate_gains(sagging, nominal())
+    assert found.gain[1:] == pytest.approx(GAINS[1:], rel=1e-4)
+
+
 def test_poses_without_a_partner_are_counted_in_a_note() -> None:
     data = sweep(None, BESIDE)
     assert calibrate_gains(data, nominal()).notes == ()

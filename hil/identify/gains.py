@@ -137,7 +137,8 @@ def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
 
     Args:
         dataset: Motor currents; each series' *declared* load is taken as exact.
-        robot: Kinematics say what torque a load makes; masses serve as instruments only.
+        robot: Kinematics say what torque a load makes. Masses serve as instruments, and where a
+            pose under load is a little off, for what that changes.
 
     Raises:
         FitError: The efforts are no currents, not finite or of another robot; or there are not two
@@ -187,8 +188,7 @@ class _Joint(NamedTuple):
 
 
 def _of_joint(pairs: GainPairs, j: int) -> _Joint:
-    torque = pairs.torque[:, j]
-    most = float(np.max(np.abs(torque)))
+    torque, most = pairs.torque[:, j], float(pairs.added[j])
     if most < LEAST_TORQUE:
         return _Joint(reason=NO_TORQUE)
     current = pairs.current[:, j, None]
