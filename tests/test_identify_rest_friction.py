@@ -13,6 +13,7 @@ from hil.identify.rest_friction import (
     correction_features,
     coulomb_terms,
     dahl_states,
+    drive_terms,
     memory_terms,
     smooth,
 )
@@ -35,7 +36,6 @@ def rest(paths=None, *, load=None, warmer=None, dwells=2, joints=6):
     paths = arrivals_of(side, random.uniform(0, 3e-4, (dwells, joints))) if paths is None else paths
     nothing = np.zeros((dwells, joints))
     return Rest(
-        q=random.uniform(-2, 2, (dwells, joints)),
         load=nothing if load is None else load,
         direction=side * np.ones(joints),
         paths=paths,
@@ -108,25 +108,30 @@ def test_coulomb_is_the_direction_and_nothing_else() -> None:
 def test_memory_goes_with_load_and_temperature() -> None:
     load = np.array([[-3.0] * 6, [40.0] * 6])
     warmer = np.array([[2.0] * 6, [-1.0] * 6])
-    terms = memory_terms(rest(load=load, warmer=warmer), [LENGTH], None)
+    terms = memory_terms(rest(load=load, warmer=warmer), [LENGTH])
     assert terms["memory1_load"] == pytest.approx(terms["memory1"] * np.abs(load))
     assert terms["coulomb_temperature"] == pytest.approx(SIDE * warmer)
+
+
+def test_drives_err_with_load_and_its_square() -> None:
+    load = np.array([[-3.0] * 6, [40.0] * 6])
+    terms = drive_terms(np.zeros((2, 6)), load, None)
+    assert set(terms) == {"gain", "square"}
     assert terms["gain"] == pytest.approx(load)
     assert terms["square"] == pytest.approx(np.array([[-9.0] * 6, [1600.0] * 6]))
-    assert not [name for name in terms if "ripple" in name]
 
 
 def test_ripple_goes_with_the_angle_of_the_motor() -> None:
-    arms = rest()
-    terms = memory_terms(arms, [LENGTH], 101.0)
-    assert terms["ripple2_sin"] == pytest.approx(np.sin(202.0 * arms.q))
-    assert terms["ripple1_cos"] == pytest.approx(np.cos(101.0 * arms.q))
+    q = np.random.default_rng(1).uniform(-2, 2, (5, 6))
+    terms = drive_terms(q, np.zeros((5, 6)), 101.0)
+    assert terms["ripple2_sin"] == pytest.approx(np.sin(202.0 * q))
+    assert terms["ripple1_cos"] == pytest.approx(np.cos(101.0 * q))
 
 
 def test_a_mirrored_arrival_has_mirrored_friction_and_correction() -> None:
     arms = rest(load=np.array([[3.0] * 6, [3.0] * 6]))
-    flipped = Rest(arms.q, -arms.load, -arms.direction, -arms.paths, arms.warmer)
-    there, back = memory_terms(arms, [LENGTH], None), memory_terms(flipped, [LENGTH], None)
+    flipped = Rest(-arms.load, -arms.direction, -arms.paths, arms.warmer)
+    there, back = memory_terms(arms, [LENGTH]), memory_terms(flipped, [LENGTH])
     assert all(back[name] == pytest.approx(-there[name]) for name in there)
     assert correction_features(flipped) == pytest.approx(-correction_features(arms))
 

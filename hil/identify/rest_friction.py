@@ -30,14 +30,12 @@ class Rest:
     """Arms at rest, one row each, and how they came there.
 
     Attributes:
-        q: (D, n) where [rad].
         load: (D, n) torque that gravity and payload take [N·m], as far as it is known beforehand.
         direction: (D, n) +1 from below, −1 from above, 0 unknown.
         paths: (D, K, 2, n) see `hil.data.arrival`; 0 where unknown.
         warmer: (D, n) joint temperatures less their mean in training [K]; 0 where unknown.
     """
 
-    q: FloatArray
     load: FloatArray
     direction: FloatArray
     paths: FloatArray
@@ -49,33 +47,40 @@ def coulomb_terms(rest: Rest) -> dict[str, FloatArray]:
     return {"coulomb": rest.direction}
 
 
-def memory_terms(
-    rest: Rest, lengths_rad: Sequence[float], gear_ratio: float | None
-) -> dict[str, FloatArray]:
-    """Columns (D, n) by name.
+def drive_terms(q: FloatArray, load: FloatArray, gear_ratio: float | None) -> dict[str, FloatArray]:
+    """Columns (N, n) by name of what the drives do to the current, friction or not.
 
     Args:
-        rest: What is known of the arms.
-        lengths_rad: Lengths x of Dahl's states [rad].
+        q: (N, n) where [rad].
+        load: (N, n) torque borne [N·m].
         gear_ratio: Motor turns per joint turn, for the ripple of the gear; None for no ripple.
 
     Returns:
         `gain` (τ: the error of a joint's drive gain beside the other joints'), `square` (τ·|τ|:
-        eq. 16 solved for the current, to first order), `coulomb` and `memory1…` with their parts
-        that go with load and temperature, `ripple…`.
+        eq. 16 solved for the current, to first order), `ripple…`.
     """
-    terms = {GAIN: rest.load, "square": rest.load * np.abs(rest.load)}
+    terms = {GAIN: load, "square": load * np.abs(load)}
+    for turns in (1, 2) if gear_ratio is not None else ():
+        phase = turns * (gear_ratio or 0.0) * q
+        terms |= {f"ripple{turns}_sin": np.sin(phase), f"ripple{turns}_cos": np.cos(phase)}
+    return terms
+
+
+def memory_terms(rest: Rest, lengths_rad: Sequence[float]) -> dict[str, FloatArray]:
+    """Columns (D, n) by name: `coulomb` and `memory1…`, and how they go with load and temperature.
+
+    Args:
+        rest: What is known of the arms.
+        lengths_rad: Lengths x of Dahl's states [rad].
+    """
     states = dahl_states(smooth(rest.paths[:, :, Q]), lengths_rad)
     named = {"coulomb": rest.direction}
     named |= {f"memory{k + 1}": state for k, state in enumerate(states)}
+    terms = {}
     for name, state in named.items():
         terms[name] = state
         terms[f"{name}_load"] = state * np.abs(rest.load)
         terms[f"{name}_temperature"] = state * rest.warmer
-    if gear_ratio is not None:
-        for turns in (1, 2):
-            phase = turns * gear_ratio * rest.q
-            terms |= {f"ripple{turns}_sin": np.sin(phase), f"ripple{turns}_cos": np.cos(phase)}
     return terms
 
 
@@ -90,7 +95,7 @@ def correction_features(rest: Rest) -> FloatArray:
     magnitude = np.abs(rest.load)
     shared = np.hstack([rest.load, rest.load * magnitude])
     found = []
-    for j in range(rest.q.shape[1]):
+    for j in range(rest.load.shape[1]):
         own, side = position[:, :, j], rest.direction[:, [j]]
         columns = (own, speed[:, :, j], own * magnitude[:, [j]], shared)
         found.append(np.hstack([*columns, side * magnitude, side * rest.warmer]))

@@ -65,7 +65,11 @@ class StaticFriction(StaticModel):
 
     @abstractmethod
     def _terms(self, rest: Rest) -> dict[str, FloatArray]:
-        """Columns (D, n) by name, the same names always."""
+        """Columns (D, n) of friction by name, the same names always."""
+
+    def _drive_terms(self, q: FloatArray, load: FloatArray) -> dict[str, FloatArray]:
+        """Columns (N, n) by name of what drives do at positions q and loads, both (N, n)."""
+        return {}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the dwells of the data.
@@ -98,7 +102,7 @@ class StaticFriction(StaticModel):
         """Add to the fit what else there is to learn from dwells with one row each."""
 
     def predict(self, dataset: Dataset) -> Prediction:
-        """Gravity, offset, friction and payload per row.
+        """Gravity, offset, drive, friction and payload per row.
 
         Friction is known for dwells whose approach is known; elsewhere it is 0, and the rows are
         marked as not valid.
@@ -110,6 +114,8 @@ class StaticFriction(StaticModel):
         still, joints = np.zeros_like(dataset["q"]), dataset.n_joints
         base = self._predict(dataset, dataset["q"], still, still)
         parts = {name: np.array(part) for name, part in base.components.items()}
+        if drive := self._drive_terms(dataset["q"], self._load(dataset)):
+            parts["drive"] = self._weighted(drive)
         parts["friction"] = np.zeros_like(still)
         std, valid = np.full_like(still, np.nan), np.zeros((len(dataset), joints), dtype=bool)
         dwells, at, number = dwells_in(dataset)
@@ -214,28 +220,34 @@ class StaticFriction(StaticModel):
         )
 
     def _columns(self, rows: Dataset) -> dict[str, FloatArray]:
-        return {"offset": np.ones_like(rows["q"])} | self._terms(self.rest(rows))
+        rest = self.rest(rows)
+        drive = self._drive_terms(rows["q"], rest.load)
+        return {"offset": np.ones_like(rows["q"])} | drive | self._terms(rest)
 
-    def _own_coefficients(self) -> FloatArray:
-        """(n, k) of the k terms of every joint, the offset first; 0 for terms it does not have."""
-        own = np.zeros(self._alive.shape)
+    def _weighted(self, columns: dict[str, FloatArray]) -> FloatArray:
+        """(D, n) the columns times their coefficients, in effort units."""
+        own = np.zeros(self._alive.shape)  # 0 for terms that a joint does not have
         own[self._alive] = self.coefficients_[len(self._form.names) :]
-        return own
+        total: FloatArray = sum(
+            (values * own[:, self._names.index(term)] for term, values in columns.items()),
+            start=np.zeros(()),
+        )
+        return total / self.torque_scale_
+
+    def _load(self, data: Dataset) -> FloatArray:
+        """(N, n) torque of gravity and payload [N·m], see `FARTHEST_LOAD`."""
+        q, still = data["q"], np.zeros_like(data["q"])
+        gravity = (self._form.columns(q) @ self.load_gravity_).reshape(q.shape)
+        load = gravity + payload_torque(self.robot_, data, q, still, still)
+        return np.where(
+            np.abs(load) > NOTHING, np.clip(load, -self.load_limit_, self.load_limit_), 0.0
+        )
 
     def rest(self, rows: Dataset) -> Rest:
         """What the columns are made of, for dwells with one row each."""
-        q, still = rows["q"], np.zeros_like(rows["q"])
-        gravity = (self._form.columns(q) @ self.load_gravity_).reshape(q.shape)
-        load = gravity + payload_torque(self.robot_, rows, q, still, still)
-        load = np.clip(load, -self.load_limit_, self.load_limit_)
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
-        return Rest(
-            q,
-            np.where(np.abs(load) > NOTHING, load, 0.0),
-            directions(paths),
-            np.nan_to_num(paths),
-            np.nan_to_num(celsius(rows) - self.celsius_),
-        )
+        warmer = np.nan_to_num(celsius(rows) - self.celsius_)
+        return Rest(self._load(rows), directions(paths), np.nan_to_num(paths), warmer)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         q, still = data["q"], np.zeros_like(data["q"])
@@ -246,17 +258,13 @@ class StaticFriction(StaticModel):
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         gravity = self._form.columns(q) @ self.coefficients_[: len(self._form.names)]
-        offset = self._own_coefficients()[:, 0] / self.torque_scale_
         return {
             "gravity": gravity.reshape(q.shape) / self.torque_scale_,
-            "offset": np.broadcast_to(offset, q.shape),
+            "offset": self._weighted({"offset": np.ones_like(q)}),
         }
 
     def _friction(self, rows: Dataset) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Friction, its standard deviation (both in effort units) and whether it is known."""
         rest = self.rest(rows)
-        columns = np.stack(list(self._terms(rest).values()), axis=-1)
-        torque = np.einsum("djk,jk->dj", columns, self._own_coefficients()[:, 1:])
-        known = rest.direction != 0
-        deviation = np.broadcast_to(self.sigma_, torque.shape)
-        return torque / self.torque_scale_, deviation, known
+        friction = self._weighted(self._terms(rest))
+        return friction, np.broadcast_to(self.sigma_, friction.shape), rest.direction != 0

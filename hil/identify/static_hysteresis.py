@@ -19,7 +19,7 @@ from hil.errors import SpecError
 from hil.identify.dwell_rows import pose_numbers
 from hil.identify.grouped_ridge import GroupedRidge
 from hil.identify.parameters import flag, number
-from hil.identify.rest_friction import Rest, correction_features, memory_terms
+from hil.identify.rest_friction import Rest, correction_features, drive_terms, memory_terms
 from hil.identify.static_friction import StaticFriction
 from hil.typing import BoolArray, FloatArray
 
@@ -106,7 +106,10 @@ class StaticHysteresis(StaticFriction):
         )
 
     def _terms(self, rest: Rest) -> dict[str, FloatArray]:
-        return memory_terms(rest, self.lengths_rad, self.gear_ratio)
+        return memory_terms(rest, self.lengths_rad)
+
+    def _drive_terms(self, q: FloatArray, load: FloatArray) -> dict[str, FloatArray]:
+        return drive_terms(q, load, self.gear_ratio)
 
     def _dry(self) -> tuple[str, ...]:
         return ("coulomb", *(f"memory{k + 1}" for k in range(len(self.lengths_rad))))
