@@ -21,7 +21,8 @@ def torque_scale(dataset: Dataset) -> FloatArray:
     """(n,) torque per unit of the recorded effort: 1 for torques, the drive gains for currents.
 
     Raises:
-        FitError: The effort is a current and nobody said how much torque it makes.
+        FitError: The effort is a current and nobody said how much torque it makes, or what was
+            said cannot be.
     """
     if dataset.effort_kind == "torque":
         return np.ones(dataset.n_joints)
@@ -31,7 +32,16 @@ def torque_scale(dataset: Dataset) -> FloatArray:
             "cannot be set against torques",
             hint="add drive_gains_nm_a and drive_gains_source to the import map or the station",
         )
-    return np.asarray(dataset.drive_gains, dtype=np.float64)
+    gains = np.asarray(dataset.drive_gains, dtype=np.float64)
+    wrong = np.flatnonzero(~(np.isfinite(gains) & (gains > 0)))
+    if len(wrong):
+        told = ", ".join(f"{dataset.joint_names[j]} has {gains[j]:g}" for j in wrong)
+        raise FitError(
+            f"drive gains [N·m/A] must be finite and above 0, but {told}",
+            hint="correct drive_gains_nm_a of the import map or the station; where a current "
+            "counts in the other direction, give its effort the scale -1 in the import map",
+        )
+    return gains
 
 
 def require_robot(dataset: Dataset, robot: RobotModel) -> None:
@@ -60,16 +70,21 @@ def require_robot(dataset: Dataset, robot: RobotModel) -> None:
 
 
 def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
-    """Refuse NaN and infinity in the columns a fit uses.
+    """Refuse NaN and infinity in the columns a fit uses, and an effort that is 0 throughout.
 
     Raises:
-        FitError: A value is not finite.
+        FitError: A value is not finite, or no effort was measured.
     """
     for name in columns:
         try:
             require_finite(name, dataset[name])
         except DataError as error:
             raise FitError(error.message, hint=error.hint) from error
+    if "effort" in columns and len(dataset) and not np.any(dataset["effort"]):
+        raise FitError(
+            "the effort is 0 in every row and joint, so none was measured",
+            hint="look at the columns of `effort` in the import map, or at what the driver reads",
+        )
 
 
 def require_motion(dataset: Dataset, joints: Sequence[int] | None = None) -> None:

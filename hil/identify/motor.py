@@ -26,8 +26,13 @@ def current_of(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants =
     """Motor current [A] of joint torques [N·m], the inverse of eq. 16 on its growing branch.
 
     Raises:
-        DataError: No current makes one of the torques.
+        DataError: K₁ is not above 0, or no current makes one of the torques.
     """
+    if not np.all(np.asarray(k1) > 0):
+        raise DataError(
+            "eq. 16 can be solved for the current only with K₁ above 0: torque grows with current",
+            hint="a drive whose current counts in the other direction: turn the current's sign",
+        )
     beyond = ~has_current(torque, k1, k2, k0)
     if np.any(beyond):
         raise DataError(
@@ -48,7 +53,10 @@ def has_current(torque: FloatArray, k1: Constants, k2: Constants, k0: Constants 
 def nearest_current(
     torque: FloatArray, k1: Constants, k2: Constants, k0: Constants = 0.0
 ) -> FloatArray:
-    """As `current_of`; for a torque that no current makes, the current at the turning point."""
+    """As `current_of`; for a torque that no current makes, the current at the turning point.
+
+    K₁ must be above 0, which is for the caller to see to.
+    """
     rest = np.asarray(torque - k0)
     root = np.sqrt(np.maximum(_discriminant(rest, k1, k2), 0.0))
     # With the sum below the fraction line, K₂ = 0 is no special case and nothing cancels.

@@ -106,8 +106,8 @@ class WlsEstimator(RobotEstimator):
         solver, weight = WeightedLeastSquares().fit(X, y), np.ones(data.n_joints)
         sigma = observed.residual_std(solver.coef_)
         if weighted:
-            # Noise-free data would weight by 1/0.
-            floor = 1e-12 * float(np.max(np.abs(y)))
+            # Noise-free data would weight by 1/0, and so would a target that is 0 throughout.
+            floor = 1e-12 * float(np.max(np.abs(y))) or 1.0
             weight = 1.0 / np.maximum(sigma, floor) ** 2
             solver.fit(X, y, sample_weight=weight[joint])
             sigma = observed.residual_std(solver.coef_)
