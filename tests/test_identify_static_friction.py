@@ -164,12 +164,37 @@ def test_without_temperatures_the_rest_of_the_friction_is_predicted(dwells) -> N
     assert np.array_equal(model.predict(cold(test)).effort, model.predict(test).effort)
 
 
-def test_temperatures_that_did_not_change_in_training_are_no_input(dwells) -> None:
-    constant = dwells.with_columns(temperature=np.full_like(dwells["q"], 31.25))
-    model = StaticHysteresis().fit(constant, nominal())
+def test_friction_falls_as_joints_get_warm(hysteresis) -> None:
+    test = held_out()
+    warm = test.with_columns(temperature=test["temperature"] + 5.0)
+    ratio = (
+        hysteresis.predict(warm).components["friction"]
+        / hysteresis.predict(test).components["friction"]
+    )
+    assert np.median(ratio) == pytest.approx(0.95, abs=0.01)
+
+
+def test_temperatures_that_hardly_changed_in_training_are_no_input(dwells) -> None:
+    drift = np.repeat(np.linspace(31.2, 31.4, 200), 10)[:, None] * np.ones(6)
+    model = StaticHysteresis().fit(dwells.with_columns(temperature=drift), nominal())
     test = held_out()
     warm = test.with_columns(temperature=test["temperature"] + 40.0)
     assert np.array_equal(model.predict(warm).effort, model.predict(test).effort)
+
+
+def test_the_correction_takes_up_what_stopping_one_joint_does_to_another() -> None:
+    def coupled(data):
+        side = np.array([c.approach for c in data.conditions])[data.series_index()]
+        efforts = np.array(data["effort"])
+        efforts[:, 0] += 0.01 * side * np.abs(plant().gravity(data["q"])[:, 1]) / GAINS[0]
+        return data.with_columns(effort=efforts)
+
+    training, test = coupled(arriving(100)), coupled(arriving(40, seed=5, noise_a=0.0))
+    with_it, without = (
+        StaticHysteresis(correction=on).fit(training, nominal()) for on in (True, False)
+    )
+    assert error(with_it, test)[0] < 0.5 * error(without, test)[0]
+    assert np.all(without.penalty_ == np.empty(0))
 
 
 def test_dwells_without_a_temperature_are_predicted_at_the_usual_one(hysteresis) -> None:
