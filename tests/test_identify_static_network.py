@@ -87,6 +87,17 @@ def test_averaging_gives_nearly_the_same_network() -> None:
     assert averaged.effort == pytest.approx(plain.effort, abs=1e-6)
 
 
+def test_an_input_that_varies_within_a_dwell_needs_all_rows() -> None:
+    data = dwells()
+    data = data.with_columns(qd=1e-3 * np.random.default_rng(0).normal(size=data["q"].shape))
+    options = {"layers": (2, 4, 1), "inputs": ["q2", "qd2"], "epochs": 5, "validation_percent": 0}
+    with pytest.raises(FitError, match="input 2 of 2 varies") as told:
+        small(**options).fit(data, nominal())
+    assert "averaging: false" in told.value.hint
+    model = small(averaging=False, **options).fit(data, nominal())
+    assert model.sigma_ == pytest.approx(error(model, data))
+
+
 def test_a_joint_may_see_a_column_of_its_own() -> None:
     def sided_by_joint(seed):
         data = dwelling(150, seed=seed)

@@ -94,6 +94,33 @@ def test_averaging_does_not_depend_on_the_order_of_rows() -> None:
         assert a == pytest.approx(b)
 
 
+def test_rows_whose_inputs_differ_are_not_averaged() -> None:
+    X, Y, pose = repeated()
+    X[:, 1] = np.random.default_rng(0).normal(size=len(X))
+    with pytest.raises(FitError, match="input 2 of 2 varies within the groups"):
+        train(MLP, X, Y, groups=pose, epochs=2)
+    own = np.stack([repeated()[0], X])
+    with pytest.raises(FitError, match="input 2 of 2"):
+        train(MLP, own, Y, groups=pose, epochs=2)
+
+
+def test_validation_rows_whose_inputs_differ_are_not_averaged() -> None:
+    X, Y, pose = repeated()
+    astray = X + np.std(X, axis=0) * np.random.default_rng(0).normal(size=X.shape)
+    with pytest.raises(FitError, match="varies within the groups"):
+        train(MLP, X, Y, groups=pose, validation=(astray, Y, None, pose), epochs=2)
+
+
+def test_noise_of_the_inputs_may_be_averaged_even_where_there_is_one_pose() -> None:
+    X, Y, pose = repeated()
+    X = X + 1e-3 * np.std(X, axis=0) * np.random.default_rng(0).normal(size=X.shape)
+    one = pose < 1
+    labels = np.arange(int(one.sum())) % 2
+    trained = train(MLP, X, Y, groups=pose, validation=(X[one], Y[one], None, labels), epochs=2)
+    told = [history.final_train_rmse for history in trained.histories]
+    assert told == pytest.approx(np.sqrt(np.mean((trained.predict(X) - Y) ** 2, axis=0)), rel=0.01)
+
+
 def test_equal_inputs_find_the_groups() -> None:
     X, _, pose = repeated()
     found = equal_inputs(X)

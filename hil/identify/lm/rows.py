@@ -3,7 +3,8 @@
 Rows with equal inputs have equal outputs, so Σ (yₖ − f)² over such a group is its size times
 (mean − f)² plus the scatter about the mean, in which the network does not occur. One row per group,
 weighted by its size, therefore has the same gradient, Gauss–Newton matrix and minimum as all of
-them; the constant is added again to what is reported.
+them; the constant is added again to what is reported. Inputs that differ within a group are
+refused.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ import numpy as np
 from hil.errors import FitError
 from hil.typing import FloatArray, IntArray
 
+MOST_SPREAD = 0.05
+"""Within groups an input may vary by this share of its deviation: noise, a step of a thermometer.
+That moves the output by as large a share of its own at most, and the RMSE by the square of it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
@@ -26,12 +31,14 @@ class Rows:
         Y: (N, B).
         weight: (N,), sums to 1.
         scatter: (B,) weighted mean square of what averaging took away; 0 without.
+        input_scatter: (1 or B, d) the same of the inputs, which should be next to nothing.
     """
 
     X: FloatArray
     Y: FloatArray
     weight: FloatArray
     scatter: FloatArray
+    input_scatter: FloatArray
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -44,8 +51,10 @@ class Rows:
     def single(self, network: int) -> Rows:
         """What one of the networks sees."""
         one = slice(network, network + 1)
-        X = self.X[one] if len(self.X) > 1 else self.X
-        return Rows(X, self.Y[:, one], self.weight, self.scatter[one])
+        own = one if len(self.X) > 1 else slice(None)
+        return Rows(
+            self.X[own], self.Y[:, one], self.weight, self.scatter[one], self.input_scatter[own]
+        )
 
 
 def checked_rows(
@@ -70,21 +79,21 @@ def checked_rows(
     _require_finite(X, "inputs", what)
     _require_finite(Y, "targets", what)
     weight = _weights(sample_weight, len(Y), what)
-    scatter = np.zeros(Y.shape[1])
+    scatter, of_inputs = np.zeros(Y.shape[1]), np.zeros((X.shape[0], X.shape[2]))
     if groups is not None:
-        X, Y, weight, scatter = averaged(X, Y, weight, np.asarray(groups))
+        X, Y, weight, scatter, of_inputs = averaged(X, Y, weight, np.asarray(groups))
     if len(Y) < 2:
         raise FitError(
             f"{len(Y)} {what} row(s) are too few for a network",
             hint="give at least two rows that differ",
         )
-    return Rows(X, Y, weight, scatter)
+    return Rows(X, Y, weight, scatter, of_inputs)
 
 
 def averaged(
     X: FloatArray, Y: FloatArray, weight: FloatArray, groups: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """One row per group: means of X (B, N, d) and Y (N, B), total weight, and scatter (B,).
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """One row per group: means of X (B, N, d) and Y (N, B), total weight, scatter (B,) and (B, d).
 
     Groups keep the order of their labels. Groups of weight 0 vanish.
 
@@ -99,11 +108,37 @@ def averaged(
     labels = groups[order]
     starts = np.flatnonzero(np.concatenate(([True], labels[1:] != labels[:-1])))
     total = np.add.reduceat(weight_used[order], starts)
-    share = weight_used[order] / np.repeat(total, np.diff(np.append(starts, len(labels))))
+    count = np.diff(np.append(starts, len(labels)))
+    share = weight_used[order] / np.repeat(total, count)
     X_mean = np.add.reduceat(X[:, order] * share[:, None], starts, axis=1)
     Y_mean = np.add.reduceat(Y[order] * share[:, None], starts, axis=0)
-    astray = Y[order] - np.repeat(Y_mean, np.diff(np.append(starts, len(labels))), axis=0)
-    return X_mean, Y_mean, total, weight_used[order] @ astray**2
+    astray = Y[order] - np.repeat(Y_mean, count, axis=0)
+    X_astray = X[:, order] - np.repeat(X_mean, count, axis=1)
+    of_inputs = np.einsum("n,bnd->bd", weight_used[order], X_astray**2)
+    return X_mean, Y_mean, total, weight_used[order] @ astray**2, of_inputs
+
+
+def require_alike(rows: Rows, input_scale: FloatArray) -> None:
+    """Refuse groups whose inputs differ: their rows are not one row, nor is the error told theirs.
+
+    Args:
+        rows: For training or validation.
+        input_scale: (1 or B, d) standard deviation of the training inputs between groups. It judges
+            validation rows as well: those may be of one pose, where noise is all there is.
+
+    Raises:
+        FitError: An input varies within groups.
+    """
+    within = np.sqrt(rows.input_scatter)
+    share = np.max(within / np.hypot(input_scale, within), axis=0)
+    if np.any(share > MOST_SPREAD):
+        worst = int(np.argmax(share))
+        raise FitError(
+            f"input {worst + 1} of {len(share)} varies within the groups that are to be averaged, "
+            f"by {share[worst]:.0%} of all its variation, so their rows are not alike",
+            hint="do not average (averaging: false, or no groups), or use an input that is the "
+            "same in all rows of a group",
+        )
 
 
 def equal_inputs(X: FloatArray) -> IntArray:

@@ -10,7 +10,7 @@ import numpy as np
 from hil.errors import FitError, SpecError
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.parallel import Task, run_all
-from hil.identify.lm.rows import checked_rows
+from hil.identify.lm.rows import checked_rows, require_alike
 from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.settings import Settings
 from hil.identify.lm.trained import Callback, Trained
@@ -59,7 +59,8 @@ def train(
         The networks, with the weights of the best validation error, or the last.
 
     Raises:
-        FitError: The data do not allow it: shapes, NaN, too few rows.
+        FitError: The data do not allow it: shapes, NaN, too few rows, rows of one label whose
+            inputs differ.
         SpecError: A setting cannot be, or the device is not there.
     """
     chosen = Settings.given(settings)
@@ -73,6 +74,9 @@ def train(
     if chosen.patience is not None and held_out is None:
         raise SpecError("patience needs validation rows to judge by")
     scaling = Scaling.of(rows)
+    for averaged in (rows, held_out):
+        if averaged is not None:
+            require_alike(averaged, scaling.input_scale)
     start = (
         np.stack([mlp.initial(seed, network) for network in range(rows.networks)])
         if initial is None
