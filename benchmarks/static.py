@@ -29,6 +29,8 @@ from hil.data.splits import Split, split
 from hil.dynamics import load_model
 from hil.errors import DataError
 from hil.identify import estimator
+from hil.identify.gravity import PaperGravity
+from hil.identify.static_linear import StaticLinear
 from hil.typing import FloatArray
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
@@ -79,7 +81,8 @@ def run(quick: bool = False, seeds: Sequence[int] | None = None) -> dict[str, An
         with tempfile.TemporaryDirectory() as folder:
             noisy, perfect = record(seed, Path(folder), QUICK_POSES if quick else None)
         results = contest(noisy, perfect, QUICK_EPOCHS if quick else EPOCHS)
-        figures |= _figures(f"seed{seed}", results)
+        told = _figures(results) | parameters(seed, noisy)
+        figures |= {f"seed{seed}_{key}": value for key, value in told.items()}
         ratios[f"seed{seed}"] = _ratios(results)
     worst = {key: min(of[key] for of in ratios.values()) for key in next(iter(ratios.values()))}
     ratios["worst"] = worst
@@ -149,6 +152,43 @@ def models(epochs: int) -> dict[str, tuple[str, dict[str, Any]]]:
     }
 
 
+def parameters(seed: int, dwells: Dataset) -> dict[str, float]:
+    """Gravity in amperes per φ of eq. 15, by least squares on all poses, beside the truth.
+
+    In amperes, since data-sheet gains scale torques. The truth is the plant's gravity over its K1;
+    what K2 and friction add is the bias.
+    """
+    model = StaticLinear(method="ls").fit(dwells, load_model("ur5"))
+    q = series_means(dwells, dwells["q"])
+    currents = _true_gravity_current(seed, q)
+    form = PaperGravity(model.robot_)
+    owner, columns = np.array(form.joint, dtype=int), form.columns(q).reshape(*q.shape, -1)
+    truth = np.zeros(len(owner))
+    for joint in np.unique(owner):
+        phi = columns[:, joint, owner == joint]
+        truth[owner == joint] = np.linalg.lstsq(phi, currents[:, joint])[0]
+    count, scale = len(truth), model.torque_scale_[owner]
+    found = model.coefficients_[:count] / scale
+    low, high = (model.interval()[:count] / scale[:, None]).T
+    inside = (low <= truth) & (truth <= high)
+    return {
+        "parameters_within_95_percent": float(np.mean(inside)),
+        "parameters_bias_of_largest": float(np.max(np.abs(found - truth)) / np.max(np.abs(truth))),
+    }
+
+
+def _true_gravity_current(seed: int, q: FloatArray) -> FloatArray:
+    """(D, n) gravity of the mock's own plant over K1 [A] at positions (D, n)."""
+    from hil_mock_robot.draw import draw_truth
+    from hil_mock_robot.simulation import Setting, Simulation
+
+    truth, still = draw_truth("ur5", seed), np.zeros(q.shape[1])
+    plant = Simulation(truth, Setting(125.0), q[0].copy()).plant
+    gains = np.array([joint.drive.gain_nm_a for joint in truth.joints])
+    torque = np.stack([plant.inverse(one, still, still) for one in q])
+    return np.asarray(torque / gains)
+
+
 def _start(folder: Path, options: dict[str, Any], poses: int | None) -> subprocess.Popen[str]:
     """`hil run` in a process of its own: its memory ends with it, and two share the cores."""
     folder.mkdir()
@@ -192,9 +232,9 @@ def _rms(errors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
-def _figures(who: str, results: dict[str, Result]) -> dict[str, float]:
-    rmse = {f"{who}_{title}_rmse_a": result.mean_a for title, result in results.items()}
-    return rmse | {f"{who}_{OURS}_covered": results[OURS].covered}
+def _figures(results: dict[str, Result]) -> dict[str, float]:
+    rmse = {f"{title}_rmse_a": result.mean_a for title, result in results.items()}
+    return rmse | {f"{OURS}_covered": results[OURS].covered}
 
 
 def _ratios(results: dict[str, Result]) -> dict[str, float]:

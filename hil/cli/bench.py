@@ -26,6 +26,9 @@ def bench(
     mock: Annotated[
         bool, typer.Option("--mock", help="soak: rows of a moving mock UR5e; takes longer.")
     ] = False,
+    seed: Annotated[
+        list[int] | None, typer.Option("--seed", min=0, help="static: robots in place of its own.")
+    ] = None,
     json: JsonFlag = False,
 ) -> None:
     """Measure; every ratio is against its peer in the same run."""
@@ -34,7 +37,7 @@ def bench(
     if name == "list":
         _list(benchmarking.describe(), json)
         return
-    given = {"kills": kills, "hours": hours, "mock": mock}
+    given = {"kills": kills, "hours": hours, "mock": mock, "seeds": seed}
     options = {option: value for option, value in given.items() if value}
     chosen = benchmarking.names() if name == "all" else [name]
     documents = [benchmarking.measure(one, quick=quick, **options) for one in chosen]
