@@ -17,7 +17,6 @@ FILES = (
     "constraints.txt",
     "tests/test_proof.py",
     "tests/test_proof_recording.py",
-    "tests/test_proof_static.py",
     "tests/test_proof_separation.py",
     "tests/test_proof_ur.py",
     "tests/test_proof_static.py",
