@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, dwelling, moving, nominal
 
+from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError
 from hil.identify import estimator
 from hil.identify.motor import current_of
+from hil.identify.plausible import require_plausible
 
 FITS = [
     ("static-wls", {}),
@@ -52,6 +54,38 @@ def test_a_target_that_is_zero_for_one_joint_is_fitted() -> None:
     for form in ("shared", "paper"):
         predicted = fit("static-wls", {"form": form}, silent).predict(silent).effort
         assert predicted[:, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+def spoiled(data, value):
+    effort = data["effort"].copy()
+    effort[37, 3] = value
+    changed = {name: effort for name in data.columns if "effort" in name}
+    return data.with_columns(**changed)
+
+
+@pytest.mark.parametrize(("name", "params"), FITS)
+def test_one_sample_that_cannot_be_is_refused_by_series_and_joint(name, params) -> None:
+    data = spoiled(data_for(name), -1e6)
+    series = data.conditions[data.series_index()[37]].id
+    with pytest.raises(FitError, match=rf"wrist_1_joint .* -1e\+06 A in series {series}, "):
+        fit(name, params, data)
+
+
+def test_without_gains_or_limits_only_what_nobody_builds_is_refused() -> None:
+    data = replace(dwelling(60), drive_gains=None)
+    with pytest.raises(FitError, match="cannot be"):
+        fit("static-wls", {"form": "paper"}, spoiled(data, 1e6))
+    unlimited = RobotModel.from_arm("ur5")
+    unlimited.effort_max = np.zeros(6)
+    require_plausible(spoiled(data, 1e3), unlimited)
+    with pytest.raises(FitError, match="cannot be"):
+        require_plausible(spoiled(data, 1.1e6), unlimited)
+
+
+def test_a_joint_at_its_limit_and_efforts_in_another_unit_are_no_outliers() -> None:
+    data = dwelling(60)
+    require_plausible(spoiled(data, 3 * nominal().effort_max[3] / GAINS[3]), nominal())
+    require_plausible(data.with_columns(effort=1e3 * data["effort"]), nominal())
 
 
 def test_eq_16_is_not_solved_without_a_gain() -> None:

@@ -177,11 +177,19 @@ def test_yaml_lines_keep_what_was_declared_where_nothing_was_found(gains) -> Non
         (lambda: sweep(None, BESIDE, poses=4), "4 poses .* are too few"),
         (lambda: replace(sweep(None, BESIDE), effort_kind="torque"), "the data hold a torque"),
         (lambda: moved(sweep(None, BESIDE)), "0 poses .* are too few"),
+        (lambda: wild(sweep(None, BESIDE)), "1 .* of elbow_joint cannot be"),
     ],
 )
 def test_data_that_cannot_tell_are_refused(data, message) -> None:
     with pytest.raises(FitError, match=message):
         calibrate_gains(data(), nominal())
+
+
+def wild(data):
+    """One sample is garbage."""
+    effort = data["effort"].copy()
+    effort[7, 2] = 1e6
+    return data.with_columns(effort=effort)
 
 
 def moved(data):

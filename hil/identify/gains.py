@@ -28,6 +28,7 @@ from hil.errors import FitError
 from hil.identify.checks import require_clean, require_robot
 from hil.identify.gain_pairs import GainPairs, paired
 from hil.identify.instruments import instrumental
+from hil.identify.plausible import require_plausible
 from hil.typing import BoolArray, FloatArray
 
 LEAST_POSES = 5
@@ -141,8 +142,8 @@ def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
             pose under load is a little off, for what that changes.
 
     Raises:
-        FitError: The efforts are no currents, not finite or of another robot; or there are not two
-            loads at five poses that were approached the same way.
+        FitError: The efforts are no currents, not finite, of another robot or cannot be; or there
+            are not two loads at five poses that were approached the same way.
     """
     if dataset.effort_kind != "current":
         raise FitError(
@@ -151,6 +152,7 @@ def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
         )
     require_robot(dataset, robot)
     require_clean(dataset, ("t", "q", "effort"))
+    require_plausible(dataset, robot)
     pairs = paired(dwells_of(dataset), robot)
     poses = len(set(pairs.pose.tolist()))
     if poses < LEAST_POSES:

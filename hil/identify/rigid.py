@@ -31,6 +31,7 @@ from hil.identify.checks import (
     torque_scale,
 )
 from hil.identify.parameters import flag, number, settings
+from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
 from hil.typing import FloatArray
 
@@ -69,13 +70,14 @@ class RigidWls(WlsEstimator):
         """Fit to every series given; declared loads are subtracted from the target.
 
         Raises:
-            FitError: The data are too few, not finite, of another robot or unit, or do not
-                excite all parameters.
+            FitError: The data are too few, not finite, of another robot or unit, hold efforts
+                that cannot be, or do not excite all parameters.
             DataError: A series cannot be filtered.
         """
         require_robot(dataset, robot)
         self._remember(dataset, robot, torque_scale(dataset))
         require_clean(dataset, ("t", "q", "effort"))
+        require_plausible(dataset, robot)
         self._open()
         require_samples(len(dataset), len(self.parameter_names_), "samples")
         require_motion(dataset)

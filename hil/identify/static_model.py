@@ -15,6 +15,7 @@ from hil.errors import FitError, SpecError
 from hil.identify.base import HONEST, load_of, payload_torque
 from hil.identify.checks import require_clean, require_robot, torque_scale
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
+from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
@@ -55,15 +56,17 @@ class StaticModel(WlsEstimator):
         """The dwells to fit to, or the stays found in motions without a plan; sets the regressor.
 
         Raises:
-            FitError: The data are not finite, of another robot or unit, or `current_term` meets
-                efforts that are no currents.
+            FitError: The data are not finite, of another robot or unit, or hold efforts that
+                cannot be; or `current_term` meets efforts that are no currents.
         """
         require_robot(dataset, robot)
         self._require_current(dataset)
         self._remember(dataset, robot, self._scale(dataset))
         require_clean(dataset, ("t", "q", "effort"))
         self._open()
-        return dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
+        dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
+        require_plausible(dwells, robot)
+        return dwells
 
     def predict(self, dataset: Dataset) -> Prediction:
         """Gravity, offset and payload per row, from the measured positions.
