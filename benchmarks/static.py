@@ -34,7 +34,7 @@ from hil.identify.static_linear import StaticLinear
 from hil.typing import FloatArray
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
-"""Of development; `tests/test_proof_static.py` judges on others."""
+"""Of development; `tests/test_proof_stick_friction.py` judges on others."""
 
 QUICK_POSES = 70
 HELD_OUT = 0.2
