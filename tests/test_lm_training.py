@@ -193,6 +193,25 @@ def test_early_stop_keeps_the_weights_of_the_best_validation_error() -> None:
         assert error[b] == pytest.approx(history.validation_rmse.min())
 
 
+def test_a_validation_error_that_falls_by_next_to_nothing_runs_out_of_patience() -> None:
+    X, Y = surface(40)
+    creeping = Damping(start=1e10, fall=1.001)
+    histories = train(
+        MLP, X, Y, validation=(X, Y), patience=5, epochs=30, damping=creeping
+    ).histories
+    for history in histories:
+        fallen = 1.0 - history.validation_rmse[-1] / history.validation_rmse[0]
+        assert 0.0 < fallen < 1e-6
+        assert (history.stopped, history.epochs) == ("patience", 5)
+
+
+def test_with_weight_decay_the_training_error_may_rise() -> None:
+    X, Y = surface(noise=0.3)
+    heavy = [25.0 * MLP.initial(0, b) for b in range(2)]
+    histories = train(MLP, X, Y, initial=heavy, weight_decay=0.05, epochs=40).histories
+    assert any(np.any(np.diff(history.train_rmse) > 0) for history in histories)
+
+
 def test_weight_decay_makes_weights_smaller() -> None:
     X, Y = surface(noise=0.3)
     free, held = (train(MLP, X, Y, epochs=60, weight_decay=d).weights for d in (0.0, 0.01))

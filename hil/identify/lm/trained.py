@@ -40,12 +40,13 @@ class History:
     """How the training of one network went.
 
     Attributes:
-        train_rmse: (E + 1,) in the unit of the target, the start first; never rises.
+        train_rmse: (E + 1,) in the unit of the target, the start first. Never rises without weight
+            decay; with it the sum of both does not, and this may.
         validation_rmse: (E + 1,), NaN without validation rows.
         damping: (E + 1,).
         best_epoch: Whose weights were kept.
-        stopped: Why it ended: `epochs`, `patience` (the validation error rose), `target`
-            (`target_rmse` reached), or `converged` (no step lowers the cost any more).
+        stopped: Why it ended: `epochs`, `patience` (the validation error fell no more),
+            `target` (`target_rmse` reached), or `converged` (no step lowers the cost any more).
     """
 
     train_rmse: FloatArray

@@ -14,6 +14,9 @@ from hil.identify.lm.steps import Dual, Primal, System, dual_is_faster
 from hil.identify.lm.trained import Callback, Epoch, History
 from hil.typing import BoolArray, FloatArray
 
+LEAST_GAIN = 1e-6
+"""By this share a validation error must fall to be a better one; rounding makes it fall as well."""
+
 
 class Training:
     """The networks of one batch while they are trained; each ends by itself."""
@@ -127,7 +130,9 @@ class Training:
     def _judge(self, network: int, epoch: Epoch) -> None:
         settings = self._settings
         best = self._epochs[network][self._best_epoch[network]]
-        if self._held_out is None or epoch.validation_rmse <= best.validation_rmse:
+        enough = best.validation_rmse * (1.0 - LEAST_GAIN)
+        # Epoch 0 is the best so far when it is judged, and keeps its weights either way.
+        if self._held_out is None or epoch.validation_rmse < enough:
             self._best_epoch[network] = epoch.epoch
             self._best[network] = self._weights[network]
         if settings.target_rmse is not None and epoch.train_rmse <= settings.target_rmse:
