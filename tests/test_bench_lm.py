@@ -1,5 +1,6 @@
 """`hil bench lm` runs everybody from the same start; how much sooner ours arrives, in the proof."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -23,6 +24,16 @@ def peers(monkeypatch):
     yield course, with_pyrenn
     for name in [name for name in sys.modules if name.startswith("benchmarks")]:
         del sys.modules[name]
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux only")
+def test_a_contestant_does_not_inherit_the_memory_of_who_started_it() -> None:
+    ballast = np.ones(400 * 2**17)  # 400 MiB
+    code = "from benchmarks.lm_peers.course import peak_mib; print(peak_mib())"
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True
+    )
+    assert 10 < float(told.stdout) < ballast.nbytes / 2**20
 
 
 @pytest.mark.filterwarnings("ignore::SyntaxWarning")
