@@ -49,6 +49,14 @@ def warm_up() -> None:
     jacobian_of(output_of())(weights, torch.zeros((2, LAYERS[0]), dtype=weights.dtype))
 
 
+def damped_step(H: Any, g: Any) -> Any:
+    """H⁻¹g (P,), or None where H (P, P) is not positive definite: a step that failed."""
+    import torch
+
+    factor, failed = torch.linalg.cholesky_ex(H)
+    return None if failed else torch.cholesky_solve(g[:, None], factor)[:, 0]
+
+
 def solve(terms: Terms, rows: Problem, watch: Stopwatch) -> None:
     """Train to the target."""
     import torch
@@ -70,9 +78,9 @@ def solve(terms: Terms, rows: Problem, watch: Stopwatch) -> None:
         H, g = J.T @ J / len(Y), J.T @ residual / len(Y)
         identity = torch.diagonal(H).mean() * torch.eye(len(g), dtype=H.dtype)
         for _ in range(rule.tries):
-            factor = torch.linalg.cholesky(H + damping * identity)
-            trial = weights + torch.cholesky_solve(g[:, None], factor)[:, 0]
-            if (found := cost_of(trial)) < cost:
+            step = damped_step(H + damping * identity, g)
+            trial = weights if step is None else weights + step
+            if step is not None and (found := cost_of(trial)) < cost:
                 weights, cost, damping = trial, found, damping / rule.fall
                 break
             damping *= rule.rise
