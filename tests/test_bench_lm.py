@@ -26,6 +26,16 @@ def peers(monkeypatch):
         del sys.modules[name]
 
 
+def test_a_matrix_that_is_not_definite_is_a_failed_step_of_torchs(monkeypatch) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    monkeypatch.syspath_prepend(str(ROOT))
+    from benchmarks.lm_peers.with_torch import damped_step
+
+    H, g = torch.diag(torch.tensor([4.0, 2.0])), torch.tensor([4.0, 1.0])
+    assert damped_step(H, g).tolist() == pytest.approx([1.0, 0.5])
+    assert damped_step(H - 3.0 * torch.eye(2), g) is None
+
+
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux only")
 def test_a_contestant_does_not_inherit_the_memory_of_who_started_it() -> None:
     ballast = np.ones(400 * 2**17)  # 400 MiB
@@ -47,6 +57,22 @@ def test_pyrenn_starts_from_the_same_function(peers) -> None:
     ours = Mlp(course.LAYERS).predict(rows.start[None], rows.scaling.inputs(rows.X))
     error = rows.scaling.outputs(ours)[:, 0] - rows.y
     assert with_pyrenn.target_norm(rows) ** 2 * cost == pytest.approx(np.sum(error**2))
+
+
+def test_several_seeds_are_told_apart_with_the_median_of_their_ratios(monkeypatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    from benchmarks import lm
+
+    def course(name, poses, seed, iterations, target=0.0):
+        return lm.Course(cpu_s=[0.0, 10.0 * (seed + 1) if name == "pyrenn" else 1.0], rmse=[9, 1.0])
+
+    monkeypatch.setattr(lm, "_course", course)
+    document = lm.run(quick=True, seeds=[0, 4, 1])
+    told = {f"{seed}_ours_plain_vs_pyrenn" for seed in ("seed0", "seed1", "seed4", "median")}
+    assert told <= document["ratios"].keys()
+    assert document["ratios"]["median_ours_plain_vs_pyrenn"] == pytest.approx(20.0)
+    assert "seed4_pyrenn_cpu_s" in document["figures"]
+    assert "ours_plain_vs_pyrenn" in lm.run(quick=True)["ratios"]
 
 
 @pytest.mark.proof

@@ -27,7 +27,8 @@ def bench(
         bool, typer.Option("--mock", help="soak: rows of a moving mock UR5e; takes longer.")
     ] = False,
     seed: Annotated[
-        list[int] | None, typer.Option("--seed", min=0, help="static: robots in place of its own.")
+        list[int] | None,
+        typer.Option("--seed", min=0, help="static: robots; lm: rows and start. May be repeated."),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
