@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.errors import DataError, SpecError
+from hil.errors import DataError, FitError, SpecError
 from hil.typing import FloatArray
 
 APPROACH = "approach"
@@ -73,6 +73,19 @@ def network_inputs(dataset: Dataset, names: list[str]) -> FloatArray:
     joints = dataset.n_joints
     shared = [np.broadcast_to(p, (joints, *p.shape)) if p.ndim == 2 else p for p in parts]
     return np.concatenate(shared, axis=2)
+
+
+def require_layout(X: FloatArray, first: int, names: list[str]) -> None:
+    """Refuse inputs (N, d) or (n, N, d) that are more or fewer than the first of the layers.
+
+    Raises:
+        FitError: They are.
+    """
+    if X.shape[-1] != first:
+        raise FitError(
+            f"layers begins with {first}, but {', '.join(names)} are {X.shape[-1]} inputs",
+            hint=f"use layers: [{X.shape[-1]}, …]",
+        )
 
 
 def position_inputs(q: FloatArray, names: list[str]) -> FloatArray:

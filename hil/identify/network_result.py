@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.splits import split
 from hil.errors import DataError, FitError
-from hil.identify.lm.trained import History
+from hil.identify.lm.network import Mlp
+from hil.identify.lm.scaling import Scaling
+from hil.identify.lm.trained import History, Trained
+from hil.typing import FloatArray
+
+_SCALING = tuple(each.name for each in fields(Scaling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +44,24 @@ class NetworkResult:
             history.epochs, history.best_epoch, history.stopped, history.final_train_rmse,
             held_out if np.isfinite(held_out) else None,
         )  # fmt: skip
+
+    @staticmethod
+    def restored(fact: dict[str, Any]) -> NetworkResult:
+        """From what `model.json` says of one network."""
+        return NetworkResult(**{each.name: fact[each.name] for each in fields(NetworkResult)})
+
+
+def arrays_of(networks: Trained) -> dict[str, FloatArray]:
+    """Weights and scaling, by their names in a model file."""
+    scaling = {name: getattr(networks.scaling, name) for name in _SCALING}
+    arrays = {"weights": networks.weights, **scaling}
+    return {f"network.{name}": values for name, values in arrays.items()}
+
+
+def networks_from(mlp: Mlp, arrays: dict[str, FloatArray]) -> Trained:
+    """Inverse of `arrays_of`; how the training went is not in it."""
+    scaling = Scaling(**{name: arrays[f"network.{name}"] for name in _SCALING})
+    return Trained(mlp, arrays["network.weights"], scaling)
 
 
 def held_out_poses(dwells: Dataset, percent: float, seed: int) -> tuple[Dataset, Dataset | None]:

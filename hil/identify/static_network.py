@@ -12,6 +12,7 @@ held out from it (`validation_percent`), whole poses, not samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -24,17 +25,22 @@ from hil.identify.checks import require_samples
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.network import Mlp
-from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.settings import Settings, whole
 from hil.identify.lm.train import train
-from hil.identify.lm.trained import Callback, Trained
+from hil.identify.lm.trained import Callback
 from hil.identify.network_inputs import (
     checked_names,
     network_inputs,
     position_inputs,
     positions_only,
+    require_layout,
 )
-from hil.identify.network_result import NetworkResult, held_out_poses
+from hil.identify.network_result import (
+    NetworkResult,
+    arrays_of,
+    held_out_poses,
+    networks_from,
+)
 from hil.identify.parameters import choice, flag, number
 from hil.identify.static_model import Form, StaticModel
 from hil.identify.stream import MemorylessStream
@@ -161,39 +167,25 @@ class StaticMlpLm(StaticModel):
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of gravity and offset, and the networks' weights and scaling."""
-        scaling = self.networks_.scaling
-        return super().fitted_arrays() | {
-            "network.weights": self.networks_.weights,
-            "network.input_mean": scaling.input_mean,
-            "network.input_scale": scaling.input_scale,
-            "network.target_mean": scaling.target_mean,
-            "network.target_scale": scaling.target_scale,
-        }
+        return super().fitted_arrays() | arrays_of(self.networks_)
 
     def fitted_facts(self) -> dict[str, Any]:
         """Those of gravity and offset, and how each network's training went."""
-        networks = [
-            {"joint": joint} | {key: getattr(result, key) for key in result.__slots__}
-            for joint, result in zip(self.joint_names_, self.results_, strict=True)
-        ]
-        return super().fitted_facts() | {"networks": networks}
+        networks = zip(self.joint_names_, self.results_, strict=True)
+        told = [{"joint": joint} | asdict(result) for joint, result in networks]
+        return super().fitted_facts() | {"networks": told}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
-        names = ("input_mean", "input_scale", "target_mean", "target_scale")
-        scaling = Scaling(*(arrays[f"network.{name}"] for name in names))
-        self.networks_ = Trained(self._mlp, arrays["network.weights"], scaling)
-        self.results_ = tuple(
-            NetworkResult(**{key: fact[key] for key in NetworkResult.__slots__})
-            for fact in facts["networks"]
-        )
+        self.networks_ = networks_from(self._mlp, arrays)
+        self.results_ = tuple(NetworkResult.restored(fact) for fact in facts["networks"])
 
     def _train(self, dwells: Dataset) -> None:
         """Networks for what gravity and offset leave of the dwells."""
         training, held_out = held_out_poses(dwells, self.validation_percent, self.seed)
         X, Y, groups = self._rows(training)
-        self._require_layout(X)
+        require_layout(X, self._mlp.inputs, self.inputs)
         validation = None if held_out is None else self._rows(held_out)
         self.networks_ = train(
             self._mlp, X, Y, groups=groups if self.averaging else None,
@@ -207,14 +199,6 @@ class StaticMlpLm(StaticModel):
         """Inputs, residual (N, n) and number of the dwell of every row."""
         residual = dwells["effort"] - super().predict(dwells).effort
         return network_inputs(dwells, self.inputs), residual, dwells.series_index()
-
-    def _require_layout(self, X: FloatArray) -> None:
-        if X.shape[-1] != self._mlp.inputs:
-            raise FitError(
-                f"layers begins with {self._mlp.inputs}, but {', '.join(self.inputs)} are "
-                f"{X.shape[-1]} inputs",
-                hint=f"use layers: [{X.shape[-1]}, …]",
-            )
 
     def _parts_and_friction(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray
