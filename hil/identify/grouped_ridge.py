@@ -6,11 +6,12 @@ to new poses is shrunk to nothing by itself.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from hil.typing import FloatArray, IntArray
+from hil.typing import BoolArray, FloatArray, IntArray
 
 FOLDS = 5
 PENALTIES = np.logspace(7, 0, 15)
@@ -74,8 +75,11 @@ class GroupedRidge:
         return np.clip((X - self.mean) / self.scale, -FARTHEST, FARTHEST)
 
 
-def _out_of_group(Z: FloatArray, y: FloatArray, groups: IntArray) -> FloatArray:
-    """(N, candidates) predictions of each row from the folds its group is not in."""
+def pose_folds(groups: IntArray) -> Iterator[tuple[BoolArray, BoolArray]]:
+    """Which rows (N,) to fit on and which to judge on, groups (N,) kept together.
+
+    At most `FOLDS` pairs, the same for the same groups; none with a single group.
+    """
     names = np.unique(groups)
     folds = min(FOLDS, len(names))
     order = np.random.default_rng(0).permutation(len(names))
@@ -83,11 +87,14 @@ def _out_of_group(Z: FloatArray, y: FloatArray, groups: IntArray) -> FloatArray:
         zip(names[order].tolist(), (np.arange(len(names)) % folds).tolist(), strict=True)
     )
     fold = np.array([fold_of[group] for group in groups.tolist()])
+    for k in range(folds if folds > 1 else 0):
+        yield fold != k, fold == k
+
+
+def _out_of_group(Z: FloatArray, y: FloatArray, groups: IntArray) -> FloatArray:
+    """(N, candidates) predictions of each row from the folds its group is not in."""
     predicted = np.zeros((len(y), len(PENALTIES)))
-    if folds < 2:
-        return predicted
-    for k in range(folds):
-        rest, out = fold != k, fold == k
+    for rest, out in pose_folds(groups):
         values, vectors = np.linalg.eigh(Z[rest].T @ Z[rest])
         along = vectors.T @ (Z[rest].T @ y[rest])
         shrunk = along[:, None] / (np.maximum(values, 0.0)[:, None] + PENALTIES)

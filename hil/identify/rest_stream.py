@@ -3,77 +3,77 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from hil.data.arrival import POINTS, STEP_S, Track, arrival
-from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import SAMPLES_PER_DWELL
-from hil.payload import Payload
 from hil.typing import FloatArray
 
-if TYPE_CHECKING:
-    from hil.identify.static_friction import StaticFriction
-
-KEPT_S = 10.0
+KEPT_S = 2.0
 """A joint that came to rest longer ago than this has no known approach any more [s]."""
+
+FORMING_S = POINTS * STEP_S + 0.1
+"""Standing still for so long, the arm has the whole path into the pose behind it [s]."""
+
+AGAIN_S = 0.04
+"""While the path goes on, friction is computed again this often [s]: it takes milliseconds."""
 
 
 class RestStream:
     """Feeds single samples to a model of friction at rest.
 
     Friction is known once the arm has stood for ten samples; before that, and in motion, the
-    prediction is gravity, offset and load.
+    prediction is all but friction.
 
     Args:
-        model: Fitted.
-        payload: The load mounted.
+        standing: (1, n) positions → (1, n) effort without friction.
+        friction: (1, K, 2, n) path (`hil.data.arrival`) and (1, n) positions → (1, n) friction.
+        rest_speed: Slower than this, every joint is at rest [rad/s].
         period_s: Time between samples [s].
     """
 
-    def __init__(self, model: StaticFriction, payload: Payload, period_s: float) -> None:
-        self._model = model
-        self._payload = payload
-        self._period = period_s
+    def __init__(
+        self,
+        standing: Callable[[FloatArray], FloatArray],
+        friction: Callable[[FloatArray, FloatArray], FloatArray],
+        rest_speed: float,
+        period_s: float,
+    ) -> None:
+        self._standing, self._friction = standing, friction
+        self._rest_speed, self._period = rest_speed, period_s
         kept = round(KEPT_S / period_s)
         self._q: deque[FloatArray] = deque(maxlen=kept)
         self._qd: deque[FloatArray] = deque(maxlen=kept)
+        self._again = max(1, round(AGAIN_S / period_s))
         self._rested = 0
-        self._path: FloatArray | None = None
+        self._held: FloatArray | None = None
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Predicted effort (n,) for one sample, each input (n,)."""
         self._q.append(np.array(q, dtype=np.float64))
         self._qd.append(np.array(qd, dtype=np.float64))
-        still = float(np.max(np.abs(qd))) < self._model.rest_speed
+        still = float(np.max(np.abs(qd))) < self._rest_speed
         self._rested = self._rested + 1 if still else 0
-        effort: FloatArray = self._model.predict(self._present()).effort[0]
-        return effort
+        position = self._q[-1][None, :]
+        effort = self._standing(position)
+        held = self._friction_held(position)
+        now: FloatArray = (effort if held is None else effort + held)[0]
+        return now
 
-    def _present(self) -> Dataset:
-        """This sample as a dwell, or as one of whose approach nothing is known."""
-        q = self._q[-1][None, :]
-        zero = np.zeros_like(q)
-        return Dataset(
-            robot=self._model.robot_.name,
-            joint_names=self._model.joint_names_,
-            effort_kind="torque" if self._model.effort_kind_ == "torque" else "current",
-            columns={"t": np.zeros(1), "q": q, "effort": zero},
-            offsets=np.array([0, 1]),
-            conditions=(Conditions("now", "dwell", payload=self._payload),),
-            gravity=tuple(self._model.robot_.gravity_vector.tolist()),
-            arrivals=self._arrival(),
-        )
+    def _friction_held(self, position: FloatArray) -> FloatArray | None:
+        """(1, n) friction of an arm at rest; None in motion."""
+        stood = self._rested - SAMPLES_PER_DWELL
+        if stood < 0:
+            self._held = None
+        elif self._held is None or (
+            stood % self._again == 0 and self._rested * self._period < FORMING_S
+        ):
+            self._held = self._friction(self._path()[None], position)
+        return self._held
 
-    def _arrival(self) -> FloatArray | None:
-        """(1, K, 2, n); looked for while the path into the pose may still be going on."""
-        if self._rested < SAMPLES_PER_DWELL:
-            self._path = None
-            return None
-        if self._path is None or self._rested * self._period < POINTS * STEP_S + 0.1:
-            t = self._period * np.arange(len(self._q), dtype=np.float64)
-            track = Track(t, np.array(self._q), np.array(self._qd))
-            first = t[-SAMPLES_PER_DWELL]
-            self._path = arrival(track, float(first), float(t[-1]))[None]
-        return self._path
+    def _path(self) -> FloatArray:
+        t = self._period * np.arange(len(self._q), dtype=np.float64)
+        track = Track(t, np.array(self._q), np.array(self._qd))
+        return arrival(track, float(t[-SAMPLES_PER_DWELL]), float(t[-1]))

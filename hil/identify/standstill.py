@@ -64,7 +64,7 @@ def at_rest_effort(
         DataError: `q` has another number of joints.
     """
     load = payload or Payload()
-    parts = dict(model.predict(_resting(model, np.atleast_2d(q), load)).components)
+    parts = dict(model.predict(resting_at(model, np.atleast_2d(q), load)).components)
     if "gravity" not in parts:
         have = ", ".join(parts) or "no parts at all"
         raise FitError(
@@ -135,8 +135,12 @@ def _load_part(
     return torque / model.torque_scale_
 
 
-def _resting(model: RobotEstimator, q: FloatArray, load: Payload) -> Dataset:
-    """Positions as the recording of an arm that rests at each of them, filters already applied."""
+def resting_at(model: RobotEstimator, q: FloatArray, load: Payload) -> Dataset:
+    """Positions (N, n) as a recording of an arm that rests there, filters already applied.
+
+    Raises:
+        DataError: `q` has another number of joints.
+    """
     n = len(model.joint_names_)
     if q.ndim != 2 or q.shape[1] != n:
         raise DataError(f"the model has {n} joints, the positions have the shape {q.shape}")

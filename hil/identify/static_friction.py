@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -26,6 +27,7 @@ from hil.identify.rest_rows import (
     unknown_paths,
 )
 from hil.identify.rest_stream import RestStream
+from hil.identify.standstill import resting_at
 from hil.identify.static_model import StaticModel
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
@@ -131,7 +133,21 @@ class StaticFriction(StaticModel):
 
         It sees from the positions when the arm stops and how; in motion it knows gravity only.
         """
-        return RestStream(self, payload or Payload(), self.period_)
+        load = payload or Payload()
+
+        def standing(q: FloatArray) -> FloatArray:
+            parts = [*self._parts(q, q, q).values()]
+            if drive := self._drive_terms(q, self._load(resting_at(self, q, load))):
+                parts.append(self._weighted(drive))
+            if not load.is_empty:
+                parts.append(self._load_effort(load, q, np.zeros_like(q), np.zeros_like(q)))
+            whole: FloatArray = np.sum(parts, axis=0)
+            return whole
+
+        def friction(path: FloatArray, q: FloatArray) -> FloatArray:
+            return self._friction(replace(resting_at(self, q, load), arrivals=path))[0]
+
+        return RestStream(standing, friction, self.rest_speed, self.period_)
 
     def dry_friction(self) -> FloatArray:
         """(n,) level of dry friction of an unloaded joint [N·m]."""
@@ -168,6 +184,11 @@ class StaticFriction(StaticModel):
     def _approached(self, rows: Dataset) -> Dataset:
         """The dwells of which it is known from where every joint came."""
         paths = rows.arrivals if rows.arrivals is not None else unknown_paths(rows)
+        if np.isinf(paths).any():
+            raise FitError(
+                "the paths into the dwells hold infinite values",
+                hint="load the recording again: positions and velocities must be finite",
+            )
         known = directions(paths) != 0
         if not known.any():
             raise FitError(

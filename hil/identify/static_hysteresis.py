@@ -4,6 +4,7 @@ How far a joint slid back when it stopped is in the recording, a tenth of a mill
 says how much of its friction is left. Columns of friction that follow the measured path
 (`hil.identify.rest_friction`) are fitted together with gravity; a linear correction by the paths,
 its strength chosen by holding out poses of the *training* data, takes up what their form misses.
+Where memory does not help on such poses, as without any slide back, it is left out.
 The current of the pose that is predicted is nowhere among the inputs.
 """
 
@@ -15,13 +16,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.errors import SpecError
+from hil.errors import FitError, SpecError
 from hil.identify.dwell_rows import pose_numbers
-from hil.identify.grouped_ridge import GroupedRidge
+from hil.identify.grouped_ridge import GroupedRidge, pose_folds
 from hil.identify.parameters import flag, number
 from hil.identify.rest_friction import Rest, correction_features, drive_terms, memory_terms
-from hil.identify.static_friction import StaticFriction
-from hil.typing import BoolArray, FloatArray
+from hil.identify.static_coulomb import StaticCoulomb
+from hil.identify.static_friction import FIRST_TERMS, StaticFriction
+from hil.typing import BoolArray, FloatArray, IntArray
 
 LENGTHS_RAD = (0.7e-4, 1.4e-4, 2.8e-4, 5.6e-4)
 """From a third of what the finest encoders of arms resolve to what gears give way by."""
@@ -36,7 +38,8 @@ class StaticHysteresis(StaticFriction):
         lengths_rad: Lengths of Dahl's states [rad].
         gear_ratio: Motor turns per joint turn, for the ripple of the gear at once and twice a
             motor turn; None leaves it out.
-        correction: Whether to correct by the paths what the columns leave.
+        correction: Whether to try the columns on poses held out of the training, and correct by
+            the paths what they leave there; False keeps the columns as they are.
         rest_speed: Faster than this [rad/s] a row is not at rest and the model not valid.
 
     Attributes:
@@ -67,15 +70,50 @@ class StaticHysteresis(StaticFriction):
         self._corrections, self.penalty_ = (), np.empty(0)
         if not self.correction:
             return
-        residual = rows["effort"] - self.predict(rows).effort
-        features, groups = correction_features(self.rest(rows)), pose_numbers(rows)
+        groups = pose_numbers(rows)
+        left = self._out_of_pose(rows, groups)
+        if left is None:
+            return self._leave_memory_out(rows)
+        features = correction_features(self.rest(rows))
         self._corrections = tuple(
-            GroupedRidge.fit(features[j], residual[:, j], groups) for j in range(rows.n_joints)
+            GroupedRidge.fit(features[j], left[:, j], groups) for j in range(rows.n_joints)
         )
         self.penalty_ = np.array([one.penalty for one in self._corrections])
-        degrees = len(rows) / max(len(rows) - len(self.parameter_names_) / rows.n_joints, 1.0)
-        left = np.stack([one.residual for one in self._corrections])
-        self.sigma_ = np.sqrt(np.mean(left**2, axis=1) * degrees)
+        unseen = np.stack([one.residual for one in self._corrections])
+        self.sigma_ = np.sqrt(np.mean(unseen**2, axis=1))
+
+    def _out_of_pose(self, rows: Dataset, groups: IntArray) -> FloatArray | None:
+        """(D, n) effort less what a fit without the pose predicts for it.
+
+        None when friction with memory does worse on poses it has not seen than one level of
+        friction, or when there are too few poses to find out.
+        """
+        plain, own = StaticCoulomb(rest_speed=self.rest_speed), self._uncorrected()
+        left = {model.estimator: np.empty_like(rows["effort"]) for model in (plain, own)}
+        for rest, out in pose_folds(groups):
+            seen, unseen = rows.take(np.flatnonzero(rest)), rows.take(np.flatnonzero(out))
+            for model in (plain, own):
+                try:
+                    model.fit(seen, self.robot_)
+                except FitError:
+                    return None
+                left[model.estimator][out] = unseen["effort"] - model.predict(unseen).effort
+        squares = [np.mean(values**2, axis=0) for values in left.values()]
+        better = float(np.mean(np.log(squares[1] / np.maximum(squares[0], 1e-300)))) < 0.0
+        return left[self.estimator] if better else None
+
+    def _uncorrected(self) -> StaticHysteresis:
+        return StaticHysteresis(**{**self.get_params(), "correction": False})
+
+    def _leave_memory_out(self, rows: Dataset) -> None:
+        """Be `static-coulomb`, and say so."""
+        self._choose_terms(rows, only=FIRST_TERMS)
+        self._solve(rows, weighted=True)
+        told = (
+            "friction with memory is left out: on poses held out of the training it predicted no "
+            "better than one level of friction, or there are too few poses to tell"
+        )
+        self.notes_ = (*self.notes_, told)
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """As of every linear model, and the corrections."""
