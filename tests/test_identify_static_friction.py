@@ -100,6 +100,20 @@ def test_hysteresis_equals_the_sign_where_nothing_slides_back() -> None:
     assert ours.predict(test).effort == pytest.approx(sign.predict(test).effort, abs=0.003)
 
 
+def test_memory_that_does_not_help_on_new_poses_is_left_out_and_told() -> None:
+    data = without_slide()
+    model, plain = StaticHysteresis().fit(data, nominal()), StaticCoulomb().fit(data, nominal())
+    assert any("memory is left out" in note for note in model.notes_)
+    assert model.predict(data).effort == pytest.approx(plain.predict(data).effort, abs=1e-12)
+
+
+def test_a_path_that_is_infinite_is_refused(dwells) -> None:
+    paths = np.array(dwells.arrivals)
+    paths[3, 0, 0, 1] = np.inf
+    with pytest.raises(FitError, match="infinite"):
+        StaticHysteresis().fit(replace(dwells, arrivals=paths), nominal())
+
+
 def test_hysteresis_gives_its_dry_friction_as_what_a_joint_slides_with(hysteresis) -> None:
     assert hysteresis.dry_friction() == pytest.approx(COULOMB, rel=0.2)
 
@@ -134,6 +148,14 @@ def test_the_deviation_told_covers_new_poses() -> None:
     left = series_means(test, test["effort"] - found.effort)
     inside = np.abs(left) < 1.96 * series_means(test, found.std)
     assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_the_deviation_told_covers_new_poses_after_training_on_few() -> None:
+    few = arriving(22, load_share=0.07, per_k=-0.01, noise_a=0.02)
+    model, test = StaticHysteresis().fit(few, nominal()), held_out(noise_a=0.02)
+    found = model.predict(test)
+    left = series_means(test, test["effort"] - found.effort) / series_means(test, found.std)
+    assert np.mean(np.abs(left) < 1.96) > 0.9
 
 
 def test_a_joint_without_load_has_no_terms_of_load(hysteresis) -> None:
