@@ -143,7 +143,7 @@ def contest(noisy: Dataset, perfect: Dataset, epochs: int = EPOCHS) -> dict[str,
 
 def models(epochs: int) -> dict[str, tuple[str, dict[str, Any]]]:
     """Title → estimator and its parameters."""
-    network = {"epochs": epochs, "patience": 30, "weight_decay": WEIGHT_DECAY}
+    network = {"epochs": epochs, "patience": 30, "weight_decay": WEIGHT_DECAY, "jobs": 2}
     approach = {"layers": [5, 20, 20, 10, 1], "inputs": ["q2", "q3", "q4", "q5", "approach"]}
     return {
         GRAVITY_ONLY: ("static-wls", {}),
