@@ -29,12 +29,19 @@ def traces(figure: Figure, panel: int = 0) -> list[dict[str, object]]:
     return data
 
 
-def test_parts_are_folded_below_an_open_summary() -> None:
+def test_parts_stand_open_below_the_summary() -> None:
     sections = study_sections([result(bars())])
     assert [(s.title, s.folded) for s in sections] == [
         ("Study: A study", False),
-        ("Honest (honest protocol)", True),
+        ("Honest (honest protocol)", False),
     ]
+
+
+def test_two_of_one_study_are_told_apart_by_what_they_were_asked_for() -> None:
+    asked = [{"epochs": 10, "folds": 5}, {"epochs": 30, "folds": 5}]
+    sections = study_sections([replace(result(), parameters=one) for one in asked])
+    titles = [s.title for s in sections if s.title.startswith("Study")]
+    assert titles == ["Study: A study (epochs 10)", "Study: A study (epochs 30)"]
 
 
 def test_a_part_that_follows_a_paper_says_what_its_numbers_are_no_measure_of() -> None:

@@ -35,7 +35,7 @@ NEAR_SHARE = 0.01
 """How much more effort than the least a pose near to a given one may cost."""
 
 LEAST = "least torque"
-STAYING = "least torque that stays without brakes"
+STAYING = "least torque that stays or is held without brakes"
 NEAREST = "nearest to the pose given"
 ANOTHER = "another valley"
 

@@ -137,7 +137,7 @@ def require_samples(have: int, need: int, what: str) -> None:
     if have < need:
         raise FitError(
             f"{have} {what} are too few: the model needs at least {need}",
-            hint="record longer, or give more sources",
+            hint="record more: a longer program, more waypoints or trajectories, more sources",
         )
 
 

@@ -15,6 +15,7 @@ from typing import Literal, TypeAlias, get_args
 from hil.errors import DataError, PluginError, SpecError
 from hil.record.files import write_replacing
 from hil.report.paper_tables import csv_text, latex_text
+from hil.report.study_words import distinct_titles
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.store import read_study, study_files
 
@@ -30,11 +31,13 @@ class Item:
 
     Attributes:
         stem: File name without its ending, unique among all of a run.
+        study: Title of the study, unlike that of every other of the run.
         part: Where it stands.
         what: The table or figure itself.
     """
 
     stem: str
+    study: str
     part: Part
     what: Table | Figure
 
@@ -66,7 +69,10 @@ def write_papers(
     _require((width,), get_args(Width), "width")
     results = [read_study(path) for path in study_files(run)]
     if not results:
-        raise DataError(f"{run} has no studies yet", hint=f"make them first: hil study {run}")
+        raise DataError(
+            f"{run} has no studies yet",
+            hint=f"make one first: hil study {run} --study static-separation",
+        )
     _require_matplotlib()
     found = items(results)
     out.mkdir(parents=True, exist_ok=True)
@@ -83,18 +89,22 @@ def items(results: Sequence[StudyResult]) -> list[Item]:
     The key is the name. Where two protocols of a study have the same key, the protocol stands
     behind it (`fig-7-paper`); where a run has several studies, their names stand before it.
     """
+    titles = distinct_titles(results)
     placed = [
-        (result, part, what) for result in results for part in result.parts for what in _in(part)
+        (result, title, part, what)
+        for result, title in zip(results, titles, strict=True)
+        for part in result.parts
+        for what in _in(part)
     ]
     several = len(results) > 1
     plain = [_slug(result.study, what.key) if several else _slug(what.key)
-             for result, _, what in placed]  # fmt: skip
+             for result, _, _, what in placed]  # fmt: skip
     marked = [
         _slug(stem, part.protocol.partition(":")[0]) if plain.count(stem) > 1 else stem
-        for stem, (_, part, _) in zip(plain, placed, strict=True)
+        for stem, (_, _, part, _) in zip(plain, placed, strict=True)
     ]
     stems = _unique(marked)
-    return [Item(stem, part, what) for stem, (_, part, what) in zip(stems, placed, strict=True)]
+    return [Item(stem, *where[1:]) for stem, where in zip(stems, placed, strict=True)]
 
 
 def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str, bytes]]:
@@ -111,7 +121,10 @@ def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str
 def _contents(found: Sequence[Item]) -> str:
     """What each file holds, with the caption: figures as files have none."""
     lines = ["# Figures and tables", ""]
+    title = ""
     for item in found:
+        if item.study != title and (title := item.study):
+            lines += ["", f"## {title}", ""] if len(lines) > 2 else [f"## {title}", ""]
         what = item.what
         protocol = f" Protocol: {item.part.protocol}." if item.part.protocol else ""
         told = what.note if isinstance(what, Table) else what.caption

@@ -1,4 +1,4 @@
-"""Sections about studies: what a reader should take away, and behind it all tables and figures."""
+"""Sections about studies: what a reader should take away, then all tables and figures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from collections.abc import Sequence
 from hil.report.blocks import Block, Column, Facts, Notes, Paragraphs, Section, Table, cells, items
 from hil.report.study_curves import curve_count
 from hil.report.study_figures import plots_of
-from hil.report.study_words import HONEST, columns_of, is_numeric, protocol_mark
+from hil.report.study_words import (
+    HONEST,
+    columns_of,
+    distinct_titles,
+    is_numeric,
+    protocol_mark,
+)
 from hil.report.words import duration, in_words
 from hil.study import result as found
 
@@ -18,22 +24,23 @@ FEWEST, ENOUGH = 100, 1200
 
 
 def study_sections(studies: Sequence[found.StudyResult]) -> list[Section]:
-    """For every study what it comes to, followed by its parts, which unfold on a click."""
+    """For every study what it comes to, followed by its parts."""
     figures = [f for study in studies for part in study.parts for f in part.figures]
     points = max(FEWEST, min(ENOUGH, MOST_POINTS // max(1, curve_count(figures))))
+    titles = distinct_titles(studies)
     return [
         section
-        for i, study in enumerate(studies, 1)
-        for section in _sections(f"study-{i}", study, points)
+        for i, (study, title) in enumerate(zip(studies, titles, strict=True), 1)
+        for section in _sections(f"study-{i}", study, title, points)
     ]
 
 
-def _sections(name: str, study: found.StudyResult, points: int) -> list[Section]:
+def _sections(name: str, study: found.StudyResult, title: str, points: int) -> list[Section]:
     blocks: list[Block] = [Notes(study.summary)]
     asked = {key: in_words(value) for key, value in study.parameters.items()}
     blocks.append(Facts("How it was made", items({**asked, "took": duration(study.seconds)})))
     parts = [_part(f"{name}-{i}", part, points) for i, part in enumerate(study.parts, 1)]
-    return [Section(name, f"Study: {study.title}", "", tuple(blocks)), *parts]
+    return [Section(name, f"Study: {title}", "", tuple(blocks)), *parts]
 
 
 def _part(name: str, part: found.Part, points: int) -> Section:
@@ -42,7 +49,7 @@ def _part(name: str, part: found.Part, points: int) -> Section:
     blocks += [_table(table) for table in part.tables]
     blocks += [plots_of(figure, points) for figure in part.figures]
     title = f"{part.title} ({mark})" if mark else part.title
-    return Section(name, title, _lead(part.protocol), tuple(blocks), folded=True)
+    return Section(name, title, _lead(part.protocol), tuple(blocks))
 
 
 def _lead(protocol: str) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hil.report.words import UNKNOWN, number
-from hil.study.result import Table, Value
+from hil.report.words import UNKNOWN, in_words, number
+from hil.study.result import StudyResult, Table, Value
 
 HONEST = "honest"
 
@@ -19,6 +19,20 @@ MOST_DIGITS = 6
 def columns_of(table: Table) -> list[list[str]]:
     """The texts of each column; the numbers of one have equally many decimals where they can."""
     return [_column([row[i] for row in table.rows]) for i in range(len(table.columns))]
+
+
+def distinct_titles(studies: Sequence[StudyResult]) -> list[str]:
+    """Title of each study; of those with equal titles, with the parameters they differ in."""
+    out = []
+    for study in studies:
+        alike = [other.parameters for other in studies if other.title == study.title]
+        own = [
+            f"{key} {in_words(value)}"
+            for key, value in study.parameters.items()
+            if any(other.get(key) != value for other in alike)
+        ]
+        out.append(f"{study.title} ({', '.join(own)})" if own else study.title)
+    return out
 
 
 def is_numeric(table: Table, i: int) -> bool:

@@ -214,4 +214,4 @@ def _first_line(error: Exception) -> str:
         first = error.errors(include_url=False)[0]
         return ": ".join((".".join(str(step) for step in first["loc"]), first["msg"]))
     message = error.message if isinstance(error, HilError) else str(error)
-    return shown(message.partition("\n")[0] or type(error).__name__)
+    return shown(message.partition("\n")[0] or type(error).__name__, most=300)

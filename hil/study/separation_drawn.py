@@ -10,7 +10,7 @@ from hil.identify.static_linear import StaticLinear
 from hil.study.result import Figure
 from hil.study.separation_band import SHORT, Bands, friction_of
 from hil.study.separation_data import Recording
-from hil.study.separation_figures import clouds, parameters, regression, series
+from hil.study.separation_figures import ROW, clouds, parameters, regression, series
 from hil.study.separation_honest import HonestRun
 from hil.study.separation_paper import METHODS
 from hil.study.separation_paper_run import PaperRun
@@ -61,7 +61,8 @@ def honest_figures(
     if linear:
         found.append(
             series("fig-5h", "Measured and estimated efforts", "The five methods without the "
-                   "measured current, at poses they have not seen.",
+                   "measured current, at poses they have not seen. Their lines lie on each "
+                   f"other. {ROW}",
                    {"measured": run.measured, **linear}, sorted({0, joint}), (axes, effort))
         )  # fmt: skip
     best = next((key for key in OURS if key in run.methods), next(iter(run.methods)))
@@ -73,7 +74,7 @@ def honest_figures(
                    "is the mean of a dwell.", sets,
                    (f"measured [{unit}]", f"estimated [{unit}]")),
         series("fig-8h", "Performance of the static model", "Measured and modelled means of "
-               f"dwells at poses not seen; the model: {run.methods[best].method.words}.",
+               f"dwells at poses not seen; the model: {run.methods[best].method.words}. {ROW}",
                modelled, range(run.dwells.n_joints), (axes, effort)),
     ]  # fmt: skip
     if both is not None:

@@ -19,6 +19,13 @@ MOST = 700
 IN_A_ROW = 80
 """Of efforts that jump from row to row, more cannot be told apart."""
 
+ROW = f"The first {IN_A_ROW} in order of time."
+GIVEN = (
+    "The intervals hold for the scatter between poses. What all poses share (friction that "
+    "differs by side or load, gains that are off) is not in them: on the mock with all effects "
+    "they hold about half of the true values."
+)
+
 
 def joint_angles(whole: Dataset) -> Figure:
     """Fig. 3: where each joint was, over time."""
@@ -43,7 +50,7 @@ def parameters(key: str, model: StaticLinear, caption: str) -> Figure:
     unit = "A" if model.effort_kind_ == "current" else "N·m"
     curve = Curve("WLS", names, floats(values), "bars", floats(reach))
     panel = Panel("θ₂ with 95 % intervals", "parameter", f"value [{unit}]", (curve,))
-    return Figure(key, "Parameters of joint 2's gravity by WLS", caption, (panel,), 1)
+    return Figure(key, "Parameters of joint 2's gravity by WLS", f"{caption} {GIVEN}", (panel,), 1)
 
 
 def series(

@@ -42,5 +42,7 @@ TABLE_4 = (
 )
 """By joint: training and test."""
 
+TABLE_4_LAYOUT = (4, 20, 20, 10, 1)
+
 NETWORK_A = 0.01
 """The networks of Table 4 reach this at every test but one."""
