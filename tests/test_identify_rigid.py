@@ -138,7 +138,7 @@ def spoiled(data: Dataset, **changes: object) -> Dataset:
 @pytest.mark.parametrize(
     ("data", "message", "remedy"),
     [
-        (lambda: moving(1, samples=40), "40 samples are too few", "record longer"),
+        (lambda: moving(1, samples=40), "40 samples are too few", "record more"),
         (
             lambda: spoiled(moving(1), drive_gains=None),
             "drive gains .* are unknown",

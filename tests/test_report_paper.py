@@ -159,7 +159,7 @@ def test_without_matplotlib_the_error_says_what_to_install(
 def test_a_run_without_studies_says_how_to_make_them(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="no studies") as caught:
         write_papers(tmp_path, tmp_path)
-    assert caught.value.hint == f"make them first: hil study {tmp_path}"
+    assert caught.value.hint == f"make one first: hil study {tmp_path} --study static-separation"
 
 
 @pytest.mark.parametrize(("formats", "width"), [(("gif",), "column"), (("pdf",), "poster")])
