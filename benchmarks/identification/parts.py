@@ -1,0 +1,78 @@
+"""Parts of a recording: the earlier and the later rows, fewer of them, or some of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.data.dataset import Dataset, rows_of
+from hil.data.filters import derivative, nyquist_fraction, sample_rate, zero_phase
+from hil.typing import BoolArray
+
+TRAIN_SHARE = 0.6
+GAP_S = 0.5
+"""Between the part to fit on and the part to judge on: longer than a filter's memory."""
+
+
+def cut(
+    dataset: Dataset, share: float = TRAIN_SHARE, gap_s: float = GAP_S
+) -> tuple[Dataset, Dataset]:
+    """The first `share` of a recording's time and, after a gap, all the rest."""
+    t = dataset["t"]
+    end = t[0] + share * (t[-1] - t[0])
+    return _part(dataset, t <= end, "first"), _part(dataset, t >= end + gap_s, "rest")
+
+
+def folds(dataset: Dataset, count: int = 4) -> list[Dataset]:
+    """A recording in contiguous parts of equal length, for leaving each out in turn."""
+    number = np.arange(len(dataset)) * count // len(dataset)
+    return [_part(dataset, number == i, f"fold {i}") for i in range(count)]
+
+
+def thinned(dataset: Dataset, rate_hz: float) -> Dataset:
+    """Fewer samples: every series low-passed below the new Nyquist frequency, every k-th kept.
+
+    A velocity that was not measured is differentiated first, from the samples as they were.
+    """
+    parts = [dataset.take([i]) for i in range(len(dataset.conditions))]
+    return Dataset.concatenate([_thinned(part, rate_hz) for part in parts])
+
+
+def joints_of(dataset: Dataset, joints: Sequence[int]) -> Dataset:
+    """The dataset of some of its joints."""
+    chosen = list(joints)
+    columns = {n: v if v.ndim == 1 else v[:, chosen] for n, v in dataset.columns.items()}
+    gains = dataset.drive_gains
+    return replace(
+        dataset,
+        joint_names=tuple(dataset.joint_names[j] for j in chosen),
+        columns=columns,
+        drive_gains=None if gains is None else gains[chosen],
+    )
+
+
+def _thinned(series: Dataset, rate_hz: float) -> Dataset:
+    rate = sample_rate(series["t"])
+    every = max(1, round(rate / rate_hz))
+    columns = dict(series.columns)
+    columns.setdefault("qd", derivative(series["q"], series["t"]))
+    fraction = nyquist_fraction(0.4 * rate / every, "hz", rate)
+    kept = {
+        name: np.ascontiguousarray(
+            (values if name == "t" else zero_phase(values, fraction))[::every]
+        )
+        for name, values in columns.items()
+    }
+    return replace(series, columns=kept, offsets=np.array([0, len(kept["t"])]))
+
+
+def _part(dataset: Dataset, rows: BoolArray, name: str) -> Dataset:
+    """Some rows, under names of their own; a series that is not among them is gone."""
+    part = rows_of(dataset, rows)
+    part = part.take(np.flatnonzero(np.diff(part.offsets)))
+    conditions = tuple(
+        replace(c, id=f"{c.id} {name}", source=f"{c.source} {name}") for c in part.conditions
+    )
+    return replace(part, conditions=conditions)

@@ -1,0 +1,137 @@
+"""The recorded robots as datasets: what a benchmark fits on and what it is judged on.
+
+Every file is read by the public importer with the map it ships with, into a recording that is
+thrown away again. Where a robot was recorded once, the recording is cut into whole contiguous
+parts, the earlier to fit on and the later to judge on, with a gap between them.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.identification.parts import cut, joints_of, thinned
+from hil.data.dataset import Dataset
+from hil.data.importing import import_file
+from hil.data.load import load_source
+from hil.errors import DataError
+
+_ROOT = Path(__file__).resolve().parents[2]
+MAPS = _ROOT / "experiments" / "maps"
+
+UR10E_TRAIN = (
+    "ur-20_02_10-30sec_12harm",
+    "ur-20_02_12-40sec_12harm",
+    "ur-20_02_12-50sec_12harm",
+    "ur-20_02_05-20sec_8harm",
+)
+UR10E_VALIDATION = "ur-20_02_19_14harm50sec"
+UR10E_LOADED = "ur-20_02_19_14harm50secLoad"
+
+PANDA_HZ, TX40_HZ = 250.0, 500.0
+"""To which the recordings at 1 kHz and 5 kHz are thinned out."""
+
+TX40_N = np.array(
+    [
+        [32, 0, 0, 0, 0, 0],
+        [0, 32, 0, 0, 0, 0],
+        [0, 0, 45, 0, 0, 0],
+        [0, 0, 0, -48, 0, 0],
+        [0, 0, 0, 0, 45, 0],
+        [0, 0, 0, 0, 32, 32],
+    ],
+    dtype=np.float64,
+)
+"""Motor angles = N · joint angles; by virtual work joint torques = Nᵀ · motor torques."""
+
+
+def folder() -> Path:
+    """Where the recordings lie: `HIL_DATA`, or `shared/data` beside the checkout."""
+    return Path(os.environ.get("HIL_DATA", _ROOT.parent / "shared" / "data"))
+
+
+def missing(robot: str) -> str:
+    """Why there is nothing to be had of a robot; empty when there is."""
+    if (folder() / robot).is_dir():
+        return ""
+    return f"no recordings of the {robot} here: set HIL_DATA to the folder that holds them"
+
+
+def ur10e_train() -> list[Dataset]:
+    """The four trajectories of the UR10e to fit on, in the authors' windows."""
+    return [_ur10e(name) for name in UR10E_TRAIN]
+
+
+def ur10e_validation() -> Dataset:
+    """The whole of 14h50 without load: scored, never tuned on."""
+    return _ur10e(UR10E_VALIDATION)
+
+
+def ur10e_loaded() -> Dataset:
+    """The same trajectory with 2.805 kg that the data do not declare."""
+    return _ur10e(UR10E_LOADED)
+
+
+def ur10() -> tuple[Dataset, Dataset]:
+    """The UR10's run, torques by its authors' gains: to fit on, to judge on."""
+    return cut(imported("ur10/ur10_exciting_trajectory_first_half.csv", "ur10_unisa"))
+
+
+def panda() -> tuple[Dataset, Dataset]:
+    """The Panda's run, thinned out: to fit on, to judge on."""
+    return cut(thinned(imported("panda", "panda_interleaved"), PANDA_HZ))
+
+
+def kr300() -> tuple[Dataset, Dataset]:
+    """The KR300's run, its three moving axes alone: to fit on, to judge on."""
+    return cut(joints_of(imported("kr300/traj_A_data.mat", "kr300_mat"), (0, 1, 2)))
+
+
+def tx40() -> tuple[Dataset, Dataset]:
+    """The TX40's run, thinned out, as joint torques: to fit on, to judge on.
+
+    The map turns motor 4's sign to its joint's; the coupling needs it as it was recorded.
+    """
+    data = imported("tx40", "tx40_figaroh")
+    motors = data["effort"] * np.sign(np.diag(TX40_N))
+    torques = replace(data.with_columns(effort=motors @ TX40_N), effort_kind="torque")
+    return cut(thinned(torques, TX40_HZ))
+
+
+SPLIT: dict[str, Callable[[], tuple[Dataset, Dataset]]] = {
+    "ur10": ur10,
+    "panda": panda,
+    "kr300": kr300,
+    "tx40": tx40,
+}
+"""Robots that were recorded once, by the name of their arm."""
+
+
+@cache
+def imported(path: str, map_name: str) -> Dataset:
+    """One file below `folder()`, by its map.
+
+    Raises:
+        DataError: The file is not there.
+    """
+    source = folder() / path
+    if not source.exists():
+        raise DataError(f"there is no {source}", hint="set HIL_DATA to the folder of recordings")
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "recording.mcap"
+        import_file(source, MAPS / f"{map_name}.yaml", out=out)
+        data = load_source(out)
+    # The recording is gone: a series is known by the file it was imported from.
+    conditions = tuple(replace(c, id=f"{source.stem}#{i}", source=source.stem)
+                       for i, c in enumerate(data.conditions))  # fmt: skip
+    return replace(data, conditions=conditions)
+
+
+def _ur10e(name: str) -> Dataset:
+    return imported(f"ur10e/{name}.csv", "ur10e_columns")
