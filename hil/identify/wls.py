@@ -14,6 +14,7 @@ from hil.identify.base import RobotEstimator, chunks, payload_torque
 from hil.identify.checks import require_rank
 from hil.identify.compress import JointwiseQR
 from hil.identify.correlation import correlated_samples
+from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.stream import MemorylessStream
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -97,28 +98,31 @@ class WlsEstimator(RobotEstimator):
 
     def _solve(self, data: Dataset, *, weighted: bool) -> None:
         """Fit to the observations, whose target is a torque; sets the fitted attributes."""
-        from hil.identify.linear import WeightedLeastSquares
+        self._adopt(data, jointwise_least_squares(self._compressed(data), weighted=weighted))
 
+    def _compressed(self, data: Dataset) -> JointwiseQR:
+        """All observations, one triangle per joint."""
         observed = JointwiseQR(data.n_joints)
         for _, W, target in self._observations(data):
             observed.add(W, target)
-        X, y, joint = observed.system()
-        solver, weight = WeightedLeastSquares().fit(X, y), np.ones(data.n_joints)
-        sigma = observed.residual_std(solver.coef_)
-        if weighted:
-            # Noise-free data would weight by 1/0, and so would a target that is 0 throughout.
-            floor = 1e-12 * float(np.max(np.abs(y))) or 1.0
-            weight = 1.0 / np.maximum(sigma, floor) ** 2
-            solver.fit(X, y, sample_weight=weight[joint])
-            sigma = observed.residual_std(solver.coef_)
-        require_rank(solver.rank_, solver.condition_, self.parameter_names_, X)
-        self.coefficients_, self.condition_ = solver.coef_, float(solver.condition_)
-        self.sigma_ = sigma / self.torque_scale_
-        residual = self._residual(data, solver.coef_)
+        return observed
+
+    def _adopt(self, data: Dataset, found: Solution) -> None:
+        """Take over a solution; sets the fitted attributes."""
+        require_rank(found.rank, found.condition, self.parameter_names_, found.system[0])
+        self.coefficients_, self.condition_ = found.coefficients, found.condition
+        self.sigma_ = found.sigma / self.torque_scale_
+        self._tell_uncertainty(data, found)
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        """Set `correlated_samples_` and `std_error_`."""
+        residual = self._residual(data, found.coefficients)
         self.correlated_samples_ = correlated_samples(residual, data.offsets)
         # (XᵀWX)⁻¹ XᵀW·V·WX (XᵀWX)⁻¹ with V the variance of a joint times its correlation time.
-        score = X * (weight * sigma * np.sqrt(self.correlated_samples_))[joint, None]
-        self.std_error_ = np.linalg.norm(score @ solver.unscaled_covariance_, axis=0)
+        X, _, joint = found.system
+        deviation = found.sigma * np.sqrt(self.correlated_samples_)
+        score = X * (found.weight * deviation)[joint, None]
+        self.std_error_ = np.linalg.norm(score @ found.bread, axis=0)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
         """(N, n) target less regressor times coefficients (p,)."""

@@ -1,0 +1,126 @@
+"""Rigid-body models that are linear in base parameters and friction, whatever solves them.
+
+The base regressor of the arm (rotor inertias included) is set beside three friction columns per
+joint, tanh(qd/width), qd and 1, and fitted to K·i. What is subtracted (declared loads), how signals
+are filtered and how a fitted model predicts is the same for every method; a method overrides the
+one step that turns observations into coefficients.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from hil.data.dataset import Dataset, SeriesKind
+from hil.data.filters import FilterSettings
+from hil.data.prediction import Prediction
+from hil.dynamics import RobotModel, base_parameters, coulomb_viscous_columns
+from hil.identify.base import chunks, payload_torque, prepared
+from hil.identify.checks import (
+    require_clean,
+    require_motion,
+    require_robot,
+    require_samples,
+    torque_scale,
+)
+from hil.identify.compress import JointwiseQR
+from hil.identify.jointwise import Solution
+from hil.identify.parameters import number, settings
+from hil.identify.plausible import require_plausible
+from hil.identify.wls import WlsEstimator
+from hil.typing import FloatArray
+
+MOTION = ("q_f", "qd_f", "qdd_f")
+TERMS = ("coulomb", "viscous", "offset")
+"""Friction columns per joint."""
+
+
+class RigidLinear(WlsEstimator):
+    """Base of the estimators of base rigid-body parameters and Coulomb–viscous friction.
+
+    Args:
+        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
+        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
+
+    Attributes:
+        parameter_names_: Base parameters, then `coulomb`, `viscous`, `offset` per joint.
+    """
+
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",), ("move",))
+
+    def __init__(
+        self,
+        *,
+        sign_width: float = 0.01,
+        filters: FilterSettings | dict[str, Any] | None = None,
+    ) -> None:
+        self.sign_width = number("sign_width", sign_width, at_least=0.0)
+        self.filters = settings("filters", filters, FilterSettings)
+
+    @abstractmethod
+    def _estimate(self, observed: JointwiseQR) -> Solution:
+        """The step in which methods differ: coefficients from compressed observations."""
+
+    def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
+        """Fit to every series given; declared loads are subtracted from the target.
+
+        Raises:
+            FitError: The data are too few, not finite, of another robot or unit, hold efforts
+                that cannot be, or do not excite all parameters.
+            DataError: A series cannot be filtered.
+        """
+        require_robot(dataset, robot)
+        self._remember(dataset, robot, torque_scale(dataset))
+        require_clean(dataset, ("t", "q", "effort"))
+        require_plausible(dataset, robot)
+        self._open()
+        require_samples(len(dataset), len(self.parameter_names_), "samples")
+        require_motion(dataset)
+        data = prepared(dataset, self.filters)
+        self.samples_ = len(data)
+        self._adopt(data, self._estimate(self._compressed(data)))
+        return self
+
+    def predict(self, dataset: Dataset) -> Prediction:
+        """Effort per row from the filtered motion, split into its physical parts.
+
+        Raises:
+            DataError: The data are of another robot or unit, or cannot be filtered.
+        """
+        self._require_match(dataset)
+        data = prepared(dataset, self.filters)
+        return self._predict(data, *(data[name] for name in MOTION))
+
+    def _open(self) -> None:
+        self._base = base_parameters(self.robot_, rotor=True)
+        friction = (f"{joint}.{term}" for joint in self.joint_names_ for term in TERMS)
+        self.parameter_names_ = (*self._base.names, *friction)
+
+    def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        motion = tuple(data[name] for name in MOTION)
+        load = payload_torque(self.robot_, data, *motion)
+        target = data["effort_f"] * self.torque_scale_ - load
+        for rows in chunks(data):
+            q, qd, qdd = (values[rows] for values in motion)
+            W = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=True))
+            friction = coulomb_viscous_columns(qd, self.sign_width)
+            yield rows, np.hstack([W, friction]), target[rows]
+
+    def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
+        rigid, friction = np.split(self.coefficients_, [-len(TERMS) * q.shape[1]])
+        still = np.zeros_like(q)
+
+        def torque(*motion: FloatArray) -> FloatArray:
+            columns: FloatArray = self._base.reduce(self.robot_.regressor(*motion, rotor=True))
+            return columns @ rigid
+
+        gravity = torque(q, still, still)
+        parts = {
+            "gravity": gravity,
+            "inertia": torque(q, qd, qdd) - gravity,
+            "friction": coulomb_viscous_columns(qd, self.sign_width) @ friction,
+        }
+        return {name: part.reshape(q.shape) / self.torque_scale_ for name, part in parts.items()}
