@@ -63,7 +63,8 @@ class Dataset:
         joint_names: Length n, the order of every (N, n) column.
         effort_kind: `current` [A] or `torque` [N·m].
         columns: `t` (N,) and any of `q`, `qd`, `qdd`, `effort`, `temperature`, `effort_target`,
-            `q_target`, … each (N, n). `t`, `q` and `effort` are always there.
+            `q_target`, `torque_target` [N·m], … each (N, n). `t`, `q` and `effort` are always
+            there.
         offsets: (S + 1,) row at which each series begins; the last entry is N.
         conditions: One per series, length S.
         drive_gains: Torque per current [N·m/A], (n,), or None when unknown.

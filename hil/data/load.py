@@ -30,7 +30,7 @@ from hil.data.described import (
     vector,
 )
 from hil.data.dwells import SAMPLES_PER_DWELL
-from hil.data.series import Series, StepNote, assemble, cut
+from hil.data.series import TARGET, Series, StepNote, assemble, cut
 from hil.data.stays import FOUND_FILE, FoundSteps, found_plan
 from hil.errors import DataError
 from hil.payload import Payload
@@ -39,6 +39,7 @@ from hil.record.files import read_json
 from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
+from hil.record.topic import TARGET_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.typing import StructArray
 
@@ -205,9 +206,25 @@ def _from_file(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
             hint="turn foreign files into recordings with: hil import FILE --map MAP.yaml -o OUT",
         )
     origin = origin_of_import(info.metadata["robot"], str(path))
+    rows = _with_targets(info, rows)
     numbers = np.unique(rows["segment"]).tolist() if "trajectory" in kinds else []
     steps = _windows(info, [n for n in numbers if n >= 0])
     return assemble(cut(rows, steps, 0), origin, SAMPLES_PER_DWELL)
+
+
+def _with_targets(info: RecordingInfo, rows: StructArray) -> StructArray:
+    """The rows with `torque_target`, where an import found one and all of it is there."""
+    if TARGET_TOPIC not in info.topics:
+        return rows
+    told = read_topic(info.path, TARGET_TOPIC, salvage=not info.complete)
+    if not np.array_equal(told["device_time"], rows["device_time"]):
+        return rows
+    fields = [(name, rows.dtype[name]) for name in rows.dtype.names or ()]
+    out = np.empty(len(rows), [*fields, (TARGET, told.dtype[TARGET])])
+    for name, _ in fields:
+        out[name] = rows[name]
+    out[TARGET] = told[TARGET]
+    return out
 
 
 def _windows(info: RecordingInfo, numbers: Sequence[int]) -> dict[int, StepNote]:

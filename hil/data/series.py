@@ -25,6 +25,9 @@ COLUMNS = (
     "q", "qd", "effort", "temperature", "q_target", "qd_target", "qdd_target", "effort_target",
 )  # fmt: skip
 
+TARGET = "torque_target"
+"""The controller's own torques [N·m], in imports of controllers that log them beside currents."""
+
 
 @dataclass(frozen=True, slots=True)
 class StepNote:
@@ -127,7 +130,8 @@ def assemble(series: Sequence[Series], origin: Origin, dwell_samples: int) -> Da
         raise DataError(
             f"{origin.source} holds {recorded} joints, but describes {len(origin.joint_names)}"
         )
-    columns = {name: np.ascontiguousarray(rows[name]) for name in COLUMNS}
+    known = COLUMNS + ((TARGET,) if TARGET in (rows.dtype.names or ()) else ())
+    columns = {name: np.ascontiguousarray(rows[name]) for name in known}
     present = {name: values for name, values in columns.items() if not np.all(np.isnan(values))}
     for needed in ("q", "effort"):
         present.setdefault(needed, columns[needed])

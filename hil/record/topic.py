@@ -17,6 +17,9 @@ from hil.typing import StructArray
 
 STATE_TOPIC = "/robot/state"
 
+TARGET_TOPIC = "/robot/torque_target"
+"""The controller's own torques beside its current commands, where both were logged."""
+
 _MESSAGE_NAME = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 
 
@@ -118,4 +121,23 @@ def state_topic(n_joints: int, rate_hz: float, *, clock: str, effort_unit: str) 
         units=units,
         schema_name=f"hil/msg/State{n_joints}",
         schema_version=STATE_SCHEMA_VERSION,
+    )
+
+
+def torque_target_topic(n_joints: int, rate_hz: float, *, clock: str) -> Topic:
+    """What a controller that commands currents takes for its torques, row by row of the state.
+
+    Args:
+        n_joints: Number of joints n.
+        rate_hz: Rate of the samples [Hz].
+        clock: Which clock `device_time` counts.
+    """
+    fields: list[Any] = [("device_time", "<f8"), ("host_time", "<f8")]
+    return Topic(
+        name=TARGET_TOPIC,
+        dtype=np.dtype([*fields, ("torque_target", "<f8", (n_joints,))]),
+        rate_hz=rate_hz,
+        clock=clock,
+        units={"device_time": "s", "host_time": "s (Unix time)", "torque_target": "N·m"},
+        schema_name=f"hil/msg/TorqueTarget{n_joints}",
     )

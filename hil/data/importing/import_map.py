@@ -153,6 +153,7 @@ class Columns(Strict):
     qd_target: Quantity | None = None
     qdd_target: Quantity | None = None
     effort_target: Quantity | None = None
+    torque_target: Quantity | None = None
 
 
 class Window(Strict):
@@ -204,7 +205,7 @@ class ImportMap(Strict):
         return self.model_copy(update={"payload": load, "windows": windows})
 
     def quantities(self) -> dict[str, Quantity]:
-        """The quantities the map names, by field of the base robot record."""
+        """The quantities the map names, by field of the base robot record or `torque_target`."""
         found = ((name, getattr(self.columns, name)) for name in QUANTITIES)
         return {name: quantity for name, quantity in found if quantity is not None}
 

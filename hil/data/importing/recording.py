@@ -12,7 +12,8 @@ from hil.data.filters import sample_rate
 from hil.data.importing.import_map import ImportMap, Window
 from hil.data.importing.raw import Raw
 from hil.data.load import WINDOW_PAYLOAD
-from hil.record.topic import STATE_TOPIC, Topic, state_topic
+from hil.data.series import TARGET
+from hil.record.topic import Topic, state_topic, torque_target_topic
 from hil.record.writer import McapWriter
 from hil.spec.loads import Load
 from hil.typing import IntArray, StructArray
@@ -67,7 +68,9 @@ def write_recording(
     """
     unit = "A" if layout.effort_kind == "current" else "N·m"
     rate = sample_rate(samples.columns["t"])
-    topic = state_topic(layout.n_joints, rate, clock="file", effort_unit=unit)
+    topics = [state_topic(layout.n_joints, rate, clock="file", effort_unit=unit)]
+    if TARGET in samples.columns:
+        topics.append(torque_target_topic(layout.n_joints, rate, clock="file"))
     metadata: dict[str, Mapping[str, str]] = {
         ROBOT_METADATA: robot_metadata(layout),
         PAYLOAD_METADATA: payload_metadata(layout.payload),
@@ -76,10 +79,11 @@ def write_recording(
     for number, window in enumerate(windows):
         if window.payload is not None:
             metadata[WINDOW_PAYLOAD.format(number)] = payload_metadata(window.payload)
-    writer = McapWriter(out, [topic], metadata=metadata, joint_names=layout.joint_names)
+    writer = McapWriter(out, topics, metadata=metadata, joint_names=layout.joint_names)
     try:
         with writer:
-            writer.write(STATE_TOPIC, _rows(topic, samples, segments))
+            for topic in topics:
+                writer.write(topic.name, _rows(topic, samples, segments))
     except BaseException:
         writer.partial_path.unlink(missing_ok=True)
         raise
@@ -102,8 +106,7 @@ def segments_of(rows: IntArray, windows: tuple[Window, ...]) -> IntArray:
 def _rows(topic: Topic, samples: Raw, segments: IntArray) -> StructArray:
     block = topic.blank(len(samples))
     block["device_time"] = samples.columns["t"]
-    for name, values in samples.columns.items():
-        if name != "t":
+    for name, values in (samples.columns | {"segment": segments}).items():
+        if name in (topic.dtype.names or ()):
             block[name] = values
-    block["segment"] = segments
     return block

@@ -26,6 +26,7 @@ RTDE_NAMES = {
     "qd_target": "target_qd_{}",
     "qdd_target": "target_qdd_{}",
     "effort_target": "target_current_{}",
+    "torque_target": "target_moment_{}",
 }
 """Column names of ur_rtde's `startFileRecording` and of UR's own record.py, joints from 0."""
 

@@ -14,8 +14,9 @@ QUANTITY_DIMENSIONS = {
     "qd_target": ("angular velocity",),
     "qdd_target": ("angular acceleration",),
     "effort_target": ("current", "torque"),
+    "torque_target": ("torque",),
 }
-"""Which dimensions each quantity of the base robot record may have."""
+"""Which dimensions each quantity of a recording may have."""
 
 SI_SYMBOL = {
     "time": "s",
