@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from hil.spec.optimise import OptionalOptimise
 from hil.spec.quantities import IS_NUMBER, JointRange, Positive, Seed, Strict, mistake
 
 LONGEST_TRAJECTORY_S = 3600.0
@@ -76,11 +77,20 @@ class Fourier(Strict):
     max_jerk_deg_s3: Positive = Field(
         2000.0, description="For the moves between trajectories, not inside them."
     )
-    amplitude_deg: Positive = Field(90.0, description="Largest excursion from the centre.")
+    amplitude_deg: Positive = Field(
+        90.0,
+        description="Largest excursion from the centre of trajectories that are drawn; optimised "
+        "ones only keep to `range_deg`.",
+    )
     range_deg: tuple[JointRange, ...] | None = Field(
         None,
         description="Joint ranges the trajectories stay in, one pair per joint; by default those "
         "of the arm.",
+    )
+    optimise: OptionalOptimise = Field(
+        None,
+        description="How the trajectories are optimised; `true` takes the defaults, and without "
+        "it the best of a few random draws is taken.",
     )
 
     @model_validator(mode="after")
@@ -92,6 +102,14 @@ class Fourier(Strict):
                 f"{lasts:g} s, longer than {LONGEST_TRAJECTORY_S:g} s: use more trajectories"
             )
             raise mistake(message, "periods")
+        return self
+
+    @model_validator(mode="after")
+    def _amplitudes_are_of_random_draws(self) -> Fourier:
+        if self.optimise is not None and "amplitude_deg" in self.model_fields_set:
+            raise mistake(
+                "has no effect on optimised trajectories: give range_deg instead", "amplitude_deg"
+            )
         return self
 
 

@@ -14,7 +14,8 @@ from hil.spec.experiment import ExperimentSpec
 def spec_hash(spec: ExperimentSpec) -> str:
     """sha256 of the canonical JSON of the spec, defaults included.
 
-    A spec without studies has the hash it had before there were any: runs of an older hil go on.
+    A spec without studies or optimised excitation has the hash it had before there were any: runs
+    of an older hil go on.
     Comments, order of keys and of interlocks, spelling of numbers (`1` and `1.0`) and written-out
     defaults do not change it. A file of poses counts with its content, not with its path, so that
     the hash is the same on every machine.
@@ -26,6 +27,8 @@ def spec_hash(spec: ExperimentSpec) -> str:
     raw["interlocks"].sort(key=lambda interlock: json.dumps(interlock, sort_keys=True))
     if not raw["study"]:
         del raw["study"]
+    if raw["excitation"].get("optimise") is None:
+        raw["excitation"].pop("optimise", None)
     if file := raw["excitation"].get("file"):
         raw["excitation"]["file"] = _content_hash(Path(file))
     text = json.dumps(_canonical(raw), sort_keys=True, separators=(",", ":"))
