@@ -39,6 +39,8 @@ EXTRA_OF_MODULE = {
     "distributed": "fleet",
     "rosbags": "bags",
     "foxglove": "live",
+    "cvxpy": "identify",
+    "clarabel": "identify",
 }
 """The extra of this distribution that brings an optional top-level module."""
 
