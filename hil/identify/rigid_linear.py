@@ -81,7 +81,7 @@ class RigidLinear(WlsEstimator):
         require_motion(dataset)
         data = prepared(dataset, self.filters)
         self.samples_ = len(data)
-        self._adopt(data, self._estimate(self._compressed(data)))
+        self._learn(data)
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:
@@ -93,6 +93,10 @@ class RigidLinear(WlsEstimator):
         self._require_match(dataset)
         data = prepared(dataset, self.filters)
         return self._predict(data, *(data[name] for name in MOTION))
+
+    def _learn(self, data: Dataset) -> None:
+        """Fit to prepared data; sets the fitted attributes."""
+        self._adopt(data, self._estimate(self._compressed(data)))
 
     def _open(self) -> None:
         self._base = base_parameters(self.robot_, rotor=True)
