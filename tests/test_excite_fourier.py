@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from plan_parts import DEGREE, toy_workspace
 
 from hil.errors import PlanError
-from hil.excite.fourier import FourierExcitation, fitting_frequency
+from hil.excite.coefficients import fitting_frequency
+from hil.excite.fourier import FourierExcitation
 from hil.excite.motion import Motion
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap

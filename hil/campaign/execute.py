@@ -21,6 +21,7 @@ from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError
+from hil.excite.setting import Advance
 from hil.preflight import preflight_context, require_preflight
 from hil.record.parts import name_of_attempt
 from hil.record.recorder import Recorder
@@ -54,6 +55,10 @@ class Attendance:
     def stage(self, text: str) -> None:
         """Tell observers what is being done."""
         self.observers.publish({"kind": "stage", "stage": text})
+
+    def computing(self, advance: Advance) -> None:
+        """Tell observers how far trajectories are that take long to compute."""
+        self.observers.publish(advance.to_event())
 
 
 def execute(attempt: Attempt, robot: Robot, attendance: Attendance) -> Recorded:

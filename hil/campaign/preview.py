@@ -7,6 +7,7 @@ from pathlib import Path
 from hil.campaign.experiment import Experiment
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.robots import planned
+from hil.excite.setting import Watch, unwatched
 from hil.plan.plan import Plan
 from hil.plan.preview import PlanPreview, preview
 
@@ -18,19 +19,20 @@ WITHOUT_THE_ROBOT = (
 
 
 def preview_experiment(
-    experiment: Experiment, *, connect: bool = False
+    experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
 ) -> tuple[Plan, PlanPreview]:
     """The plan and what it amounts to; nothing moves.
 
     Args:
         experiment: What would be done, and where.
         connect: See `hil.campaign.robots.planned`.
+        watch: Is told how far trajectories are that take long to compute.
 
     Raises:
         PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
         RobotError: The robot cannot be asked where it stands.
     """
-    with planned(experiment, connect=connect) as (robot, plan, from_where_it_stands):
+    with planned(experiment, connect=connect, watch=watch) as (robot, plan, from_where_it_stands):
         watching = interlocks_for(experiment, robot, plan, folder=Path(), behind_s=lambda: 0.0)
     unasked = () if from_where_it_stands else (WITHOUT_THE_ROBOT,)
     return plan, preview(plan, watching.describe(), unasked)

@@ -37,7 +37,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
     with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
         require_usable(experiment, robot)
         attendance.stage("planning")
-        plan = plan_for(experiment, robot)
+        plan = plan_for(experiment, robot, attendance.computing)
         if (part := experiment.commissioning) is not None:
             experiment = replace(experiment, commissioning=part.within(plan))
             plan = part.of(plan)

@@ -11,6 +11,7 @@ import numpy as np
 from hil import plugins
 from hil.campaign.experiment import Experiment
 from hil.engine.bounded import bounded
+from hil.excite.setting import Watch, unwatched
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot
@@ -104,7 +105,9 @@ def held(
 
 
 @contextlib.contextmanager
-def planned(experiment: Experiment, *, connect: bool = False) -> Iterator[tuple[Robot, Plan, bool]]:
+def planned(
+    experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
+) -> Iterator[tuple[Robot, Plan, bool]]:
     """The robot, the plan, and whether it begins where the robot stands now.
 
     A robot in wall time is left alone unless it is to be connected to: plans are made at desks,
@@ -114,6 +117,7 @@ def planned(experiment: Experiment, *, connect: bool = False) -> Iterator[tuple[
     Args:
         experiment: Says which robot of which station.
         connect: Plan from where a robot in wall time stands now, too; it is leased meanwhile.
+        watch: Is told how far trajectories are that take long to compute.
 
     Raises:
         RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
@@ -122,11 +126,11 @@ def planned(experiment: Experiment, *, connect: bool = False) -> Iterator[tuple[
     with opened(experiment.spec.robot, experiment.robot) as robot:
         can = robot.capabilities
         if can.clock == "wall" and not connect:
-            plan = build_plan(experiment.spec, experiment.robot, rate_hz=can.rate_hz)
+            plan = build_plan(experiment.spec, experiment.robot, rate_hz=can.rate_hz, watch=watch)
             yield robot, plan, False
             return
         with _held(experiment, robot):
-            yield robot, plan_for(experiment, robot), True
+            yield robot, plan_for(experiment, robot, watch), True
 
 
 @contextlib.contextmanager
@@ -159,14 +163,24 @@ def close_robot(robot: Robot) -> list[str]:
     return []
 
 
-def plan_for(experiment: Experiment, robot: Robot) -> Plan:
-    """The plan from where the robot stands now, at the robot's own rate."""
+def plan_for(experiment: Experiment, robot: Robot, watch: Watch = unwatched) -> Plan:
+    """The plan from where the robot stands now, at the robot's own rate.
+
+    Args:
+        experiment: Says what is wanted.
+        robot: Connected.
+        watch: Is told how far trajectories are that take long to compute.
+
+    Raises:
+        PlanError: No safe plan follows from the spec.
+    """
     newest = robot.read()[-1]
     return build_plan(
         experiment.spec,
         experiment.robot,
         start_q=standing_at(newest),
         rate_hz=robot.capabilities.rate_hz,
+        watch=watch,
     )
 
 

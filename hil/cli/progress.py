@@ -9,9 +9,11 @@ from __future__ import annotations
 import sys
 import time
 
+from hil.cli.excitation_line import ExcitationLine
 from hil.cli.output import duration, fold, width_of
 from hil.cli.study_progress import StudyBar
 from hil.engine.observers import Event
+from hil.excite.setting import Advance
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, state_words, step_words
 from hil.preflight.robot_checks import OWN
@@ -32,6 +34,7 @@ class ProgressLines:
         self._paused = False
         self._pausing = ""
         self._studies = StudyBar()
+        self._excitation = ExcitationLine()
 
     def notify(self, event: Event) -> None:
         """Print the event if it is news, and where the run stands if it is time to."""
@@ -41,6 +44,11 @@ class ProgressLines:
             self._studies.show(event["study"], event["what"], event["done"], event["total"])
             return
         self._studies.end()
+        if kind == "excitation":
+            self._end_line()
+            self._excitation(Advance.from_event(event))
+            return
+        self._excitation.end()
         if kind == "stage":
             self._line(f"{self._standing.stage} …")
         elif kind == "state":

@@ -79,12 +79,14 @@ def plan(
     from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.campaign.preview import preview_experiment
+    from hil.cli.excitation_line import ExcitationLine
     from hil.plan.picture import plan_picture
     from hil.record.files import json_document, write_replacing
 
     experiment = api.load(spec, station)
     check_driver(experiment)
-    made, facts = preview_experiment(experiment, connect=connect)
+    with ExcitationLine() as line:
+        made, facts = preview_experiment(experiment, connect=connect, watch=line)
     shown = facts.to_dict()
     drawn = plan_picture(made, picture or Path(f"{experiment.spec.name}.plan.svg"))
     if out:

@@ -1,21 +1,34 @@
 """Fourier excitation: random feasible series per eq. 29 of the PINN paper, best of a few kept.
 
 Each joint's series is drawn at random, made to rest at both ends, scaled to whatever limit binds
-first, and shrunk towards its centre until the arm keeps its distance at every sample.
+first, and shrunk towards its centre until the arm keeps its distance at every sample. A spec that
+says `optimise` gets series from `hil.excite.optimised` instead.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hil.errors import PlanError
+from hil.excite.coefficients import (
+    POINTS_PER_HARMONIC,
+    SHRINKAGE,
+    Coefficients,
+    about_zero,
+    coarse_scales,
+    extent,
+    fitting_frequency,
+)
 from hil.excite.motion import FourierSeries
+from hil.excite.optimised import OptimisedSeries
+from hil.excite.question import Question
 from hil.excite.roadmap import Roadmap
+from hil.excite.setting import Setting
 from hil.excite.visit import Action, Program, Visit
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import Fourier
@@ -26,33 +39,12 @@ CANDIDATES = 6
 
 MOST_DRAWS = 200
 DRAWS_AT_ONCE = 12
-SHRINKAGE = np.array([1.0, 0.8, 0.64, 0.5, 0.4, 0.3])
-"""Tried from the largest: small motions excite little."""
-
-COARSE = 64
-POINTS_PER_HARMONIC = 256
-"""Grid for peaks; a trigonometric polynomial of degree H on m·H points exceeds its largest value
-there by a factor of 1/cos(π/m) at most (Ehlich and Zeller 1964)."""
-
 SCORED = 100
 """Samples the condition number is computed from; enough for ranking (facts measured on a UR5)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Coefficients:
-    """Series about zero: `a` and `b`, each (n, H) in rad/s, at rest at both ends."""
-
-    a: FloatArray
-    b: FloatArray
-
-    def about(self, q0: FloatArray, scale: float, spec: Fourier, f_hz: float) -> FourierSeries:
-        """The motion about `q0` (n,), everything multiplied by `scale`."""
-        a, b = (_rows(scale * self.a), _rows(scale * self.b))
-        return FourierSeries(tuple(map(float, q0)), a, b, f_hz, spec.periods)
-
-
 class FourierExcitation:
-    """Several Fourier trajectories, drawn by seed.
+    """Several Fourier trajectories, drawn by seed or optimised.
 
     Args:
         spec: The excitation part of an experiment.
@@ -62,19 +54,36 @@ class FourierExcitation:
     def __init__(self, spec: Fourier, folder: Path = Path()) -> None:
         self.spec = spec
         self.folder = folder
+        self._setting: Setting | None = None
+
+    def compute_with(self, setting: Setting) -> None:
+        """The robot that trajectories are optimised for."""
+        self._setting = setting
 
     def program(self, roadmap: Roadmap) -> Program:
         """One visit per trajectory, in order.
 
         Raises:
-            PlanError: Random series hardly ever keep their distance.
+            PlanError: Random series hardly ever keep their distance, or none can be optimised.
         """
         visits = []
-        for number in range(self.spec.trajectories):
-            rng = np.random.default_rng([self.spec.seed, number])
-            action = Action("trajectory", self._best(roadmap, rng), trajectory=number)
+        for number, series in enumerate(self._series(roadmap)):
+            action = Action("trajectory", series, trajectory=number)
             visits.append(Visit((action,), f"trajectory {number}"))
         return Program(visits)
+
+    def _series(self, roadmap: Roadmap) -> list[FourierSeries]:
+        if self.spec.optimise is None:
+            seeds = [[self.spec.seed, number] for number in range(self.spec.trajectories)]
+            return [self._best(roadmap, np.random.default_rng(seed)) for seed in seeds]
+        if self._setting is None:
+            raise PlanError(
+                "trajectories cannot be optimised for a robot of which no model is given",
+                hint="call compute_with before program, as hil.plan does",
+            )
+        f_hz = fitting_frequency(self.spec, roadmap.workspace.rate_hz)
+        question = Question(self.spec, roadmap.workspace, self._setting, f_hz)
+        return OptimisedSeries(question, roadmap).all()
 
     def _best(self, roadmap: Roadmap, rng: np.random.Generator) -> FourierSeries:
         candidates = list(itertools.islice(self._feasible(roadmap, rng), CANDIDATES))
@@ -90,7 +99,7 @@ class FourierExcitation:
         f_hz = fitting_frequency(self.spec, workspace.rate_hz)
         for _ in range(0, MOST_DRAWS, DRAWS_AT_ONCE):
             drawn = [self._draw(workspace, rng, f_hz) for _ in range(DRAWS_AT_ONCE)]
-            scales = _coarse_scales(workspace, drawn, f_hz)
+            scales = coarse_scales(workspace, drawn, f_hz)
             for (coefficients, q0), scale in zip(drawn, scales, strict=True):
                 for smaller in SHRINKAGE[scale >= SHRINKAGE]:
                     series = coefficients.about(q0, float(smaller), self.spec, f_hz)
@@ -112,7 +121,7 @@ class FourierExcitation:
         a -= a.mean(axis=1, keepdims=True)
         b -= (b @ order / (order @ order))[:, None] * order
         scale = self._largest_scale(workspace, a, b, f_hz) * rng.uniform(0.7, 1.0, (n, 1))
-        least, most = _extent(a * scale, b * scale, f_hz)
+        least, most = extent(a * scale, b * scale, f_hz)
         q0 = rng.uniform(workspace.low - least, workspace.high - most)
         return Coefficients(a * scale, b * scale), q0
 
@@ -120,8 +129,8 @@ class FourierExcitation:
         self, workspace: Workspace, a: FloatArray, b: FloatArray, f_hz: float
     ) -> FloatArray:
         """(n, 1) factor at which each joint reaches the first of its limits."""
-        q, qd, qdd = _about_zero(a, b, f_hz)
-        least, most = _extent(a, b, f_hz)
+        q, qd, qdd = about_zero(a, b, f_hz)
+        least, most = extent(a, b, f_hz)
         slack = np.cos(np.pi / POINTS_PER_HARMONIC)
         factors = (
             (workspace.high - workspace.low) / (most - least),
@@ -131,48 +140,6 @@ class FourierExcitation:
         )
         smallest: FloatArray = np.min(factors, axis=0)
         return smallest[:, None]
-
-
-def fitting_frequency(spec: Fourier, rate_hz: float) -> float:
-    """The fundamental, lowered so that the trajectory ends on a sample [Hz]."""
-    samples = int(np.ceil(spec.periods * rate_hz / spec.fundamental_hz - 1e-9))
-    return spec.periods * rate_hz / samples
-
-
-def _about_zero(
-    a: FloatArray, b: FloatArray, f_hz: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One period of q − q₀, qd and qdd, each (POINTS_PER_HARMONIC·H, n)."""
-    zero = tuple(0.0 for _ in a)
-    samples = FourierSeries(zero, _rows(a), _rows(b), f_hz).sample(
-        POINTS_PER_HARMONIC * a.shape[1] * f_hz
-    )
-    return samples.q, samples.qd, samples.qdd
-
-
-def _extent(a: FloatArray, b: FloatArray, f_hz: float) -> tuple[FloatArray, FloatArray]:
-    """(n,) least and (n,) most that q − q₀ ever is."""
-    q, _, _ = _about_zero(a, b, f_hz)
-    beyond = np.abs(q).max(axis=0) * (1 / np.cos(np.pi / POINTS_PER_HARMONIC) - 1)
-    return q.min(axis=0) - beyond, q.max(axis=0) + beyond
-
-
-def _coarse_scales(
-    workspace: Workspace, drawn: list[tuple[Coefficients, FloatArray]], f_hz: float
-) -> Sequence[float]:
-    """For each draw the largest shrinkage that is clear on a coarse grid, 0 for none."""
-    shapes = np.stack(
-        [
-            _about_zero(c.a, c.b, f_hz)[0][:: POINTS_PER_HARMONIC * c.a.shape[1] // COARSE]
-            for c, _ in drawn
-        ]
-    )
-    centres = np.stack([q0 for _, q0 in drawn])
-    q = centres[:, None, None] + SHRINKAGE[:, None, None] * shapes[:, None]
-    draws, scales, points, n = q.shape
-    clear = workspace.is_clear(q.reshape(-1, n)).reshape(draws, scales, points)
-    largest: FloatArray = np.where(clear.all(axis=2), SHRINKAGE, 0.0).max(axis=1)
-    return [float(scale) for scale in largest]
 
 
 def _is_possible(roadmap: Roadmap, series: FourierSeries) -> bool:
@@ -185,7 +152,3 @@ def _score(workspace: Workspace, series: FourierSeries) -> float:
         return 0.0
     period = replace(series, periods=1).sample(SCORED * series.fundamental_hz)
     return workspace.condition(period.q, period.qd, period.qdd)
-
-
-def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(map(float, row)) for row in matrix)

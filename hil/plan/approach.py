@@ -9,7 +9,7 @@ import numpy as np
 from hil.arms import load_arm
 from hil.errors import PlanError
 from hil.excite.motion import Line
-from hil.plan.build import checked_start, roadmap_of, workspace_of
+from hil.plan.place import checked_start, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray

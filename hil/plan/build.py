@@ -8,27 +8,25 @@ from pathlib import Path
 
 import numpy as np
 
-from hil import plugins
-from hil.arms import ArmDescription, arm_names, load_arm
+from hil.arms import ArmDescription
 from hil.errors import PlanError, SpecError
 from hil.excite.arrange import Arrangement
-from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Action, Excitation, Program, Visit, pose_visit
+from hil.excite.setting import Watch, unwatched
+from hil.excite.visit import Action, Program, Visit, pose_visit
 from hil.excite.workspace import Workspace
+from hil.plan.exciting import program_of
 from hil.plan.interlocks import interlock_margins
-from hil.plan.limits import draw_range, excesses
+from hil.plan.limits import excesses
 from hil.plan.margins import margins_of
+from hil.plan.place import checked_start, plannable_arm, roadmap_of, workspace_of
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
-from hil.plan.quality import condition_number, condition_score
-from hil.plan.surroundings import collision_model
+from hil.plan.quality import condition_number
 from hil.plan.weighing import weigh_dwell, weigh_visits
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
-ROADMAP_POSES = 48
-ROADMAP_SEED = 0
 REFERENCE_DELTA_DEG = 3.0
 
 
@@ -39,6 +37,7 @@ def build_plan(
     start_q: FloatArray | None = None,
     rate_hz: float | None = None,
     folder: Path | None = None,
+    watch: Watch = unwatched,
 ) -> Plan:
     """The plan for an experiment; the same arguments give the same plan.
 
@@ -48,6 +47,7 @@ def build_plan(
         start_q: (n,) where the robot stands now [rad]; by default the roomiest pose of its range.
         rate_hz: The robot's own rate; by default that of the arm's description.
         folder: Where relative paths in the spec start; by default the working directory.
+        watch: Is told how far trajectories are that take long to compute.
 
     Raises:
         SpecError: The spec asks for more than the arm can do, or its waypoint file has mistakes;
@@ -55,16 +55,14 @@ def build_plan(
         PlanError: No clear motion does what the spec asks for.
         PluginError: The excitation is missing or does not load.
     """
-    arm = _arm(station_robot)
+    arm = plannable_arm(station_robot)
     rate = rate_hz or arm.rate_hz
     if problems := excesses(spec, arm, rate):
         raise SpecError("\n".join(problems), hint="change these values, or take another robot")
     workspace = workspace_of(spec, station_robot, arm, rate)
     roadmap = roadmap_of(workspace)
     start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
-    kind = plugins.load("hil.excitations", spec.excitation.kind)
-    excitation: Excitation = kind(spec.excitation, folder or Path())
-    program = excitation.program(roadmap)
+    program = program_of(spec, station_robot, arm, roadmap, folder=folder or Path(), watch=watch)
     reference = _reference(spec, roadmap, program)
     weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
     arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)
@@ -103,71 +101,6 @@ def _complete(
         margins=margins,
         condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
     )
-
-
-def _arm(station_robot: StationRobot) -> ArmDescription:
-    if station_robot.model not in arm_names():
-        raise PlanError(
-            f"no motion is planned for {station_robot.model}: "
-            "without collision bodies nobody can tell whether one is clear",
-            hint=f"plans are made for the built-in arms {', '.join(arm_names())}; "
-            "recordings of other robots can be imported and fitted",
-        )
-    return load_arm(station_robot.model)
-
-
-def workspace_of(
-    spec: ExperimentSpec, station_robot: StationRobot, arm: ArmDescription, rate_hz: float
-) -> Workspace:
-    """Where the arm of an experiment may be and how fast, with the body of every load."""
-    excitation = spec.excitation
-    low, high = draw_range(excitation, arm)
-    loads = [(load.payload(), load.size_m) for load in spec.loads]
-    at_rest = isinstance(excitation, Dwell)
-    return Workspace(
-        joint_names=arm.joint_names,
-        q_min=arm.q_min,
-        q_max=arm.q_max,
-        low=low,
-        high=high,
-        collision=collision_model(arm, station_robot.surroundings, loads),
-        clearance_m=station_robot.surroundings.clearance_m,
-        velocity=float(np.radians(excitation.max_velocity_deg_s)),
-        acceleration=float(np.radians(excitation.max_acceleration_deg_s2)),
-        jerk=float(np.radians(excitation.max_jerk_deg_s3)),
-        rate_hz=rate_hz,
-        condition=condition_score(arm, station_robot.gravity_m_s2, at_rest=at_rest),
-    )
-
-
-def roadmap_of(workspace: Workspace) -> Roadmap:
-    """How to get about in a workspace; the same one gives the same roadmap."""
-    return Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
-
-
-def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
-    """The pose (n,) [rad] the robot stands in, once it is known that it can leave it.
-
-    Raises:
-        PlanError: It is no pose, touches something, or no clear way leads away from it.
-    """
-    workspace = roadmap.workspace
-    if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
-        raise PlanError(
-            f"the robot's current pose is {start.tolist()}, "
-            f"not {len(workspace.joint_names)} joint positions",
-            hint="see whether the robot is powered and its encoders are read",
-        )
-    complaint = workspace.complaint(start)
-    if not complaint and roadmap.way(start, roadmap.home) is None:
-        complaint = "no clear way leads away from it"
-    if complaint:
-        raise PlanError(
-            f"the robot cannot leave its current pose safely: {complaint}",
-            hint="jog the robot to a pose with more room around it and plan again, or describe "
-            "the station's surroundings as they are",
-        )
-    return start
 
 
 def _reference(spec: ExperimentSpec, roadmap: Roadmap, program: Program) -> Visit | None:

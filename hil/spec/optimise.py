@@ -42,8 +42,8 @@ class Optimise(Strict):
     )
     torque_percent: Annotated[float, Field(gt=0, le=100), IS_NUMBER] = Field(
         80.0,
-        description="Share of the arm's torque limits that the nominal rigid body with its heaviest "
-        "load may need; the rest is left to friction and control.",
+        description="Share of the arm's torque limits that the nominal rigid body with its "
+        "heaviest load may need; the rest is left to friction and control.",
     )
     max_jerk_deg_s3: Positive | None = Field(
         None, description="Fastest change of acceleration inside a trajectory; by default no limit."
