@@ -1,0 +1,125 @@
+"""What a loaded recording told about its load, and how surely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.data.prediction import Prediction
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))
+KEYS = ("mass_kg", "com_m", "inertia_kgm2")
+
+MASS_SHARE = 0.05
+"""A mass is well determined when its 95 % interval reaches no further than this share of it."""
+
+COM_REACH_M = 0.01
+"""A coordinate of the centre of mass is when its interval reaches no further than this."""
+
+INERTIA_SHARE = 0.25
+"""An inertia is when its interval reaches no further than this share of the largest one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """By how much friction was another on the day of the load than the model has it.
+
+    Attributes:
+        offset: (n,) constant to be added [A or N·m].
+        scale: (n,) share of the model's friction to be added.
+    """
+
+    offset: FloatArray
+    scale: FloatArray
+
+    def of(self, prediction: Prediction) -> FloatArray:
+        """(N, n) what is to be added to a prediction."""
+        zero = np.zeros_like(prediction.effort)
+        friction = prediction.components.get("friction", zero) if np.any(self.scale) else zero
+        added: FloatArray = self.offset + self.scale * friction
+        return added
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PayloadEstimate:
+    """A load identified from motion.
+
+    Values are in the order of `NAMES`: mass, centre of mass in the flange frame, inertia about the
+    centre of mass along the flange's axes.
+
+    Attributes:
+        payload: The load: always one that positive masses can make.
+        values: (10,) the same as numbers.
+        std_error: (10,) standard errors, given the model and its drive gains.
+        interval: (10, 2) 95 % intervals of Student's t by blocks of time.
+        residual: (n,) RMS of the filtered effort less the prediction with the load.
+        without: (n,) the same with nothing at the flange.
+        unit: `A` or `N·m`, of the residuals.
+        joint_names: Length n.
+        correction: Of the model's friction; zeros unless asked for.
+        samples: Rows used.
+        blocks: Blocks of time that counted as independent.
+        bounded: Whether the recording alone would have had a body that cannot be; the errors are
+            those without that knowledge.
+        notes: For people.
+    """
+
+    payload: Payload
+    values: FloatArray
+    std_error: FloatArray
+    interval: FloatArray
+    residual: FloatArray
+    without: FloatArray
+    unit: str
+    joint_names: tuple[str, ...]
+    correction: Correction
+    samples: int
+    blocks: int
+    bounded: bool
+    notes: tuple[str, ...] = ()
+
+    @property
+    def determined(self) -> dict[str, bool]:
+        """Which of the ten the recording tells well, by name."""
+        reach = (self.interval[:, 1] - self.interval[:, 0]) / 2
+        largest = float(np.max(np.abs(self.values[4:7]), initial=0.0))
+        limit = np.array(
+            [MASS_SHARE * self.values[0], *3 * [COM_REACH_M], *6 * [INERTIA_SHARE * largest]]
+        )
+        return dict(zip(NAMES, (reach <= limit).tolist(), strict=True))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil payload --json`."""
+        rows = zip(NAMES, UNITS, self.values, self.std_error, self.interval, strict=True)
+        known = self.determined
+        return {
+            "payload": {
+                "mass_kg": self.payload.mass,
+                "com_m": list(self.payload.com),
+                "inertia_kgm2": list(self.payload.inertia),
+            },
+            "parameters": [
+                {
+                    "name": name, "unit": unit, "value": float(value), "std_error": float(error),
+                    "interval_95": [float(end) for end in ends], "determined": known[name],
+                }
+                for name, unit, value, error, ends in rows
+            ],
+            "joint_names": list(self.joint_names),
+            "unit": self.unit,
+            "residual": [float(value) for value in self.residual],
+            "residual_without_load": [float(value) for value in self.without],
+            "correction": {
+                "offset": [float(value) for value in self.correction.offset],
+                "scale": [float(value) for value in self.correction.scale],
+            },
+            "samples": self.samples,
+            "blocks": self.blocks,
+            "bounded": self.bounded,
+            "notes": list(self.notes),
+        }  # fmt: skip
