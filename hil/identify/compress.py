@@ -33,7 +33,7 @@ class JointwiseQR:
             block = np.column_stack([cube[:, j], target[:, j]])
             previous = self._triangles[j]
             stacked = block if previous is None else np.vstack([previous, block])
-            self._triangles[j] = upper_triangle(stacked)
+            self._triangles[j] = _compressed(stacked)
             self.rows[j] += samples
 
     def system(self) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -56,6 +56,18 @@ class JointwiseQR:
 
     def _filled(self) -> list[FloatArray]:
         return [R for R in self._triangles if R is not None]
+
+
+def _compressed(matrix: FloatArray) -> FloatArray:
+    """R with RᵀR = matrixᵀ matrix; columns of zeros cost nothing.
+
+    A joint feels no link before its own, so half of a base regressor's blocks are zero.
+    """
+    used = np.any(matrix != 0.0, axis=0)
+    triangle = upper_triangle(matrix[:, used])
+    R = np.zeros((len(triangle), matrix.shape[1]))
+    R[:, used] = triangle
+    return R
 
 
 def upper_triangle(matrix: FloatArray) -> FloatArray:
