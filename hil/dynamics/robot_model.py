@@ -22,9 +22,10 @@ from hil.dynamics.build import (
     pose_of,
 )
 from hil.dynamics.inertial import PARAMETERS, payload_inertia, transfer_matrix
+from hil.dynamics.regressor import Regressor
 from hil.errors import DataError, SpecError
 from hil.payload import Payload
-from hil.typing import FloatArray
+from hil.typing import FloatArray, IntArray
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -63,6 +64,7 @@ class RobotModel:
         self._data = model.createData()
         self._flange = flange
         self._loaded: tuple[Payload, RobotModel] | None = None
+        self._regressors: dict[bytes, Regressor] = {}
         self.name = name
         self.arm = arm
         self.payloads = payloads
@@ -153,6 +155,16 @@ class RobotModel:
             tau[:] = pin.rnea(self._model, self._data, *sample)
         return out
 
+    def inverse_dynamics_derivatives(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
+        rows = self._rows(q, qd, qdd)
+        out = np.empty((3, *rows[0].shape, self.n))
+        for k, sample in enumerate(zip(*rows, strict=True)):
+            out[:, k] = pin.computeRNEADerivatives(self._model, self._data, *sample)
+        return out[0], out[1], out[2]
+
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) joint torques that hold the arm still."""
         (rows,) = self._rows(q)
@@ -171,21 +183,28 @@ class RobotModel:
         return upper + np.swapaxes(np.triu(out, 1), 1, 2)
 
     def regressor(
-        self, q: FloatArray, qd: FloatArray, qdd: FloatArray, *, rotor: bool = True
+        self,
+        q: FloatArray,
+        qd: FloatArray,
+        qdd: FloatArray,
+        *,
+        rotor: bool = True,
+        columns: IntArray | None = None,
     ) -> FloatArray:
         """(N·n, p) W with W @ parameters = inverse dynamics; p = 10·n, plus n with `rotor`.
 
-        Pinocchio leaves the rotor inertias out of its regressor: their columns hold qdd.
+        Args:
+            q, qd, qdd: The motion, each (N, n).
+            rotor: Whether the columns of the rotor inertias, which hold qdd, are among them.
+            columns: (k,) only these, ascending, such as those of base parameters; then p = k.
+                The others are not computed.
         """
-        rows = self._rows(q, qd, qdd)
-        body = len(PARAMETERS) * self.n
-        out = np.zeros((len(rows[0]), self.n, body + self.n * rotor))
-        for W, *sample in zip(out[:, :, :body], *rows, strict=True):
-            W[:] = pin.computeJointTorqueRegressor(self._model, self._data, *sample)
-        if rotor:
-            joints = np.arange(self.n)
-            out[:, joints, body + joints] = rows[2]
-        return out.reshape(-1, out.shape[2])
+        count = (len(PARAMETERS) + rotor) * self.n
+        wanted = np.arange(count) if columns is None else np.asarray(columns)
+        key = wanted.tobytes()
+        if key not in self._regressors:
+            self._regressors[key] = Regressor(self._model, wanted)
+        return self._regressors[key](*self._rows(q, qd, qdd))
 
     def gravity_regressor(self, q: FloatArray) -> FloatArray:
         """(N·n, 10·n) W with W @ parameters(rotor=False) = gravity torques."""
@@ -227,8 +246,8 @@ class RobotModel:
 
     def payload_regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """(N·n, 10) W with W @ payload_parameters(payload) = payload effort, flange frame."""
-        last = slice(-len(PARAMETERS), None)
-        W = self.regressor(q, qd, qdd, rotor=False)[:, last]
+        body = len(PARAMETERS)
+        W = self.regressor(q, qd, qdd, columns=np.arange((self.n - 1) * body, self.n * body))
         return W @ transfer_matrix(pose_of(self._model.frames[self._flange].placement))
 
     def flange_pose(self, q: FloatArray) -> FloatArray:
