@@ -1,0 +1,97 @@
+"""The regressor an excitation is designed for: base parameters, rotors and friction by choice."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hil.dynamics.base import base_parameters
+from hil.dynamics.regressor_gradient import MotionGradient, RegressorSweep
+from hil.typing import FloatArray
+
+if TYPE_CHECKING:
+    from hil.dynamics.robot_model import RobotModel
+
+
+class Rows(NamedTuple):
+    """A regressor at some samples.
+
+    Attributes:
+        transposed: (b, n·N) the regressor's transpose, rows joint by joint.
+        pull_back: From the derivative of a scalar by `transposed` to that by the motion.
+    """
+
+    transposed: FloatArray
+    pull_back: Callable[[FloatArray], MotionGradient]
+
+
+class IdentificationColumns:
+    """Columns of independent parameters of one robot, differentiable by the motion.
+
+    Args:
+        robot: The robot.
+        rotor: Whether rotor inertias are among the parameters.
+        friction: Whether Coulomb, viscous and offset torques of every joint are.
+        sign_width: Of tanh(qd / width), which stands for the sign in Coulomb columns [rad/s].
+
+    Attributes:
+        names: (b,) of the parameters: base parameters, then `coulomb_1` … `offset_n`.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        *,
+        rotor: bool = False,
+        friction: bool = False,
+        sign_width: float = 0.01,
+    ) -> None:
+        base = base_parameters(robot, rotor=rotor)
+        self._robot, self._geometry = robot, robot.joint_geometry()
+        self._width, self._friction = sign_width, friction
+        bodies = 10 * robot.n
+        self._inertial = base.independent[base.independent < bodies]
+        self._rotors = base.independent[base.independent >= bodies] - bodies
+        added = [f"{kind}_{j + 1}" for kind in _FRICTION for j in range(robot.n)]
+        self.names = (*base.names, *(added if friction else ()))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def rows(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Rows:
+        """The regressor at `q`, `qd`, `qdd`, each (N, n)."""
+        sweep = RegressorSweep.of(self._robot, q, qd, qdd, self._geometry)
+        bodies, (N, n) = sweep.columns, q.shape
+        parts = [bodies[self._inertial], self._diagonal(qdd)[self._rotors]]
+        sign = np.tanh(qd / self._width)
+        if self._friction:
+            parts += [self._diagonal(x) for x in (sign, qd, np.ones_like(qd))]
+        slope = (1.0 - sign**2) / self._width
+
+        def pull_back(by_rows: FloatArray) -> MotionGradient:
+            by_bodies = np.zeros_like(bodies)
+            counts = np.cumsum([len(part) for part in parts[:-1]])
+            by_parts = np.split(by_rows.reshape(-1, n, N), counts)
+            by_bodies[self._inertial] = by_parts[0]
+            by = sweep.pull_back(by_bodies)
+            for joint, by_column in zip(self._rotors, by_parts[1], strict=True):
+                by.qdd[:, joint] += by_column[joint]
+            if self._friction:
+                joints = np.arange(n)
+                coulomb, viscous = (part[joints, joints].T for part in by_parts[2:4])
+                by.qd[:] += coulomb * slope + viscous
+            return by
+
+        return Rows(np.concatenate(parts).reshape(-1, n * N), pull_back)
+
+    def _diagonal(self, x: FloatArray) -> FloatArray:
+        """(n, n, N): column j acts on joint j only, by x (N, n)."""
+        N, n = x.shape
+        out = np.zeros((n, n, N))
+        out[np.arange(n), np.arange(n)] = x.T
+        return out
+
+
+_FRICTION = ("coulomb", "viscous", "offset")
