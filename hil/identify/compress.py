@@ -7,6 +7,7 @@ memory stays bounded and weighting again costs nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,20 @@ class JointwiseQR:
             stacked = block if previous is None else np.vstack([previous, block])
             self._triangles[j] = _compressed(stacked)
             self.rows[j] += samples
+
+    @staticmethod
+    def merged(parts: Sequence[JointwiseQR]) -> JointwiseQR:
+        """What one would hold that had seen the rows of all parts."""
+        whole = JointwiseQR(len(parts[0].rows))
+        for j in range(len(whole.rows)):
+            seen = [R for part in parts if (R := part.triangle(j)) is not None]
+            whole._triangles[j] = _compressed(np.vstack(seen)) if seen else None
+        whole.rows = np.sum([part.rows for part in parts], axis=0)
+        return whole
+
+    def triangle(self, joint: int) -> FloatArray | None:
+        """R of [W τ] of one joint; None before its first row."""
+        return self._triangles[joint]
 
     def system(self) -> tuple[FloatArray, FloatArray, IntArray]:
         """An equivalent small system: X (m, p), y (m,) and the joint (m,) of each row."""

@@ -18,6 +18,7 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel, base_parameters, coulomb_viscous_columns
+from hil.dynamics.friction import friction_terms, joint_columns
 from hil.identify.base import chunks, payload_torque, prepared
 from hil.identify.checks import (
     require_clean,
@@ -107,11 +108,16 @@ class RigidLinear(WlsEstimator):
         motion = tuple(data[name] for name in MOTION)
         load = payload_torque(self.robot_, data, *motion)
         target = data["effort_f"] * self.torque_scale_ - load
+        terms = self._friction_terms(data)
         for rows in chunks(data):
             q, qd, qdd = (values[rows] for values in motion)
             W = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=True))
-            friction = coulomb_viscous_columns(qd, self.sign_width)
+            friction = joint_columns({name: term[rows] for name, term in terms.items()})
             yield rows, np.hstack([W, friction]), target[rows]
+
+    def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
+        """The friction columns of the fit by name, each (N, n)."""
+        return friction_terms(data["qd_f"], self.sign_width)
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         rigid, friction = np.split(self.coefficients_, [-len(TERMS) * q.shape[1]])
