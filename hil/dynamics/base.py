@@ -97,6 +97,12 @@ class BaseParameters:
         """(M, b) columns of the base parameters of a regressor (M, p)."""
         return W[:, self.independent]
 
+    def regressor(
+        self, model: RobotModel, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        """(N·n, b) the same columns for motions (N, n), without computing the others."""
+        return model.regressor(q, qd, qdd, columns=self.independent)
+
     def combine(self, parameters: FloatArray) -> FloatArray:
         """(b,) base parameters of full ones (p,), so that reduced columns give the same torque."""
         return np.asarray(

@@ -194,7 +194,9 @@ class RobotModel:
         """(N·n, p) W with W @ parameters = inverse dynamics; p = 10·n, plus n with `rotor`.
 
         Args:
-            q, qd, qdd: The motion, each (N, n).
+            q: (N, n), with qd and qdd the motion.
+            qd: (N, n).
+            qdd: (N, n).
             rotor: Whether the columns of the rotor inertias, which hold qdd, are among them.
             columns: (k,) only these, ascending, such as those of base parameters; then p = k.
                 The others are not computed.

@@ -1,0 +1,156 @@
+"""The regressor's recursion as numba compiles it: one sample after the other, in scalars.
+
+Compiled code is kept on disk; the first call on a machine takes about two seconds longer. The
+equations are in `hil.dynamics.regressor`, the constants of a joint in `hil.dynamics.chain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from hil.typing import BoolArray, FloatArray, IntArray
+
+OMEGA, ALPHA, ACCELERATION = 0, 1, 2
+"""Rows of what is known of one link's motion, in its own frame."""
+
+Compiled = TypeVar("Compiled", bound=Callable[..., None])
+
+
+def compiled(function: Compiled) -> Compiled:
+    """Compiled by numba; kept on disk where there is a folder that can be written."""
+    try:
+        return cast("Compiled", njit(function, cache=True, error_model="numpy"))
+    except RuntimeError:
+        return cast("Compiled", njit(function, error_model="numpy"))
+
+
+@compiled
+def turn(R: FloatArray, vectors: FloatArray, j: int) -> None:
+    """Turn row j of vectors (m, 3) in place by R (3, 3)."""
+    x, y, z = vectors[j, 0], vectors[j, 1], vectors[j, 2]
+    vectors[j, 0] = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
+    vectors[j, 1] = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+    vectors[j, 2] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+
+
+@compiled
+def add_cross(
+    a: FloatArray, i: int, b: FloatArray, j: int, factor: float, out: FloatArray, k: int
+) -> None:
+    """Add row i of a × row j of b, times a factor, to row k of `out`."""
+    x, y, z = factor * b[j, 0], factor * b[j, 1], factor * b[j, 2]
+    out[k, 0] += a[i, 1] * z - a[i, 2] * y
+    out[k, 1] += a[i, 2] * x - a[i, 0] * z
+    out[k, 2] += a[i, 0] * y - a[i, 1] * x
+
+
+@compiled
+def curl(body: FloatArray, K: FloatArray) -> None:
+    """K = [α]× + [ω]×², (3, 3)."""
+    wx, wy, wz = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
+    ax, ay, az = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
+    K[0, 0], K[0, 1], K[0, 2] = -(wy * wy + wz * wz), wx * wy - az, wx * wz + ay
+    K[1, 0], K[1, 1], K[1, 2] = wx * wy + az, -(wx * wx + wz * wz), wy * wz - ax
+    K[2, 0], K[2, 1], K[2, 2] = wx * wz - ay, wy * wz + ax, -(wx * wx + wy * wy)
+
+
+@compiled
+def columns(
+    body: FloatArray,
+    K: FloatArray,
+    w: FloatArray,
+    v: FloatArray,
+    j: int,
+    row: FloatArray,
+) -> None:
+    """What the link's ten parameters do to joint j."""
+    a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
+    w0, w1, w2, v0, v1, v2 = w[j, 0], w[j, 1], w[j, 2], v[j, 0], v[j, 1], v[j, 2]
+    x = w0 * 0.5 * (K[1, 2] + K[2, 1])
+    y = w1 * 0.5 * (K[0, 2] + K[2, 0])
+    z = w2 * 0.5 * (K[0, 1] + K[1, 0])
+    row[0] = v0 * a0 + v1 * a1 + v2 * a2
+    row[1] = v0 * K[0, 0] + v1 * K[1, 0] + v2 * K[2, 0] + a1 * w2 - a2 * w1
+    row[2] = v0 * K[0, 1] + v1 * K[1, 1] + v2 * K[2, 1] + a2 * w0 - a0 * w2
+    row[3] = v0 * K[0, 2] + v1 * K[1, 2] + v2 * K[2, 2] + a0 * w1 - a1 * w0
+    row[4] = w0 * body[ALPHA, 0] + y - z
+    row[5] = w1 * K[2, 1] - w0 * K[2, 0] + w2 * (K[0, 0] - K[1, 1])
+    row[6] = w1 * body[ALPHA, 1] + z - x
+    row[7] = w0 * K[1, 0] - w2 * K[1, 2] + w1 * (K[2, 2] - K[0, 0])
+    row[8] = w2 * K[0, 2] - w1 * K[0, 1] + w0 * (K[1, 1] - K[2, 2])
+    row[9] = w2 * body[ALPHA, 2] + x - y
+
+
+@compiled
+def place_of(
+    i: int,
+    q: float,
+    offset: FloatArray,
+    slide: FloatArray,
+    rotations: FloatArray,
+    R: FloatArray,
+    origin: FloatArray,
+) -> None:
+    """Where joint i is in the frame before (1, 3), and the rotation from there into its own."""
+    cos, sin = np.cos(q), np.sin(q)
+    for k in range(3):
+        origin[0, k] = offset[i, k] + slide[i, k] * q
+        for m in range(3):
+            R[k, m] = (
+                rotations[0, i, k, m] + cos * rotations[1, i, k, m] + sin * rotations[2, i, k, m]
+            )
+
+
+@compiled
+def fill(
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    gravity: FloatArray,
+    rotations: FloatArray,
+    offset: FloatArray,
+    slide: FloatArray,
+    axis: FloatArray,
+    turns: BoolArray,
+    first: IntArray,
+    kinds: IntArray,
+    out: FloatArray,
+) -> None:
+    """Fill the wanted columns of `out` (N, n, k) for motions (N, n)."""
+    n = q.shape[1]
+    w, v, body = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, 3))
+    R, K, origin, row = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((1, 3)), np.zeros(10)
+    for s in range(len(q)):
+        K[:] = 0.0
+        body[:] = 0.0
+        body[ACCELERATION] = -gravity
+        for i in range(n):
+            place_of(i, q[s, i], offset, slide, rotations, R, origin)
+            x, y, z = origin[0, 0], origin[0, 1], origin[0, 2]
+            for k in range(3):
+                body[ACCELERATION, k] += K[k, 0] * x + K[k, 1] * y + K[k, 2] * z
+            for j in range(i):
+                add_cross(w, j, origin, 0, 1.0, v, j)
+                turn(R, w, j)
+                turn(R, v, j)
+            for j in range(3):
+                turn(R, body, j)
+            if turns[i]:
+                add_cross(body, OMEGA, axis, i, qd[s, i], body, ALPHA)
+            else:
+                add_cross(body, OMEGA, axis, i, 2.0 * qd[s, i], body, ACCELERATION)
+            for k in range(3):
+                w[i, k] = axis[i, k] if turns[i] else 0.0
+                v[i, k] = axis[i, k] - w[i, k]
+                body[OMEGA, k] += w[i, k] * qd[s, i]
+                body[ALPHA, k] += w[i, k] * qdd[s, i]
+                body[ACCELERATION, k] += v[i, k] * qdd[s, i]
+            curl(body, K)
+            for j in range(i + 1):
+                columns(body, K, w, v, j, row)
+                for c in range(first[i], first[i + 1]):
+                    out[s, j, c] = row[kinds[c]]
