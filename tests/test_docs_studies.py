@@ -11,12 +11,19 @@ import pytest
 from hil import plugins
 from hil.spec.yaml_values import scalar
 from hil.study.base import GROUP
+from hil.study.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
+from hil.study.dynamic_methods import METHODS as DYNAMIC_METHODS
 from hil.study.separation_methods import METHOD_KEYS, known_methods
 from hil.study.static_separation import TABLE_3
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "studies.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]
-IN_WORDS = {"the eight of Table 3": TABLE_3, "all": METHOD_KEYS, "none": None}
+IN_WORDS = {
+    "the eight of Table 3": TABLE_3,
+    "all": METHOD_KEYS,
+    "all methods": DYNAMIC_KEYS,
+    "none": None,
+}
 
 
 def rows_of(title: str) -> list[tuple[str, str]]:
@@ -46,3 +53,10 @@ def test_every_method_has_a_row_with_its_estimator() -> None:
     known = known_methods(alpha=0.001, weights="paper", layout=(4, 1), epochs=1, seed=0)
     for key, text in shown.items():
         assert f"`{known[key.strip('`')].estimator}`" in text or "the same" in text
+
+
+def test_every_method_of_dynamics_has_a_row_with_its_estimator() -> None:
+    shown = dict(rows_of("### Methods of dynamics"))
+    assert tuple(key.strip("`") for key in shown) == DYNAMIC_KEYS
+    for key, text in shown.items():
+        assert f"`{DYNAMIC_METHODS[key.strip('`')].estimator}`" in text

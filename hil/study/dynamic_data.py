@@ -1,0 +1,145 @@
+"""What a study of dynamic identification takes from a run: filtered, down-sampled trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from hil.data.dataset import Dataset, rows_of
+from hil.data.filters import FilterSettings, prepare, sample_rate
+from hil.data.splits import groups, paper_sample_split, split
+from hil.dynamics import RobotModel
+from hil.errors import FitError
+from hil.identify.checks import require_robot, torque_scale
+from hil.typing import BoolArray, FloatArray
+
+FEWEST = 3
+"""Trajectories: to fit on, for methods that choose something, and to judge on."""
+
+SHARES = (0.6, 0.2, 0.2)
+"""Of the samples, to train, validate and test on: the PINN paper, section IV."""
+
+OF_TWELVE = (7, 2, 3)
+"""Trajectories to train, validate and test on, the same shares in whole trajectories."""
+
+MOVING_RAD_S = 0.05
+"""A joint that is faster is away from its reversals."""
+
+REVERSAL_S = 0.05
+"""A sample so close to a change of a joint's direction belongs to that reversal."""
+
+MOVING, REVERSAL = "joint_moving", "joint_reversal"
+"""Columns (N, n), 1 where a joint does so and 0 elsewhere: they survive any split."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectories:
+    """A run as a study of dynamics sees it.
+
+    Attributes:
+        data: Filtered and down-sampled, with the columns `MOVING` and `REVERSAL`.
+        scale: (n,) torque per unit of effort.
+        recorded_hz, kept_hz: Sample rates before and after.
+        notes: What is not as in the paper.
+    """
+
+    data: Dataset
+    scale: FloatArray
+    recorded_hz: float
+    kept_hz: float
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What one split gives: to fit on, left for choices, and to judge on."""
+
+    train: Dataset
+    validation: Dataset
+    test: Dataset
+
+
+def trajectories_of(
+    whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float
+) -> Trajectories:
+    """The trajectories of a run, filtered at their own rate before samples are left out.
+
+    Args:
+        whole: The run.
+        robot: Model of its arm.
+        cutoff_hz: Of the fifth-order Butterworth filter, forwards and backwards.
+        rate_hz: Samples kept per second, as nearly as whole steps allow.
+
+    Raises:
+        FitError: There are too few trajectories, or the robot is another.
+        DataError: The cut-off is too high for the recorded rate.
+    """
+    require_robot(whole, robot)
+    data = whole.of_kind("trajectory")
+    found = len(groups(data, "trajectory"))
+    if found < FEWEST:
+        raise FitError(
+            f"{found} trajectories are too few: the study needs at least {FEWEST}",
+            hint="record some twelve (excitation: {kind: fourier, trajectories: 12})",
+        )
+    cut = dict.fromkeys(("velocity", "acceleration", "effort"), cutoff_hz)
+    filtered = marked(prepare(data, FilterSettings.model_validate({"unit": "hz", **cut})))
+    recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
+    every = max(1, round(recorded / rate_hz))
+    kept = rows_of(filtered, every_nth(filtered, every))
+    notes = [] if found == sum(OF_TWELVE) else [f"{found} trajectories; the paper has twelve"]
+    if recorded < 0.99e3:
+        notes.append(f"recorded at {recorded:.0f} Hz; the paper at 1000 Hz")
+    return Trajectories(kept, torque_scale(data), recorded, recorded / every, tuple(notes))
+
+
+def paper_parts(data: Dataset, seed: int) -> Parts:
+    """60/20/20 % of the samples, drawn one by one: neighbours in time land on all sides."""
+    return Parts(*paper_sample_split(data, SHARES, seed))
+
+
+def honest_parts(data: Dataset, seed: int) -> Parts:
+    """The same shares of whole trajectories: 7, 2 and 3 of twelve."""
+    count, twelve = len(groups(data, "trajectory")), sum(OF_TWELVE)
+    tested = max(1, round(OF_TWELVE[2] * count / twelve))
+    chosen_by = max(1, round(OF_TWELVE[1] * count / twelve))
+    outer = split(data, "trajectory", tested, seed)
+    inner = split(outer.train, "trajectory", chosen_by, seed)
+    return Parts(inner.train, inner.test, outer.test)
+
+
+def marked(data: Dataset) -> Dataset:
+    """With the columns that say where each joint moves and where it turns round."""
+    moving = np.abs(data["qd_f"]) > MOVING_RAD_S
+    reversal = np.zeros_like(moving)
+    for start, stop in pairwise(data.offsets.tolist()):
+        rows = slice(start, stop)
+        reversal[rows] = near_reversals(data["t"][rows], data["qd_f"][rows])
+    flags = {MOVING: moving, REVERSAL: reversal}
+    return data.with_columns(**{name: flag.astype(np.float64) for name, flag in flags.items()})
+
+
+def near_reversals(t: FloatArray, qd: FloatArray) -> BoolArray:
+    """(N, n) where a joint changes direction within `REVERSAL_S`.
+
+    Args:
+        t: (N,) increasing [s].
+        qd: (N, n) filtered velocity.
+    """
+    found = np.zeros(qd.shape, dtype=bool)
+    for j in range(qd.shape[1]):
+        turns = t[1:][qd[1:, j] * qd[:-1, j] < 0]
+        if len(turns):
+            after = np.searchsorted(turns, t)
+            before, behind = np.clip([after - 1, after], 0, len(turns) - 1)
+            gap = np.minimum(np.abs(t - turns[before]), np.abs(t - turns[behind]))
+            found[:, j] = gap <= REVERSAL_S
+    return found
+
+
+def every_nth(data: Dataset, every: int) -> BoolArray:
+    """(N,) the first and then every `every`-th row of each series."""
+    within = np.arange(len(data)) - np.repeat(data.offsets[:-1], np.diff(data.offsets))
+    return np.asarray(within % every == 0)

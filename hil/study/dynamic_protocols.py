@@ -1,0 +1,122 @@
+"""Both protocols of a study of dynamic identification: which fits, and what came of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.dynamics import RobotModel
+from hil.study.dynamic_data import Parts, Trajectories, honest_parts, paper_parts
+from hil.study.dynamic_methods import SHOWN, Method, Score, fit_and_score
+from hil.study.separation_tasks import Task
+from hil.typing import FloatArray
+
+PROTOCOLS: Mapping[str, Callable[[Dataset, int], Parts]] = {
+    "paper": paper_parts,
+    "honest": honest_parts,
+}
+
+MEASURES = ("filtered", "raw", "moving", "reversal", "percent", "training")
+"""Attributes of a `Score` that are per joint."""
+
+COLUMNS = ("t", "q", "qd", "qdd", "effort", "temperature")
+"""What estimators may ask for, beside what the study added: the rest does not travel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """One protocol: the same splits for every method.
+
+    Attributes:
+        protocol: Its name.
+        scores: By key of the method, one per split; methods that failed in any are left out.
+        failed: By key of the method, why.
+        measured: (rows, n) torque that `Score.shown` predicts, first split.
+        noise: (n,) RMS of what the filter took out of the measured effort, in N·m.
+    """
+
+    protocol: str
+    scores: Mapping[str, Sequence[Score]]
+    failed: Mapping[str, str]
+    measured: FloatArray
+    noise: FloatArray
+
+    def mean(self, key: str, measure: str) -> FloatArray:
+        """(n,) mean over the splits."""
+        return np.asarray(np.mean(self._all(key, measure), axis=0))
+
+    def spread(self, key: str, measure: str) -> float:
+        """Standard deviation over the splits of the mean over the joints; NaN with one split."""
+        means = np.mean(self._all(key, measure), axis=1)
+        return float(np.std(means, ddof=1)) if len(means) > 1 else float("nan")
+
+    def average(self, key: str, measure: str) -> float:
+        """Mean over joints and splits, NaN where a joint has none."""
+        return float(np.mean(self.mean(key, measure)))
+
+    def _all(self, key: str, measure: str) -> FloatArray:
+        return np.stack([getattr(score, measure) for score in self.scores[key]])
+
+
+class Protocol:
+    """Prepares the fits of one protocol, and gathers what came of them.
+
+    Args:
+        name: Key of `PROTOCOLS`.
+        trajectories: Of the run.
+        robot: Model of the arm.
+        methods: To compare.
+        seeds: One split each.
+        sign_width: Of the smooth sign, the same for every method that has one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        trajectories: Trajectories,
+        robot: RobotModel,
+        methods: Sequence[Method],
+        seeds: Sequence[int],
+        sign_width: float,
+    ) -> None:
+        self.name = name
+        self._trajectories, self._robot = trajectories, robot
+        self._methods, self._sign_width = tuple(methods), sign_width
+        data = _light(trajectories.data)
+        self._splits = [PROTOCOLS[name](data, seed) for seed in seeds]
+
+    def tasks(self) -> list[Task]:
+        """Every fit, in the order `gather` wants their results."""
+        return [
+            Task(partial(fit_and_score, method, parts, self._robot, self._sign_width))
+            for method in self._methods
+            for parts in self._splits
+        ]
+
+    def gather(self, results: Iterator[Score]) -> Found:
+        """The results of `tasks`, taken from the front of `results`."""
+        scores: dict[str, list[Score]] = {}
+        failed: dict[str, str] = {}
+        for method in self._methods:
+            found = [next(results) for _ in self._splits]
+            reason = next((score.failed for score in found if score.failed), "")
+            if reason:
+                failed[method.key] = reason
+            else:
+                scores[method.key] = found
+        test, scale = self._splits[0].test, self._trajectories.scale
+        noise = np.sqrt(np.mean((test["effort"] - test["effort_f"]) ** 2, axis=0)) * scale
+        return Found(self.name, scores, failed, test["effort_f"][:SHOWN] * scale, noise)
+
+
+def _light(data: Dataset) -> Dataset:
+    kept = [
+        name
+        for name in data.columns
+        if name in COLUMNS or name.endswith("_f") or name.startswith("joint_")
+    ]
+    return replace(data, columns={name: data[name] for name in kept})
