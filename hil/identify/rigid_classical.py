@@ -1,0 +1,149 @@
+"""What the classical methods have in common beyond a linear model: honest standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings
+from hil.dynamics import BaseParameters
+from hil.dynamics.friction import friction_terms
+from hil.errors import FitError
+from hil.identify.clustered import interval
+from hil.identify.correlation import correlated_samples
+from hil.identify.filtered_columns import filtered_like_effort
+from hil.identify.jointwise import Solution
+from hil.identify.parameters import choice, flag
+from hil.identify.rigid_linear import RigidLinear
+from hil.identify.robust_covariance import (
+    Scores,
+    hac_covariance,
+    hac_window,
+    trajectory_covariance,
+)
+from hil.typing import FloatArray
+
+Covariance = Literal["hac", "clustered"]
+COVARIANCES = ("hac", "clustered")
+
+MEANING = {
+    "hac": "Newey and West's covariance, over lags up to ten correlation times of the residual and "
+    "between joints",
+    "clustered": "clustered by trajectory, corrected for few of them (CR2, Satterthwaite's t)",
+}
+
+
+class RigidClassical(RigidLinear):
+    """Base of `rigid-linear`, `rigid-lmi` and `rigid-irls`.
+
+    Args:
+        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
+        filter_columns: Run the friction columns through the filter of the effort.
+        covariance: What standard errors allow for, `hac` or `clustered`.
+        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
+
+    Attributes:
+        covariance_: (p, p) of the coefficients; NaN where a method tells none.
+        degrees_: (p,) degrees of freedom of Student's t for intervals.
+    """
+
+    certain: ClassVar[bool] = True
+    """Whether the covariance of least squares is that of the method."""
+
+    covariance_: FloatArray
+    degrees_: FloatArray
+
+    def __init__(
+        self,
+        *,
+        sign_width: float = 0.01,
+        filter_columns: bool = True,
+        covariance: Covariance = "hac",
+        filters: FilterSettings | dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(sign_width=sign_width, filters=filters)
+        self.filter_columns = flag("filter_columns", filter_columns)
+        self.covariance = choice("covariance", covariance, COVARIANCES)
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters, in the order of the first coefficients."""
+        return self._base
+
+    def interval(self, level: float = 0.95) -> FloatArray:
+        """(p, 2) ends between which a coefficient lies with probability `level`."""
+        return interval(self.coefficients_, self.std_error_, self.degrees_, level)
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Those of every linear model, with the whole covariance."""
+        return super().fitted_arrays() | {
+            "covariance": self.covariance_,
+            "degrees": self.degrees_,
+        }
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Those of every linear model; how the errors were found."""
+        facts = super().fitted_facts()
+        facts["std_error"]["method"] = MEANING[self.covariance]
+        return facts
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        super().restore(arrays, facts)
+        self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
+
+    def _learn(self, data: Dataset) -> None:
+        if self.covariance == "clustered" and len(data.conditions) < 2:
+            raise FitError(
+                "standard errors clustered by trajectory need at least two trajectories",
+                hint="record more of them, or choose covariance: hac",
+            )
+        super()._learn(data)
+
+    def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
+        terms = friction_terms(data["qd_f"], self.sign_width)
+        if not self.filter_columns:
+            return terms
+        return {
+            name: filtered_like_effort(data, term, self.filters) for name, term in terms.items()
+        }
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        p = len(found.coefficients)
+        scores, residual = self._scores(data, found)
+        self.correlated_samples_ = correlated_samples(residual, data.offsets)
+        if self.covariance == "clustered":
+            told = trajectory_covariance(found.bread, scores)
+        else:
+            window = hac_window(self.correlated_samples_, len(data))
+            told = hac_covariance(found.bread, scores, window)
+        self.covariance_ = told.covariance if self.certain else np.full((p, p), np.nan)
+        self.degrees_ = told.degrees
+        self.std_error_ = np.sqrt(np.diag(told.covariance))
+
+    def _scores(self, data: Dataset, found: Solution) -> tuple[Scores, FloatArray]:
+        """Scores of the weighted least squares, and the residual (N, n)."""
+        p = len(found.coefficients)
+        score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
+        residual = np.empty_like(data["q"])
+        series = data.series_index()
+        for rows, W, weight, rest in self._weighted_rows(data, found):
+            residual[rows] = rest
+            cube = W.reshape(*rest.shape, p)
+            score[rows] = np.einsum("tjp,tj->tp", cube, weight * rest)
+            for number in np.unique(series[rows]):
+                own = series[rows] == number
+                block = (cube[own] * np.sqrt(weight[own])[:, :, None]).reshape(-1, p)
+                gram[number] += block.T @ block
+        return Scores(score, gram, data.offsets, data.n_joints), residual
+
+    def _weighted_rows(
+        self, data: Dataset, found: Solution
+    ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
+        """Rows, W (N·n, p), their weights (N, n) and residuals (N, n), in order."""
+        for rows, W, target in self._observations(data):
+            rest = target - (W @ found.coefficients).reshape(target.shape)
+            yield rows, W, np.broadcast_to(found.weight, rest.shape), rest

@@ -1,0 +1,131 @@
+"""Method 2 of the PINN paper: least squares over robots that can exist (Sousa & Cortesão).
+
+Every link's pseudo-inertia is positive definite and within bounds, rotor inertias and friction
+coefficients are not below 0; see `hil.identify.consistent`. The full inertial parameters come with
+it, so that mass matrices are positive definite at every pose and a URDF can be written.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hil.data.filters import FilterSettings
+from hil.identify.compress import JointwiseQR
+from hil.identify.consistent import Consistent, consistent_least_squares
+from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
+from hil.identify.jointwise import Solution, at_least_rounding, jointwise_least_squares
+from hil.identify.parameters import flag, number
+from hil.identify.rigid_classical import Covariance, RigidClassical
+from hil.identify.rigid_linear import TERMS
+from hil.typing import FloatArray, IntArray
+
+PRIOR = 1.0
+
+
+def feasible(
+    found: Solution,
+    observed: JointwiseQR,
+    model: RigidClassical,
+    *,
+    mass_factor: float,
+    prior: float,
+) -> tuple[Solution, Consistent, tuple[str, ...]]:
+    """The consistent solution nearest to a least-squares one, in the fit's own weighting.
+
+    Returns:
+        The solution, the full parameters, and notes for people.
+    """
+    base = model.base
+    bounds = InertialBounds.nominal(model.robot_, mass_factor=mass_factor)
+    X, y = found.weighted_system()
+    # Unweighted rows are in N·m: in standard deviations the prior means the same for both.
+    pooled = np.sqrt(np.mean(found.weight * at_least_rounding(found.sigma, found.system[1]) ** 2))
+    consistent = consistent_least_squares(
+        X / pooled,
+        y / pooled,
+        base=base,
+        bounds=bounds,
+        nonnegative=dissipative(X.shape[1] - base.rank).tolist(),
+        prior=prior or None,
+    )
+    coefficients = consistent.coefficients
+    solution = replace(found, coefficients=coefficients, sigma=observed.residual_std(coefficients))
+    return solution, consistent, bounds.notes
+
+
+def dissipative(columns: int) -> IntArray:
+    """Which of the friction columns of all joints take energy out: Coulomb and viscous."""
+    return np.flatnonzero(np.arange(columns) % len(TERMS) != TERMS.index("offset"))
+
+
+class RigidLmi(RigidClassical):
+    """Physically consistent rigid-body parameters and Coulomb–viscous friction.
+
+    Args:
+        weighted: Weight the joints by their residual; False is the method as published.
+        mass_factor: Most mass of a link as a multiple of its nominal one, above 1.
+        prior: Pull towards the nominal bodies: 1 counts a link's being off by 100 % like one more
+            sample; 0 for none.
+        sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
+        filter_columns: Run the friction columns through the filter of the effort.
+        covariance: What standard errors allow for, `hac` or `clustered`.
+        filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
+
+    Attributes:
+        inertial_: (11n,) in the order of `RobotModel.parameters(rotor=True)`.
+        least_eigenvalue_: Smallest eigenvalue of any pseudo-inertia relative to its nominal one.
+        covariance_: NaN: bounds have no such thing. `std_error_` is that of least squares without
+            constraints, an upper bound.
+    """
+
+    estimator: ClassVar[str] = "rigid-lmi"
+    certain: ClassVar[bool] = False
+    inertial_: FloatArray
+    least_eigenvalue_: float
+
+    def __init__(
+        self,
+        *,
+        weighted: bool = False,
+        mass_factor: float = MASS_FACTOR,
+        prior: float = PRIOR,
+        sign_width: float = 0.01,
+        filter_columns: bool = True,
+        covariance: Covariance = "hac",
+        filters: FilterSettings | dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(
+            sign_width=sign_width,
+            filter_columns=filter_columns,
+            covariance=covariance,
+            filters=filters,
+        )
+        self.weighted = flag("weighted", weighted)
+        self.mass_factor = number("mass_factor", mass_factor, above=1.0)
+        self.prior = number("prior", prior, at_least=0.0)
+
+    def fitted_arrays(self) -> dict[str, FloatArray]:
+        """Those of every classical method, and the full inertial parameters."""
+        return super().fitted_arrays() | {"inertial": self.inertial_}
+
+    def fitted_facts(self) -> dict[str, Any]:
+        """Those of every classical method, and how far the links are from impossible."""
+        return super().fitted_facts() | {"least_eigenvalue": self.least_eigenvalue_}
+
+    def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
+        """Take over what `fitted_arrays` and `fitted_facts` wrote."""
+        super().restore(arrays, facts)
+        self.inertial_ = arrays["inertial"]
+        self.least_eigenvalue_ = float(facts["least_eigenvalue"])
+
+    def _estimate(self, observed: JointwiseQR) -> Solution:
+        plain = jointwise_least_squares(observed, weighted=self.weighted)
+        found, consistent, self.notes_ = feasible(
+            plain, observed, self, mass_factor=self.mass_factor, prior=self.prior
+        )
+        self.inertial_ = consistent.inertial
+        self.least_eigenvalue_ = consistent.least_eigenvalue
+        return found
