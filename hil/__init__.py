@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hil.api import (
         Experiment,
         dataset,
+        estimate_payload,
         evaluate,
         figures,
         fit,
@@ -33,6 +34,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Experiment",
     "dataset",
+    "estimate_payload",
     "evaluate",
     "figures",
     "fit",

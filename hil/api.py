@@ -23,6 +23,7 @@ from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
     from hil.fitting import FitReport
+    from hil.identify.payload_estimate import PayloadEstimate
     from hil.rest_report import RestReport
     from hil.study.result import StudyResult
 
@@ -31,6 +32,7 @@ __all__ = [
     "RunReport",
     "dataset",
     "describe_run",
+    "estimate_payload",
     "evaluate",
     "figures",
     "fit",
@@ -154,6 +156,7 @@ def fit(
     estimator: str,
     robot: str | None = None,
     payload: str | None = None,
+    gains: AnyPath | None = None,
     validate: AnyPath | Iterable[AnyPath] = (),
     parameters: dict[str, Any] | None = None,
     out: AnyPath = "models",
@@ -166,12 +169,14 @@ def fit(
         estimator: Name in `hil.estimators`.
         robot: Built-in arm or URDF; by default what the data says.
         payload: `MASS` or `MASS,X,Y,Z` [kg, m]; by default what the data says.
+        gains: File with `drive_gains_nm_a`; by default what the data says.
         validate: Held-out sources, or just one.
         parameters: The estimator's own parameters.
         out: Folder in which the model's folder is made.
         page: Also write an HTML report about the held-out sources here.
     """
     from hil.fitting import fit_sources, parse_payload
+    from hil.gains_file import read_gains
 
     held_out = _paths(validate)
     result = fit_sources(
@@ -179,6 +184,7 @@ def fit(
         estimator=estimator,
         robot=robot,
         payload=parse_payload(payload) if payload else None,
+        gains=read_gains(Path(gains)) if gains else None,
         validate=held_out,
         out=Path(out),
         **(parameters or {}),
@@ -207,6 +213,29 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     from hil.fitting import evaluate_sources
 
     return evaluate_sources(Path(model), _paths(sources))
+
+
+def estimate_payload(
+    model: AnyPath, sources: AnyPath | Iterable[AnyPath], *, friction: str = "model"
+) -> PayloadEstimate:
+    """The load that was mounted in recordings, by a saved model of the arm.
+
+    Args:
+        model: Its folder.
+        sources: Run directories or MCAP files recorded with that load, or just one.
+        friction: What of the model's friction may differ on that day: nothing (`model`), an
+            `offset` per joint, or an offset and a factor (`scale`).
+
+    Raises:
+        DataError: A source cannot be read, is of another robot, or was fitted to.
+        FitError: The recording does not tell the load.
+        SpecError: There is no such way to treat friction.
+    """
+    from typing import cast
+
+    from hil.load_fit import payload_of_sources
+
+    return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
 
 
 def study(

@@ -22,6 +22,7 @@ from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, SpecError
 from hil.evaluate import evaluate
+from hil.gains_file import DriveGains
 from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
 from hil.identify.model_file import load_model_file, model_files, write_whole
@@ -85,6 +86,7 @@ def fit_sources(
     estimator: str,
     robot: str | None = None,
     payload: Payload | None = None,
+    gains: DriveGains | None = None,
     validate: Iterable[Path] = (),
     out: Path = Path("models"),
     **params: Any,
@@ -96,6 +98,7 @@ def fit_sources(
         estimator: Name in `hil.estimators`.
         robot: Built-in arm or URDF; by default what the data says.
         payload: Load of the training sources; by default what the data says.
+        gains: Drive gains; by default those the data declares.
         validate: Held-out sources, each judged by itself.
         out: Folder in which the model's folder is made.
         **params: The estimator's own parameters.
@@ -106,7 +109,8 @@ def fit_sources(
         PluginError, SpecError: No such estimator, parameter or robot.
     """
     model = make_estimator(estimator, **params)
-    train = _pooled([load_source(source) for source in sources])
+    parts = [load_source(source) for source in sources]
+    train = _pooled([gains.of(part) for part in parts] if gains else parts)
     if payload is not None:
         train = with_payload(train, payload)
     serial = _one_serial(sources)

@@ -20,6 +20,7 @@ from hil.cli import (
     gains,
     listening,
     live,
+    loads,
     models,
     recover,
     replaying,
@@ -55,8 +56,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, running, listening, runs, live, recover, replaying, models, gains, studies, resting,
-    data, system, bench,
+    specs, running, listening, runs, live, recover, replaying, models, gains, loads, studies,
+    resting, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

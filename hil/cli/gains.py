@@ -1,14 +1,18 @@
-"""`hil gains`: torque per motor current, from loads of known mass."""
+"""`hil gains`: torque per motor current, from known loads or from the controller's own log."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+
+if TYPE_CHECKING:
+    from hil.calibration import GainsMethod
 
 
 def register(app: typer.Typer) -> None:
@@ -21,42 +25,74 @@ def gains(
     robot: Annotated[
         str, typer.Option("--robot", help="Built-in arm or URDF; by default what the data says.")
     ] = "",
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            help="known-loads (dwells under several loads), controller (its currents and torques "
+            "were logged) or auto.",
+        ),
+    ] = "auto",
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Also write them here, for hil fit --gains.")
+    ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Drive gains [N·m/A] from dwells at the same poses under loads of known mass."""
+    """Drive gains [N·m/A] from known loads, or from the controller's own currents and torques."""
+    from typing import cast
+
     from hil.calibration import gains_of_sources
+    from hil.gains_file import write_gains
 
-    result = gains_of_sources(found(sources, runs), robot or None)
+    result = gains_of_sources(found(sources, runs), robot or None, cast("GainsMethod", method))
+    told = result.to_dict()
+    if out is not None:
+        write_gains(out, told["yaml"])
     if json:
-        print_json(result.to_dict())
-        return
-    masses = ", ".join(f"{mass:g}" for mass in result.masses)
-    typer.echo(f"loads of {masses} kg at {result.poses} poses")
-    _print(result.to_dict())
+        print_json(told)
+    elif told["method"] == "controller":
+        typer.echo(f"method: controller, its currents and torques in {told['samples']} samples")
+        _print(told, ("gain",), {"residual": map(_percent, told["residual_share"])})
+    else:
+        masses = ", ".join(f"{mass:g}" for mass in told["masses_kg"])
+        typer.echo(f"method: known loads, loads of {masses} kg at {told['poses']} poses")
+        _print(told, ("gain", "k1", "k2"), {})
 
 
-def _print(told: dict[str, Any]) -> None:
+COLUMNS = {
+    "gain": ("gain [N·m/A]", "_nm_a"),
+    "k1": ("K1 [N·m/A]", "_nm_a"),
+    "k2": ("K2 [N·m/A²]", "_nm_a2"),
+}
+
+
+def _print(told: dict[str, Any], keys: tuple[str, ...], more: Mapping[str, Iterable[str]]) -> None:
     names = told["joint_names"]
     declared = told["declared_nm_a"] or [None] * len(names)
-    pairs = (("gain", "_nm_a"), ("k1", "_nm_a"), ("k2", "_nm_a2"))
+    units = [COLUMNS[key][1] for key in keys]
     columns = [
-        map(_with_error, told[key + unit], told[f"{key}_error{unit}"]) for key, unit in pairs
+        map(_with_error, told[key + unit], told[f"{key}_error{unit}"])
+        for key, unit in zip(keys, units, strict=True)
     ]
     shown = [f"{value:.2f}" if value is not None else "–" for value in declared]
     print_table(
-        ("joint", "gain [N·m/A]", "K1 [N·m/A]", "K2 [N·m/A²]", "declared"),
-        list(zip(names, *columns, shown, strict=True)),
+        ("joint", *(COLUMNS[key][0] for key in keys), *more, "declared"),
+        list(zip(names, *columns, *more.values(), shown, strict=True)),
     )
     for name, reason in told["not_determined"].items():
         typer.echo(f"  {name}: {reason}")
     for note in told["notes"]:
         typer.echo(f"  note: {note}")
     if told["yaml"]:
-        typer.echo("\nfor a station or an import map:")
+        typer.echo("\nfor a station, an import map or hil fit --gains:")
     for line in told["yaml"]:
         typer.echo(line)
 
 
 def _with_error(value: float | None, error: float | None) -> str:
     return "–" if value is None or error is None else f"{value:.3f} ± {error:.3f}"
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.1f} %"

@@ -41,6 +41,13 @@ def fit(
             help="Declared load as MASS_KG or MASS_KG,X_M,Y_M,Z_M; by default what the data says.",
         ),
     ] = "",
+    gains: Annotated[
+        Path | None,
+        typer.Option(
+            "--gains",
+            help="File with drive_gains_nm_a (hil gains -o); by default what the data says.",
+        ),
+    ] = None,
     validate: Annotated[
         list[str] | None,
         typer.Option("--validate", help="Held-out run or MCAP file; repeat for several."),
@@ -66,6 +73,7 @@ def fit(
         estimator=estimator,
         robot=robot or None,
         payload=payload or None,
+        gains=gains,
         validate=found(validate or (), runs),
         parameters=api.parse_parameters(options or ()),
         out=out,

@@ -17,7 +17,7 @@ too small; so the torques serve as instruments (two-stage least squares): for eq
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -71,6 +71,8 @@ class Gains:
         notes: What else to know, for people.
     """
 
+    method: ClassVar[str] = "known-loads"
+
     joint_names: tuple[str, ...]
     gain: FloatArray
     gain_error: FloatArray
@@ -93,6 +95,7 @@ class Gains:
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil gains --json`; what is not determined is null."""
         return {
+            "method": self.method,
             "joint_names": list(self.joint_names),
             "gain_nm_a": _listed(self.gain),
             "gain_error_nm_a": _listed(self.gain_error),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.dynamics.inertial import body_parameters, skew
+from hil.dynamics.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
 from hil.payload import Payload
 from hil.typing import FloatArray
 
@@ -25,22 +26,6 @@ LIGHTEST_KG = 1e-4
 
 _LENGTHS = np.array([LENGTH_M, LENGTH_M, LENGTH_M, 1.0])
 _FLOOR = np.diag([THINNEST_KGM2, THINNEST_KGM2, THINNEST_KGM2, LIGHTEST_KG])
-
-
-def pseudo_inertia(parameters: FloatArray) -> FloatArray:
-    """(4, 4) of the ten parameters."""
-    m, mx, my, mz, xx, xy, yy, xz, yz, zz = parameters
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    sigma = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    h = np.array([mx, my, mz])
-    return np.block([[sigma, h[:, None]], [h[None], np.array([[m]])]])
-
-
-def parameters_of(pseudo: FloatArray) -> FloatArray:
-    """(10,) inverse of `pseudo_inertia`."""
-    sigma, h, m = pseudo[:3, :3], pseudo[:3, 3], pseudo[3, 3]
-    I = np.trace(sigma) * np.eye(3) - sigma  # noqa: E741
-    return np.array([m, *h, I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]])
 
 
 def payload_of(parameters: FloatArray) -> Payload:
@@ -114,7 +99,7 @@ def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
         return free
     rows, columns = np.tril_indices(4)
     map_ = np.array([_parameters_of_pair(i, j) for i in range(4) for j in range(4)]).T
-    offset = parameters_of(_FLOOR)
+    offset = from_pseudo_inertia(_FLOOR)
     A, b = X @ map_, y - X @ offset
 
     def unpacked(entries: FloatArray) -> FloatArray:
@@ -147,7 +132,7 @@ def _parameters_of_pair(i: int, j: int) -> FloatArray:
     unit = np.zeros((4, 4))
     unit[i, j] += 0.5
     unit[j, i] += 0.5
-    return parameters_of(unit * np.outer(_LENGTHS, _LENGTHS))
+    return from_pseudo_inertia(unit * np.outer(_LENGTHS, _LENGTHS))
 
 
 def _interior(parameters: FloatArray) -> FloatArray:

@@ -1,0 +1,83 @@
+"""`hil payload`: the load of a recording, by a model of the arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.models import Sources, found
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(payload)
+
+
+def payload(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    sources: Sources,
+    friction: Annotated[
+        str,
+        typer.Option(
+            "--friction",
+            help="What of the model's friction may differ on that day: model (nothing), offset, "
+            "or scale (offset and factor).",
+        ),
+    ] = "model",
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Mass, centre of mass and inertia of the load in recordings, with their uncertainty."""
+    from hil import api
+
+    told = api.estimate_payload(model, found(sources, runs), friction=friction).to_dict()
+    if json:
+        print_json({"model": str(model), **told})
+        return
+    typer.echo(f"load in {told['samples']} samples, {told['blocks']} independent blocks of time")
+    print_table(
+        ("parameter", "value", "± std", "95 % interval", "well determined"),
+        [_row(each) for each in told["parameters"]],
+    )
+    typer.echo("")
+    n = len(told["joint_names"])
+    print_table(
+        (f"RMS error [{told['unit']}]", *(f"J{j + 1}" for j in range(n)), "mean"),
+        [_errors("with this load", told["residual"]),
+         _errors("with nothing", told["residual_without_load"])],
+    )  # fmt: skip
+    if told["bounded"]:
+        typer.echo("  note: the best fit is no body that exists; this is the best one that is")
+    for note in told["notes"]:
+        typer.echo(f"  note: {note}")
+    typer.echo("\nfor a spec, a map, or --payload:")
+    for line in _lines(told["payload"]):
+        typer.echo(line)
+
+
+def _row(told: dict[str, Any]) -> tuple[str, ...]:
+    low, high = told["interval_95"]
+    decimals = {"kg": 3, "m": 4}.get(told["unit"], 5)
+    value, error, low, high = (
+        f"{number:.{decimals}f}" for number in (told["value"], told["std_error"], low, high)
+    )
+    known = "yes" if told["determined"] else "no"
+    return f"{told['name']} [{told['unit']}]", value, error, f"{low} … {high}", known
+
+
+def _errors(label: str, values: list[float]) -> tuple[str, ...]:
+    mean = sum(values) / len(values)
+    return (label, *(f"{value:.4f}" for value in values), f"{mean:.4f}")
+
+
+def _lines(load: dict[str, Any]) -> tuple[str, str]:
+    com = [f"{x:.4f}" for x in load["com_m"]]
+    inertia = ", ".join(f"{x:.5f}" for x in load["inertia_kgm2"])
+    mass = f"{load['mass_kg']:.3f}"
+    return (
+        f"payload: {{mass_kg: {mass}, com_m: [{', '.join(com)}], inertia_kgm2: [{inertia}]}}",
+        f"--payload {','.join([mass, *com])}",
+    )
