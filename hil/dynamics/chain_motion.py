@@ -23,14 +23,14 @@ class ChainMotion:
         R: (3, 3, n, N) orientation of the joints' frames in the base.
         p: (3, n, N) their origins.
         J: (2, 3, n, N) twist per unit of joint speed.
-        dJ: (2, 3, n, N) its derivative by time.
+        J_dot: (2, 3, n, N) its derivative by time.
         v, a: (2, 3, n, N) twists of the links and their spatial accelerations.
     """
 
     R: FloatArray
     p: FloatArray
     J: FloatArray
-    dJ: FloatArray
+    J_dot: FloatArray
     v: FloatArray
     a: FloatArray
 
@@ -43,18 +43,20 @@ def chain_motion(
     Args:
         geometry: Of its joints.
         gravity: (3,) in the base frame [m/s²].
-        q, qd, qdd: (n, N), joint by joint.
+        q: (n, N) joint positions; `qd` and `qdd` are like it.
+        qd: Velocities.
+        qdd: Accelerations.
     """
     R, p, J = _frames(geometry, q)
     v = np.cumsum(J * qd, axis=2)
-    dJ = twist_cross(v, J)
-    a = np.cumsum(J * qdd + dJ * qd, axis=2)
+    J_dot = twist_cross(v, J)
+    a = np.cumsum(J * qdd + J_dot * qd, axis=2)
     a[0] -= gravity[:, None, None]
-    return ChainMotion(R, p, J, dJ, v, a)
+    return ChainMotion(R, p, J, J_dot, v, a)
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a × b along the first axis, (3, …)."""
+    """A × b along the first axis, (3, …)."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     np.subtract(a[1] * b[2], a[2] * b[1], out=out[0])
     np.subtract(a[2] * b[0], a[0] * b[2], out=out[1])
@@ -63,12 +65,12 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def twist_cross(x: FloatArray, y: FloatArray) -> FloatArray:
-    """x × y of two twists (2, 3, …)."""
+    """X × y of two twists (2, 3, …)."""
     return np.stack([cross(x[1], y[0]) + cross(x[0], y[1]), cross(x[1], y[1])])
 
 
 def wrench_cross(x: FloatArray, w: FloatArray) -> FloatArray:
-    """x ×* w of a twist and a wrench (2, 3, …): y · (x ×* w) = −(x × y) · w."""
+    """X ×* w of a twist and a wrench (2, 3, …): y · (x ×* w) = −(x × y) · w."""
     return np.stack([cross(x[1], w[0]), cross(x[1], w[1]) + cross(x[0], w[0])])
 
 

@@ -31,7 +31,7 @@ class Measure(NamedTuple):
 
 
 def log_condition(G: FloatArray, sharpness: float, scaled: bool = False) -> Measure:
-    """log cond(Y), smooth: where singular values meet, the condition number itself has a kink.
+    """Log cond(Y), smooth: where singular values meet, the condition number itself has a kink.
 
     The largest and the least eigenvalue are replaced by the ends of a p-norm over all,
     (Σ λᵖ)^(1/p) and (Σ λ⁻ᵖ)^(−1/p), which is above log cond by (log b)/p at most.

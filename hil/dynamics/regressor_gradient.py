@@ -1,8 +1,8 @@
 """Joint-torque regressors with their exact derivative, for many samples at once.
 
-τⱼ = Σ_{i ≥ j} Jⱼ · (Φᵢ πᵢ): seen from link i, joint j moves it with the twist (l, z), and the block
-of the regressor that belongs to both is (l, z)ᵀΦ, a closed form in l, z, the link's angular velocity
-ω, its angular acceleration α and the acceleration d of its origin. The derivative of a scalar
+τⱼ = Σ_{i ≥ j} Jⱼ · (Φᵢ πᵢ): seen from link i, joint j moves it with the twist (u, z), and the block
+of the regressor that belongs to both is (u, z)ᵀΦ, a closed form in u, z, the link's angular
+velocity ω, its angular acceleration α and the acceleration d of its origin. The derivative of a scalar
 function of the regressor is pulled back through these forms and then, by sums along the chain,
 through the kinematics: one sweep, whatever the function, no tensor of derivatives and no loop over
 samples. (The derivatives of twists by q and qd are those of Singh, Russell and Wensing 2022.)
@@ -77,13 +77,13 @@ class RegressorSweep:
 
         `columns.T.reshape(N * n, 10 * n)` is `RobotModel.regressor(…, rotor=False)`.
         """
-        m, (l, z), s = self.motion, self._twist, self._links
+        m, (u, z), s = self.motion, self._twist, self._links
         n, N = m.p.shape[1:]
         out = np.zeros((n, len(PARAMETERS), n, N))
         d, alpha, omega = (x[:, self.link] for x in (s.d, s.alpha, s.omega))
         block = np.empty((len(PARAMETERS), len(self.link), N))
-        block[0] = _dot(l, d)
-        block[1:4] = cross(l, alpha) + cross(omega, cross(omega, l)) + cross(d, z)
+        block[0] = _dot(u, d)
+        block[1:4] = cross(u, alpha) + cross(omega, cross(omega, u)) + cross(d, z)
         block[4:] = _symmetric(z, alpha) + _symmetric(cross(z, omega), omega)
         out[self.link, :, self.joint] = block.transpose(1, 0, 2)
         return out.reshape(len(PARAMETERS) * n, n, N)
@@ -94,18 +94,18 @@ class RegressorSweep:
         Args:
             by_columns: (10·n, n, N) its derivative by `columns`.
         """
-        m, (l, z), s = self.motion, self._twist, self._links
+        m, (u, z), s = self.motion, self._twist, self._links
         n, N = m.p.shape[1:]
         weights = by_columns.reshape(n, len(PARAMETERS), n, N)[self.link, :, self.joint]
         mass, moment, inertia = _as_body(weights.transpose(1, 0, 2))
         d, alpha, omega = (x[:, self.link] for x in (s.d, s.alpha, s.omega))
 
-        by_d = mass * l + cross(z, moment)
-        by_alpha = cross(moment, l) + rotate(inertia, z)
+        by_d = mass * u + cross(z, moment)
+        by_alpha = cross(moment, u) + rotate(inertia, z)
         turned = rotate(inertia, omega)
-        by_omega = moment * _dot(omega, l) + l * _dot(moment, omega)
+        by_omega = moment * _dot(omega, u) + u * _dot(moment, omega)
         by_omega += rotate(inertia, cross(z, omega)) + cross(turned, z)
-        by_omega -= 2.0 * omega * _dot(moment, l)
+        by_omega -= 2.0 * omega * _dot(moment, u)
         force = mass * d + cross(alpha, moment) + cross(omega, cross(omega, moment))
         torque = cross(moment, d) + rotate(inertia, alpha) + cross(omega, turned)
 
@@ -116,7 +116,7 @@ class RegressorSweep:
         by_a = self._to_base(np.stack([g_d, g_alpha]), slice(None))
         by_v = np.stack([cross(g_d, s.omega), g_omega + cross(s.speed, g_d)])
         by_v = self._to_base(by_v, slice(None))
-        twist = wrench_cross(np.stack([l, z]), np.stack([force, torque]))
+        twist = wrench_cross(np.stack([u, z]), np.stack([force, torque]))
         return self._through_chain(by_v, by_a, self._to_base(twist, self.link))
 
     def _through_chain(
@@ -125,7 +125,8 @@ class RegressorSweep:
         """From derivatives by the links' twists and accelerations to those by q, qd, qdd.
 
         Args:
-            by_v, by_a: (2, 3, n, N), wrenches in the base frame.
+            by_v: (2, 3, n, N) by the twists, wrenches in the base frame.
+            by_a: (2, 3, n, N) by the accelerations.
             by_pairs: (2, 3, P, N), Jⱼ ×* of the derivative by the twist of joint j seen from i.
         """
         m = self.motion
@@ -134,9 +135,9 @@ class RegressorSweep:
         k = np.arange(m.p.shape[1])[:, None]
         between = ((self.joint <= k) & (k <= self.link)).astype(float)
         turning = np.matmul(between, by_pairs)
-        by_q = _power(m.dJ, on_v) - _power(m.J, turning + wrench_cross(m.a, on_a))
-        by_q -= _power(m.dJ, wrench_cross(m.v, on_a))
-        by_qd = _power(m.J, on_v) + 2.0 * _power(m.dJ, on_a)
+        by_q = _power(m.J_dot, on_v) - _power(m.J, turning + wrench_cross(m.a, on_a))
+        by_q -= _power(m.J_dot, wrench_cross(m.v, on_a))
+        by_qd = _power(m.J, on_v) + 2.0 * _power(m.J_dot, on_a)
         return MotionGradient(by_q.T, by_qd.T, _power(m.J, on_a).T)
 
     @cached_property

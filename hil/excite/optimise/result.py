@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
+
+import numpy as np
 
 from hil.excite.motion import FourierSeries
 from hil.typing import FloatArray
+
+ROUNDING = 1e-9
+"""Excess that counts as none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,9 +22,11 @@ class Progress:
     Attributes:
         start, starts: Number of the start at work, from 0, and of all starts.
         iteration: Of this start.
-        value: Objective at this start's best feasible point so far.
+        value: Objective (−log det for `log_det`) at this start's best point within all limits so
+            far; infinite while there is none.
         best: At the best feasible point of all starts so far; infinite while there is none.
-        violation: Largest violation of a limit, as a share of that limit; of the clearance in m.
+        violation: Largest excess over a limit where it is: a share of a torque limit, or of 0.1 m
+            of clearance; the other limits are never exceeded.
         elapsed_s: Time since the beginning.
         eta_s: Time that is probably left, None where nothing can be said yet.
     """
@@ -43,8 +50,8 @@ class Start:
 
     Attributes:
         seed: `[seed, number]` of its random draw.
-        drawn: Condition number of the draw (that of the objective; exp(−log_det/b) for log_det).
-        value: Of its result; infinite when it found no feasible one.
+        drawn: Objective of the draw: condition number, or −log det.
+        value: Of its result; infinite where no motion within all limits was found.
         iterations: Solved quadratic programs.
         evaluations: Of the objective with its gradient.
         cpu_s: CPU time.
@@ -83,11 +90,18 @@ class Margins:
     @property
     def feasible(self) -> bool:
         """Whether no limit is exceeded."""
-        raise NotImplementedError
+        shares = (self.velocity, self.acceleration, self.jerk, self.effort, self.position_rad)
+        least = min(float(np.min(share)) for share in shares if share is not None)
+        return min(least, self.clearance_m or 0.0) >= -ROUNDING
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
-        raise NotImplementedError
+        out: dict[str, Any] = {}
+        for name in ("position_rad", "velocity", "acceleration", "jerk", "effort"):
+            value = getattr(self, name)
+            out[name] = None if value is None else [float(x) for x in value]
+        bodies = None if self.bodies is None else list(self.bodies)
+        return out | {"clearance_m": self.clearance_m, "bodies": bodies}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,4 +130,12 @@ class Optimised:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form, without `information`."""
-        raise NotImplementedError
+        return {
+            "series": self.series.to_dict(),
+            "objective": self.objective,
+            "condition_raw": self.condition_raw,
+            "condition_scaled": self.condition_scaled,
+            "margins": self.margins.to_dict(),
+            "starts": [asdict(start) for start in self.starts],
+            "cpu_s": self.cpu_s,
+        }

@@ -2,8 +2,28 @@
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
+
+from hil.errors import PlanError
+from hil.excite.optimise.draw import draw
+from hil.excite.optimise.improve import Search
+from hil.excite.optimise.linear_limits import LinearLimits
+from hil.excite.optimise.margins import DENSER, margins_of
+from hil.excite.optimise.motion_limits import MotionLimits
 from hil.excite.optimise.problem import ExcitationProblem
-from hil.excite.optimise.result import Optimised, ProgressCallback
+from hil.excite.optimise.result import Optimised, Progress, ProgressCallback, Start
+from hil.excite.optimise.value import ValueOf
+from hil.typing import FloatArray
+
+ROUNDS = 5
+"""How often what is exceeded between the points is taken off the limits."""
+
+RESERVE = 0.01
+"""Taken off in addition, in the scale of the limits."""
+
+ITERATIONS = 120
 
 
 def optimise(
@@ -13,7 +33,7 @@ def optimise(
     seed: int = 0,
     progress: ProgressCallback | None = None,
     cpu_s: float = 60.0,
-    iterations: int = 200,
+    iterations: int = ITERATIONS,
 ) -> Optimised:
     """The best of several local optima.
 
@@ -29,4 +49,130 @@ def optimise(
     Raises:
         PlanError: No start found a motion within all limits; says which limit is in the way.
     """
-    raise NotImplementedError
+    begun = time.process_time()
+    tale = _Tale(starts, iterations, progress)
+    done: list[tuple[Start, FloatArray]] = []
+    for number in range(max(1, starts)):
+        if number and time.process_time() > begun + cpu_s:
+            break
+        one = _Attempt(problem, (seed, number), iterations, begun + cpu_s, tale)
+        done.append(one.run())
+        tale.ended(done[-1][0].value)
+    best, free = min(done, key=lambda pair: pair[0].value)
+    if not np.isfinite(best.value):
+        raise PlanError(
+            f"no Fourier series was found within all limits, from {len(done)} random starts: "
+            + MotionLimits(problem).complaint(free),
+            hint="give it more room: wider limits, less clearance, more starts or another seed",
+        )
+    return _result(problem, free, tuple(start for start, _ in done), time.process_time() - begun)
+
+
+class _Attempt:
+    """One start, from its draw to a motion within all limits."""
+
+    def __init__(
+        self,
+        problem: ExcitationProblem,
+        seed: tuple[int, int],
+        iterations: int,
+        deadline: float,
+        tale: _Tale,
+    ) -> None:
+        self._problem, self._seed, self._iterations = problem, seed, iterations
+        self._value_of, self._others = ValueOf(problem), MotionLimits(problem)
+        linear, rng = LinearLimits(problem), np.random.default_rng(seed)
+        free = draw(linear, self._others, rng)
+        tale.begins(seed[1])
+        self._search = Search(linear, self._others, self._value_of, free, tale.step, deadline)
+
+    def run(self) -> tuple[Start, FloatArray]:
+        """How it went, and the best motion: where none is within limits, the last one."""
+        begun = time.process_time()
+        search, stages = self._search, self._value_of.stages
+        drawn = self._value_of(search.free, stages[-1]).exact
+        for stage, sharpness in enumerate(stages):
+            left = self._iterations - search.iterations
+            search.run(sharpness, -(-left // (len(stages) - stage)))
+        feasible = self._within_limits()
+        free = search.free if search.best is None else search.best
+        start = Start(
+            seed=self._seed,
+            drawn=drawn,
+            value=search.best_value if feasible else np.inf,
+            iterations=search.iterations,
+            evaluations=self._value_of.evaluations,
+            cpu_s=time.process_time() - begun,
+            ended=search.ended if feasible else "infeasible",
+        )
+        return start, free
+
+    def _within_limits(self) -> bool:
+        """Whether the best motion keeps all limits between the points, too; sees to it."""
+        search, others = self._search, self._others
+        for _ in range(ROUNDS):
+            if search.best is None:
+                return False
+            exceeded = others.exceeded(search.best, DENSER)
+            if not np.any(exceeded > 0):
+                return True
+            others.reserve += np.where(exceeded > 0, exceeded + RESERVE, 0.0)
+            search.free = search.best
+            search.forget()
+            search.run(self._value_of.stages[-1], max(10, self._iterations // 4))
+        return False
+
+
+class _Tale:
+    """What the progress callback is told."""
+
+    def __init__(self, starts: int, iterations: int, progress: ProgressCallback | None) -> None:
+        self._starts, self._iterations, self._progress = starts, iterations, progress
+        self._begun, self._number, self._best = time.monotonic(), 0, np.inf
+
+    def begins(self, number: int) -> None:
+        self._number = number
+
+    def ended(self, value: float) -> None:
+        self._best = min(self._best, value)
+
+    def step(self, search: Search) -> None:
+        if self._progress is None:
+            return
+        elapsed = time.monotonic() - self._begun
+        share = min(search.iterations / self._iterations, 1.0)
+        done = (self._number + share) / self._starts
+        self._progress(
+            Progress(
+                start=self._number,
+                starts=self._starts,
+                iteration=search.iterations,
+                value=search.best_value,
+                best=min(self._best, search.best_value),
+                violation=search.violation,
+                elapsed_s=elapsed,
+                eta_s=elapsed * (1.0 - done) / done if done else None,
+            )
+        )
+
+
+def _result(
+    problem: ExcitationProblem, free: FloatArray, starts: tuple[Start, ...], cpu_s: float
+) -> Optimised:
+    from hil.dynamics.base import conditioning
+
+    series = problem.basis.series(free, problem.periods)
+    information = problem.information(series)
+    condition = conditioning(information)
+    log_det = 2.0 * float(np.log(np.abs(np.diag(information))).sum())
+    by_objective = condition.scaled if problem.scaled else condition.raw
+    return Optimised(
+        series=series,
+        objective=by_objective if problem.objective == "condition" else log_det,
+        condition_raw=condition.raw,
+        condition_scaled=condition.scaled,
+        margins=margins_of(problem, series),
+        information=information,
+        starts=starts,
+        cpu_s=cpu_s,
+    )

@@ -1,0 +1,40 @@
+"""Random motions to start from, within the linear limits and as far as possible within the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.excite.optimise.linear_limits import LinearLimits
+from hil.excite.optimise.motion_limits import MotionLimits
+from hil.typing import FloatArray
+
+DRAWS = 40
+SHRINKAGE = (1.0, 0.7, 0.5, 0.3, 0.15)
+"""Tried from the largest; a small motion has room to grow while it is improved."""
+
+
+def draw(linear: LinearLimits, others: MotionLimits, rng: np.random.Generator) -> FloatArray:
+    """(n, f) free coefficients of a motion.
+
+    Where limits besides the linear ones are given: the first draw that keeps them, or that of
+    `DRAWS` that exceeds them least.
+    """
+    best, least = np.empty(0), np.inf
+    for _ in range(DRAWS):
+        free = within_linear_limits(linear, rng)
+        for share in SHRINKAGE:
+            smaller = free * np.r_[1.0, np.full(free.shape[1] - 1, share)]
+            excess = float(others.excess(smaller).max(initial=-np.inf))
+            if excess < least:
+                best, least = smaller, excess
+            if least <= 0:
+                return best
+    return best
+
+
+def within_linear_limits(linear: LinearLimits, rng: np.random.Generator) -> FloatArray:
+    """(n, f): a random series per joint, 70 to 100 % of the largest its limits allow."""
+    free = rng.standard_normal(linear.free_shape)
+    free *= (linear.largest_scale(free) * rng.uniform(0.7, 1.0, len(free)))[:, None]
+    free[:, 0] = rng.uniform(*linear.centres(free))
+    return free
