@@ -17,6 +17,7 @@ import hil
 from hil.cli import (
     bench,
     data,
+    exciting,
     gains,
     listening,
     live,
@@ -56,8 +57,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, running, listening, runs, live, recover, replaying, models, gains, loads, studies,
-    resting, data, system, bench,
+    specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
+    studies, resting, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

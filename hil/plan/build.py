@@ -15,7 +15,7 @@ from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Watch, unwatched
 from hil.excite.visit import Action, Program, Visit, pose_visit
 from hil.excite.workspace import Workspace
-from hil.plan.exciting import program_of
+from hil.plan.exciting import program_of, setting_of
 from hil.plan.interlocks import interlock_margins
 from hil.plan.limits import excesses
 from hil.plan.margins import margins_of
@@ -62,7 +62,8 @@ def build_plan(
     workspace = workspace_of(spec, station_robot, arm, rate)
     roadmap = roadmap_of(workspace)
     start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
-    program = program_of(spec, station_robot, arm, roadmap, folder=folder or Path(), watch=watch)
+    setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
+    program = program_of(spec, roadmap, setting, folder or Path())
     reference = _reference(spec, roadmap, program)
     weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
     arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,33 +14,21 @@ from hil.excite.cache import ExcitationCache, user_cache
 from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Computes, Setting, Watch, unwatched
 from hil.excite.visit import Excitation, Program
+from hil.excite.workspace import Workspace
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
 
-if TYPE_CHECKING:
-    from hil.excite.optimise import Distances
-
 
 def program_of(
-    spec: ExperimentSpec,
-    station_robot: StationRobot,
-    arm: ArmDescription,
-    roadmap: Roadmap,
-    *,
-    folder: Path = Path(),
-    watch: Watch = unwatched,
-    cache: ExcitationCache | None = None,
+    spec: ExperimentSpec, roadmap: Roadmap, setting: Setting, folder: Path = Path()
 ) -> Program:
     """What a spec wants to be measured.
 
     Args:
         spec: Says which excitation.
-        station_robot: How the arm is mounted and what stands around it.
-        arm: Its description.
         roadmap: How to get about with every load of the spec.
+        setting: The robot, for an excitation that computes with its dynamics.
         folder: Where relative paths in the spec start.
-        watch: Is told how far trajectories are that take long to compute.
-        cache: Where those are kept; by default this user's.
 
     Raises:
         SpecError, PlanError: What the spec asks for cannot be.
@@ -49,22 +37,32 @@ def program_of(
     kind = plugins.load("hil.excitations", spec.excitation.kind)
     excitation: Excitation = kind(spec.excitation, folder)
     if isinstance(excitation, Computes):
-        distances: Any = roadmap.workspace.collision
-        kept = user_cache() if cache is None else cache
-        excitation.compute_with(_setting(spec, station_robot, arm, distances, kept, watch))
+        excitation.compute_with(setting)
     return excitation.program(roadmap)
 
 
-def _setting(
+def setting_of(
     spec: ExperimentSpec,
     station_robot: StationRobot,
     arm: ArmDescription,
-    collision: Distances,
-    cache: ExcitationCache,
-    watch: Watch,
+    workspace: Workspace,
+    *,
+    watch: Watch = unwatched,
+    cache: ExcitationCache | None = None,
 ) -> Setting:
+    """The robot of a spec at its station, as far as its dynamics go.
+
+    Args:
+        spec: Says which loads.
+        station_robot: How the arm is mounted and what stands around it.
+        arm: Its description.
+        workspace: Where it may be, with every load of the spec.
+        watch: Is told how far trajectories are that take long to compute.
+        cache: Where those are kept; by default this user's.
+    """
     from hil.dynamics import RobotModel
 
+    collision: Any = workspace.collision  # a CollisionModel, which can do more than is asked of it
     return Setting(
         robot=RobotModel.from_arm(arm.name, gravity=station_robot.gravity_m_s2),
         effort_max=arm.effort_max,
@@ -75,7 +73,7 @@ def _setting(
             "surroundings": station_robot.surroundings.model_dump(mode="json"),
             "loads": [load.model_dump(mode="json", exclude={"prompt"}) for load in spec.loads],
         },
-        cache=cache,
+        cache=user_cache() if cache is None else cache,
         watch=watch,
     )
 

@@ -1,0 +1,95 @@
+"""What the trajectories of an experiment are worth, as `hil excite` tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from hil.campaign.experiment import Experiment
+from hil.excite.appraisal import Appraisal, margins_of
+from hil.excite.information import Information
+from hil.spec.experiment import Fourier
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExcitationReport:
+    """What the trajectories of an experiment are worth.
+
+    Attributes:
+        experiment: Whose they are.
+        appraisal: Of them.
+        random: Of as many random draws, each the best of a few; None where they are that already.
+        computed: How many were computed now; the others are from the cache.
+        seconds: What finding them took.
+        notes: What else is to be told.
+    """
+
+    experiment: Experiment
+    appraisal: Appraisal
+    random: Appraisal | None
+    computed: int
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def spec(self) -> Fourier:
+        """The excitation that was asked for."""
+        assert isinstance(self.experiment.spec.excitation, Fourier)
+        return self.experiment.spec.excitation
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contract of `hil excite --json`."""
+        appraisal, random = self.appraisal, self.random
+        number, closest = appraisal.closest
+        asked = self.spec.optimise
+        return {
+            "name": self.experiment.spec.name,
+            "robot": self.experiment.spec.robot,
+            "optimise": None if asked is None else asked.model_dump(mode="json"),
+            "joint_names": list(appraisal.joint_names),
+            "computed": self.computed,
+            "seconds": self.seconds,
+            "trajectories": _trajectories(appraisal),
+            "jointly": _told(appraisal.jointly),
+            "margins": {name: each.tolist() for name, each in appraisal.margins.items()},
+            "closest": {"trajectory": number, **closest._asdict()},
+            "random": None
+            if random is None
+            else {"jointly": _told(random.jointly), "trajectories": _trajectories(random)},
+            "standard_errors": self.standard_errors(),
+            "notes": list(self.notes),
+        }
+
+    def standard_errors(self) -> dict[str, float] | None:
+        """Those of random draws over those of these trajectories, by parameter."""
+        if self.random is None:
+            return None
+        ours, theirs = self.appraisal.jointly, self.random.jointly
+        ratio = theirs.standard_errors / ours.standard_errors
+        return dict(zip(ours.names, ratio.tolist(), strict=True))
+
+
+def _trajectories(appraisal: Appraisal) -> list[dict[str, Any]]:
+    return [
+        {
+            "trajectory": number,
+            **_told(trajectory.alone),
+            "jointly": _told(trajectory.jointly),
+            "closest": trajectory.closest._asdict(),
+            "margins": {
+                name: each.tolist()
+                for name, each in margins_of(trajectory, appraisal.limits).items()
+            },
+            "series": trajectory.series.to_dict(),
+        }
+        for number, trajectory in enumerate(appraisal.trajectories)
+    ]
+
+
+def _told(information: Information) -> dict[str, Any]:
+    return {
+        "parameters": len(information.names),
+        "condition_raw": information.condition_raw,
+        "condition_scaled": information.condition_scaled,
+        "singular_values": information.singular_values.tolist(),
+    }
