@@ -1,12 +1,17 @@
 import numpy as np
 import pytest
-from scipy.signal import butter, filtfilt
+from pydantic import ValidationError
+from scipy.signal import butter, filtfilt, savgol_filter
 from synthetic_motion import dataset, fourier, moving, raw
 
 from hil.data import Conditions, Dataset
 from hil.data.filters import (
     FilterSettings,
     derivative,
+    downsample,
+    filter_columns,
+    kept_rows,
+    local_slope,
     nyquist_fraction,
     prepare,
     sample_rate,
@@ -120,3 +125,124 @@ def test_nan_is_refused_with_its_row_and_joint() -> None:
     effort[41, 2] = np.nan
     with pytest.raises(DataError, match=r"1 values of effort .* row 42 joint 3"):
         prepare(data.with_columns(effort=effort))
+
+
+def test_the_papers_filter_is_a_butterworth_at_50_hz_over_everything() -> None:
+    t = np.arange(3000) / 1000.0
+    rough = np.random.default_rng(2).normal(size=(3000, 6)).cumsum(axis=0)
+    columns = {"t": t, "q": rough, "qd": rough[::-1], "effort": -rough}
+    data = dataset(columns, [3000], [Conditions("a", "trajectory")])
+    b, a = butter(5, 50.0, fs=1000.0)
+    prepared = prepare(data, FilterSettings.model_validate("paper"))
+    velocity = filtfilt(b, a, columns["qd"], axis=0)
+    expected = {
+        "q_f": filtfilt(b, a, rough, axis=0),
+        "qd_f": velocity,
+        "qdd_f": filtfilt(b, a, np.gradient(velocity, t, axis=0), axis=0),
+        "effort_f": filtfilt(b, a, -rough, axis=0),
+    }
+    for column, values in expected.items():
+        assert prepared[column] == pytest.approx(values, abs=1e-6 * np.ptp(values)), column
+
+
+def test_keys_beside_a_preset_replace_its_values() -> None:
+    given = FilterSettings.model_validate({"preset": "paper", "effort": 30})
+    assert (given.unit, given.velocity, given.effort) == ("hz", 50.0, 30.0)
+    assert FilterSettings.model_validate(given.model_dump()) == given
+
+
+def test_the_papers_filter_is_refused_at_a_slow_rate_with_the_highest_cutoff() -> None:
+    with pytest.raises(
+        DataError, match=r"trajectory1: filters, velocity: .* 1 of the Ny"
+    ) as caught:
+        prepare(raw(moving(1)), FilterSettings.model_validate("paper"))
+    assert "40 (hz)" in caught.value.hint
+
+
+@pytest.mark.parametrize(("window", "degree"), [(5, 2), (9, 3), (21, 4)])
+def test_local_slope_on_even_stamps_is_scipys_savitzky_golay(noise, window, degree) -> None:
+    t = np.arange(300) * 0.008
+    theirs = savgol_filter(noise, window, degree, deriv=1, delta=0.008, axis=0)
+    assert local_slope(noise, t, window, degree) == pytest.approx(theirs, abs=1e-8)
+
+
+def test_local_slope_of_a_cubic_is_exact_on_uneven_stamps_to_both_ends() -> None:
+    t = np.cumsum(np.tile([0.010, 0.012], 40)) + 5e5
+    x = t - t[0]
+    slope = local_slope((4 * x**3 - x)[:, None], t, 7, 3)
+    assert slope[:, 0] == pytest.approx(12 * x**2 - 1, abs=1e-6)
+
+
+def test_local_slope_does_not_take_alternating_stamps_for_even_ones() -> None:
+    t = np.cumsum(np.tile([0.010, 0.012], 300))
+    wave, truth = np.sin(6 * t)[:, None], 6 * np.cos(6 * t)
+    naive = savgol_filter(wave, 9, 3, deriv=1, delta=0.011, axis=0)[:, 0]
+    ours = local_slope(wave, t, 9, 3)[:, 0]
+    assert np.abs(ours - truth).max() < 0.01 < 0.1 < np.abs(naive - truth).max()
+
+
+def test_local_slope_needs_as_many_samples_as_its_window() -> None:
+    with pytest.raises(DataError, match="8 samples are too few for polynomials over 9"):
+        local_slope(np.zeros((8, 1)), np.arange(8.0), 9, 3)
+
+
+def test_savitzky_golay_and_velocity_from_position_reach_the_columns() -> None:
+    data = raw(moving(1))
+    given = FilterSettings(derivative="savitzky-golay", velocity_from="position")
+    wrong = data.with_columns(qd=np.full_like(data["qd"], 7.0))
+    velocity = filtfilt(*butter(5, 0.15), savgol_filter(data["q"], 9, 3, 1, 0.01, axis=0), axis=0)
+    assert prepare(wrong, given)["qd_f"] == pytest.approx(velocity, abs=1e-8)
+
+
+@pytest.mark.parametrize("given", [{"window": 8}, {"window": 3, "degree": 3}])
+def test_windows_that_no_polynomial_fits_are_refused(given) -> None:
+    with pytest.raises(ValidationError, match="odd and more than the degree"):
+        FilterSettings(**given)
+
+
+def test_downsampling_keeps_every_third_row_of_each_series_from_its_first() -> None:
+    data = prepare(raw(moving(1, 2, samples=100)))
+    fewer = downsample(data, FilterSettings(every=3))
+    expected = [*range(0, 100, 3), *range(100, 200, 3)]
+    assert np.array_equal(fewer["effort_f"], data["effort_f"][expected])
+    assert fewer.offsets.tolist() == [0, 34, 68]
+
+
+def test_a_rate_is_reached_as_nearly_as_whole_steps_allow() -> None:
+    data = prepare(raw(moving(1)))
+    assert kept_rows(data, FilterSettings(rate_hz=30.0)).sum() == 200
+    assert downsample(data, FilterSettings()) is data
+
+
+def test_dwells_keep_all_their_samples() -> None:
+    columns = {name: np.ones((10, 6)) for name in ("q", "effort")} | {"t": np.arange(10) * 0.008}
+    assert kept_rows(
+        dataset(columns, [10], [Conditions("a", "dwell")]), FilterSettings(every=4)
+    ).all()
+
+
+def test_samples_too_few_for_what_the_filters_pass_are_refused_with_the_most_that_can_go() -> None:
+    with pytest.raises(DataError, match="series trajectory1: one sample in 5") as caught:
+        downsample(prepare(raw(moving(1))), FilterSettings(every=5))
+    assert "every: 4" in caught.value.hint
+
+
+def test_every_and_rate_together_are_refused() -> None:
+    with pytest.raises(ValidationError, match="two ways"):
+        FilterSettings(every=2, rate_hz=50.0)
+
+
+def test_columns_are_filtered_as_their_effort_and_rest_stays() -> None:
+    t = fourier(3)[0]
+    times = np.concatenate([t, t[-1] + 1 + np.arange(10) * 0.01])
+    values = np.random.default_rng(0).normal(size=(len(times), 2, 3))
+    rows = np.zeros((len(times), 6))
+    data = dataset(
+        {"t": times, "q": rows, "effort": rows},
+        [len(t), 10],
+        [Conditions("a", "trajectory"), Conditions("b", "dwell")],
+    )
+    filtered = filter_columns(values, data, FilterSettings(effort=0.3))
+    expected = filtfilt(*butter(5, 0.3), values[: len(t)], axis=0)
+    assert filtered[: len(t)] == pytest.approx(expected, abs=1e-8)
+    assert np.array_equal(filtered[len(t) :], values[len(t) :])

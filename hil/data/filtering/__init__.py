@@ -1,0 +1,1 @@
+"""The parts of `hil.data.filters`: settings, low-pass filter, derivatives, down-sampling."""

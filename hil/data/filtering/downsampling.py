@@ -1,0 +1,65 @@
+"""Leaving out samples that, after the low-pass filter, say nothing their neighbours do not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset, rows_of
+from hil.data.filtering.butterworth import MAX_NYQUIST_FRACTION, sample_rate
+from hil.data.filtering.settings import FilterSettings
+from hil.errors import DataError
+from hil.typing import BoolArray, FloatArray
+
+AT_REST = ("dwell", "reference")
+"""Series kinds that stand still: too short to filter, and with nothing to differentiate."""
+
+
+def downsample(dataset: Dataset, settings: FilterSettings) -> Dataset:
+    """The rows a fit uses: every so manyth of each motion, counted from its first.
+
+    For fits only: predictions are of every row. Columns computed from neighbouring samples
+    (filtered ones, states of friction) are added before.
+
+    Args:
+        dataset: Prepared with the same settings.
+        settings: Their `every` or `rate_hz`; without either all rows stay.
+
+    Raises:
+        DataError: So few samples cannot tell what the filters let through.
+    """
+    return rows_of(dataset, kept_rows(dataset, settings)) if settings.thins else dataset
+
+
+def kept_rows(dataset: Dataset, settings: FilterSettings) -> BoolArray:
+    """(N,) the rows that `downsample` keeps; all of dwells and references.
+
+    Raises:
+        DataError: So few samples cannot tell what the filters let through.
+    """
+    keep = np.ones(len(dataset), dtype=bool)
+    for condition, rows in dataset.slices():
+        if condition.kind not in AT_REST and rows.stop - rows.start > 1:
+            every = _step(condition, dataset["t"][rows], settings)
+            keep[rows] = np.arange(rows.stop - rows.start) % every == 0
+    return keep
+
+
+def _step(condition: Conditions, t: FloatArray, settings: FilterSettings) -> int:
+    """Every how manyth sample stays."""
+    rate = sample_rate(t)
+    every = settings.every
+    if settings.rate_hz is not None:
+        every = max(1, round(rate / settings.rate_hz))
+    present = (settings.velocity, settings.acceleration, settings.effort, settings.position)
+    highest = max(cutoff for cutoff in present if cutoff is not None)
+    passed = highest * 0.5 * rate if settings.unit == "nyquist" else highest
+    # The same bound as that of the filter: what is beyond would come back as a lower frequency.
+    most = max(1, int(MAX_NYQUIST_FRACTION * 0.5 * rate / passed * (1 + 1e-9)))
+    if every > most:
+        raise DataError(
+            f"series {condition.id}: one sample in {every} at {rate:.4g} Hz is too few for "
+            f"signals filtered at {passed:.4g} Hz",
+            hint=f"keep one in {most} (every: {most}, or rate_hz: {rate / most:.4g}), "
+            "or lower the cut-offs",
+        )
+    return every
