@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.identification.parts import cut, joints_of, thinned
+from benchmarks.identification.parts import cut, thinned
 from hil.data.dataset import Dataset
 from hil.data.importing import import_file
 from hil.data.load import load_source
@@ -89,8 +89,8 @@ def panda() -> tuple[Dataset, Dataset]:
 
 
 def kr300() -> tuple[Dataset, Dataset]:
-    """The KR300's run, its three moving axes alone: to fit on, to judge on."""
-    return cut(joints_of(imported("kr300/traj_A_data.mat", "kr300_mat"), (0, 1, 2)))
+    """The KR300's run, all six axes: to fit on, to judge on."""
+    return cut(imported("kr300/traj_A_data.mat", "kr300_mat"))
 
 
 def tx40() -> tuple[Dataset, Dataset]:
