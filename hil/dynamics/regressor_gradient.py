@@ -2,10 +2,10 @@
 
 τⱼ = Σ_{i ≥ j} Jⱼ · (Φᵢ πᵢ): seen from link i, joint j moves it with the twist (u, z), and the block
 of the regressor that belongs to both is (u, z)ᵀΦ, a closed form in u, z, the link's angular
-velocity ω, its angular acceleration α and the acceleration d of its origin. The derivative of a scalar
-function of the regressor is pulled back through these forms and then, by sums along the chain,
-through the kinematics: one sweep, whatever the function, no tensor of derivatives and no loop over
-samples. (The derivatives of twists by q and qd are those of Singh, Russell and Wensing 2022.)
+velocity ω, its angular acceleration α and the acceleration d of its origin. The derivative of a
+scalar function of the regressor is pulled back through these forms and then, by sums along the
+chain, through the kinematics: one sweep, whatever the function, no tensor of derivatives and no
+loop over samples. (The derivatives of twists are those of Singh, Russell and Wensing 2022.)
 """
 
 from __future__ import annotations

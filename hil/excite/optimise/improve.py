@@ -42,6 +42,13 @@ PATIENCE = 3
 ALLOWED = 1e-6
 """Excess that counts as none; what is beyond is caught on the denser grid."""
 
+FIRST_PENALTY = 10.0
+"""Of an excess of 1; doubled where it is too little to bring the excess to nothing."""
+
+MOST_EXCESS = 0.1
+"""No step leads to more than this, or to more than there was: bodies deep in each other have no
+slope that leads out again."""
+
 ACTIVE = 1e-7
 """Multipliers below it are none."""
 
@@ -92,7 +99,7 @@ class Search:
     violation: float = np.inf
     iterations: int = 0
     ended: str = "iterations"
-    _penalty: float = 1.0
+    _penalty: float = FIRST_PENALTY
     _hessian: FloatArray = field(init=False)
     _scale: FloatArray = field(init=False)
     _work: IntArray = field(init=False)
@@ -156,22 +163,23 @@ class Search:
     def _step(self, point: Point, numbers: IntArray, rows: FloatArray) -> Step | None:
         """The step that all linear limits allow."""
         slack = self.linear.slack(point.free)
-        gradient = point.value.gradient * self._scale
         elastic = rows, -point.excess.ravel()[numbers]
         work = np.union1d(self._work, peaks(slack, NEAR))
         for _ in range(PROGRAMS):
             hard = self.linear.rows(work) * self._scale, slack.ravel()[work]
+            gradient = point.value.gradient * self._scale
             step = solve_step(self._hessian, gradient, hard, elastic, self._penalty)
             if step is None:
                 return None
-            if len(numbers) and step.elastic.sum() > 0.5 * self._penalty and step.excess < ALLOWED:
-                self._penalty = 2.0 * float(step.elastic.sum())
+            self._work = work[step.hard > ACTIVE]
             left = slack - self.linear.change(self._move(step))
             overstepped = np.setdiff1d(peaks(left, -ALLOWED), work)
             if not len(overstepped):
                 break
             work = np.union1d(work, overstepped)
-        self._work = work[step.hard > ACTIVE] if len(step.hard) == len(work) else work
+        pull = float(step.elastic.sum())
+        if pull > 0.5 * self._penalty and step.excess < ALLOWED:
+            self._penalty = 2.0 * pull
         return step
 
     def _search_along(self, step: Step, point: Point, sharpness: float) -> Point | None:
@@ -186,10 +194,12 @@ class Search:
         while share > SHORTEST:
             trial = self._at(point.free + share * move, sharpness)
             change = trial.merit(self._penalty) - now
-            if change <= ARMIJO * share * slope:
+            worse = trial.violation > max(MOST_EXCESS, point.violation)
+            if change <= ARMIJO * share * slope and not worse:
                 return trial
             # The least point of the parabola through both values and the slope.
-            share *= float(np.clip(-0.5 * slope * share / (change - slope * share), 0.1, 0.5))
+            lowest = -0.5 * slope * share / (change - slope * share)
+            share *= 0.5 if worse else float(np.clip(lowest, 0.1, 0.5))
         return None
 
     def _allowed_share(self, free: FloatArray, move: FloatArray) -> float:

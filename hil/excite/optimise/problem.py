@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.errors import PlanError
 from hil.excite.optimise.series_basis import SeriesBasis
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.identification_columns import IdentificationColumns
@@ -128,8 +128,7 @@ class ExcitationProblem:
         """(≤ b, b) triangle R with RᵀR the information of `series` and all earlier ones."""
         parts = [self.regressor(one) for one in series]
         parts += [] if self.earlier is None else [self.earlier]
-        triangle: FloatArray = np.linalg.qr(np.concatenate(parts), mode="r")
-        return triangle
+        return np.asarray(np.linalg.qr(np.concatenate(parts), mode="r"))
 
     def after(self, *series: FourierSeries) -> ExcitationProblem:
         """The same problem for a trajectory that is to complement `series`.
@@ -161,5 +160,5 @@ class ExcitationProblem:
             bad.append(f"{self.samples} samples do not resolve {self.harmonics} harmonics")
         return bad
 
-    def _names(self, chosen: FloatArray) -> str:
+    def _names(self, chosen: BoolArray) -> str:
         return ", ".join(np.array(self.robot.joint_names)[chosen])

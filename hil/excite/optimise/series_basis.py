@@ -62,9 +62,8 @@ class SeriesBasis:
     def series(self, free: FloatArray, periods: int = 1) -> FourierSeries:
         """The motion with free coefficients (n, f)."""
         (A, B), split = self._rest, self.harmonics
-        a, b = free[:, 1:split] @ A.T, free[:, split:] @ B.T
-        rows = (tuple(tuple(map(float, row)) for row in x) for x in (a, b))
-        return FourierSeries(tuple(map(float, free[:, 0])), *rows, self.fundamental_hz, periods)
+        a, b = _rows(free[:, 1:split] @ A.T), _rows(free[:, split:] @ B.T)
+        return FourierSeries(tuple(map(float, free[:, 0])), a, b, self.fundamental_hz, periods)
 
     def coefficients(self, series: FourierSeries) -> FloatArray:
         """(n, f) free coefficients of a series; what does not rest at its ends is projected."""
@@ -81,3 +80,7 @@ class SeriesBasis:
         conditions = np.ones((1, self.harmonics)), self._order[None]
         A, B = (scipy.linalg.null_space(row) for row in conditions)
         return A, B
+
+
+def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in matrix)
