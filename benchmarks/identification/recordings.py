@@ -14,8 +14,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.identification.parts import cut, thinned
 from hil.data.dataset import Dataset
 from hil.data.importing import import_file
@@ -36,19 +34,6 @@ UR10E_LOADED = "ur-20_02_19_14harm50secLoad"
 
 PANDA_HZ, TX40_HZ = 250.0, 500.0
 """To which the recordings at 1 kHz and 5 kHz are thinned out."""
-
-TX40_N = np.array(
-    [
-        [32, 0, 0, 0, 0, 0],
-        [0, 32, 0, 0, 0, 0],
-        [0, 0, 45, 0, 0, 0],
-        [0, 0, 0, -48, 0, 0],
-        [0, 0, 0, 0, 45, 0],
-        [0, 0, 0, 0, 32, 32],
-    ],
-    dtype=np.float64,
-)
-"""Motor angles = N · joint angles; by virtual work joint torques = Nᵀ · motor torques."""
 
 
 def folder() -> Path:
@@ -94,14 +79,8 @@ def kr300() -> tuple[Dataset, Dataset]:
 
 
 def tx40() -> tuple[Dataset, Dataset]:
-    """The TX40's run, thinned out, as joint torques: to fit on, to judge on.
-
-    The map turns motor 4's sign to its joint's; the coupling needs it as it was recorded.
-    """
-    data = imported("tx40", "tx40_figaroh")
-    motors = data["effort"] * np.sign(np.diag(TX40_N))
-    torques = replace(data.with_columns(effort=motors @ TX40_N), effort_kind="torque")
-    return cut(thinned(torques, TX40_HZ))
+    """The TX40's run in its motors' coordinates, thinned out: to fit on, to judge on."""
+    return cut(thinned(imported("tx40", "tx40_motors"), TX40_HZ))
 
 
 SPLIT: dict[str, Callable[[], tuple[Dataset, Dataset]]] = {
@@ -110,7 +89,7 @@ SPLIT: dict[str, Callable[[], tuple[Dataset, Dataset]]] = {
     "kr300": kr300,
     "tx40": tx40,
 }
-"""Robots that were recorded once, by the name of their arm."""
+"""Robots that were recorded once; the datasets say which arm is theirs."""
 
 
 @cache

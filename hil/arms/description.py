@@ -55,6 +55,8 @@ class ArmDescription:
         capsules: Collision bodies, base and links.
         sources: Where each number comes from, by topic.
         link_names: (n + 1,) what people call the base and the links, for messages.
+        joints_per_motor: (n, n) joint angles per angle of the motors behind their gears; not the
+            unit matrix where a motor also moves a neighbour of its joint.
     """
 
     name: str
@@ -77,6 +79,7 @@ class ArmDescription:
     capsules: tuple[Capsule, ...]
     sources: Mapping[str, str]
     link_names: tuple[str, ...]
+    joints_per_motor: FloatArray
 
     @property
     def n_joints(self) -> int:
@@ -147,6 +150,7 @@ def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
         ),
         sources=raw["sources"],
         link_names=("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1))),
+        joints_per_motor=np.array(raw.get("joints_per_motor", np.eye(len(joints))), np.float64),
     )
 
 

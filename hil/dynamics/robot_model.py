@@ -21,13 +21,17 @@ from hil.dynamics.build import (
     model_from_urdf,
     pose_of,
 )
+from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS, payload_inertia, transfer_matrix
-from hil.dynamics.regressor import Regressor
+from hil.dynamics.regressor import Regressor, compiles
 from hil.errors import DataError, SpecError
 from hil.payload import Payload
 from hil.typing import FloatArray, IntArray
 
 GRAVITY = (0.0, 0.0, -9.81)
+
+MOTOR_SIDE = "@motors"
+"""Behind the name of an arm whose motors move more than one joint: see `hil.dynamics.coupled`."""
 
 
 class RobotModel:
@@ -64,6 +68,7 @@ class RobotModel:
         self._data = model.createData()
         self._flange = flange
         self._loaded: tuple[Payload, RobotModel] | None = None
+        self._chain = Chain.of(joint_geometry(model), model.gravity.linear)
         self._regressors: dict[bytes, Regressor] = {}
         self.name = name
         self.arm = arm
@@ -94,6 +99,10 @@ class RobotModel:
         Raises:
             SpecError: There is no such arm, or `rotor_inertia` has another length.
         """
+        if name.endswith(MOTOR_SIDE):
+            from hil.dynamics.coupled import CoupledModel
+
+            return CoupledModel.from_arm(name, rotor_inertia, gravity)
         arm = load_arm(name)
         model = model_from_arm(arm)
         _configure(model, rotor_inertia, gravity)
@@ -108,6 +117,8 @@ class RobotModel:
         flange: str | None = None,
     ) -> RobotModel:
         """A fixed-base serial arm from a URDF file; `flange` names the link that carries loads.
+
+        Rotor inertias are those given, else `<dynamics armature=…>` of the joints, else none.
 
         Raises:
             SpecError: The file cannot be used; the message says why.
@@ -150,20 +161,32 @@ class RobotModel:
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """(N, n) joint torques for the motion, rotor inertias included."""
         rows = self._rows(q, qd, qdd)
+        if compiles(len(q)):
+            return self._recursion(self.parameters(), *rows)
         out = np.empty(rows[0].shape)
         for tau, *sample in zip(out, *rows, strict=True):
             tau[:] = pin.rnea(self._model, self._data, *sample)
         return out
 
-    def inverse_dynamics_derivatives(
-        self, q: FloatArray, qd: FloatArray, qdd: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
+    def torque(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        """(N, n) regressor times parameters (11·n,), without the regressor.
+
+        Any parameters will do, those `BaseParameters.expand` makes of base parameters too.
+        """
         rows = self._rows(q, qd, qdd)
-        out = np.empty((3, *rows[0].shape, self.n))
-        for k, sample in enumerate(zip(*rows, strict=True)):
-            out[:, k] = pin.computeRNEADerivatives(self._model, self._data, *sample)
-        return out[0], out[1], out[2]
+        if compiles(len(q)):
+            return self._recursion(np.asarray(parameters), *rows)
+        return (self.regressor(*rows) @ parameters).reshape(rows[0].shape)
+
+    def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
+        from hil.dynamics.compiled import fill_torques
+
+        bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
+        out = np.empty(rows[0].shape)
+        fill_torques(self._chain, *rows, bodies.reshape(self.n, -1), rotors, out)
+        return out
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) joint torques that hold the arm still."""
@@ -205,7 +228,7 @@ class RobotModel:
         wanted = np.arange(count) if columns is None else np.asarray(columns)
         key = wanted.tobytes()
         if key not in self._regressors:
-            self._regressors[key] = Regressor(self._model, wanted)
+            self._regressors[key] = Regressor(self._model, self._chain, wanted)
         return self._regressors[key](*self._rows(q, qd, qdd))
 
     def gravity_regressor(self, q: FloatArray) -> FloatArray:
@@ -229,12 +252,15 @@ class RobotModel:
         """The same arm with a load rigidly mounted at the flange."""
         if payload.is_empty:
             return self
+        model, mounted = self._with_body(payload), (*self.payloads, payload)
+        return RobotModel(model, self._flange, name=self.name, arm=self.arm, payloads=mounted)
+
+    def _with_body(self, payload: Payload) -> pin.Model:
         model = self._model.copy()
         body = pin.Inertia(payload.mass, np.array(payload.com), payload_inertia(payload))
         frame = model.frames[self._flange]
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
-        mounted = (*self.payloads, payload)
-        return RobotModel(model, self._flange, name=self.name, arm=self.arm, payloads=mounted)
+        return model
 
     def payload_effort(
         self, payload: Payload, q: FloatArray, qd: FloatArray, qdd: FloatArray
