@@ -22,6 +22,7 @@ from hil.engine import Observer
 from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
+    from hil.deploy.identified_urdf import UrdfExport
     from hil.fitting import FitReport
     from hil.identify.payload_estimate import PayloadEstimate
     from hil.rest_report import RestReport
@@ -34,6 +35,7 @@ __all__ = [
     "describe_run",
     "estimate_payload",
     "evaluate",
+    "export_urdf",
     "figures",
     "fit",
     "import_recording",
@@ -236,6 +238,25 @@ def estimate_payload(
     from hil.load_fit import payload_of_sources
 
     return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
+
+
+def export_urdf(model: AnyPath, out: AnyPath) -> UrdfExport:
+    """Write the arm of a saved model as a URDF with its inertias, friction and rotor inertias.
+
+    Args:
+        model: Its folder.
+        out: The file to be made.
+
+    Raises:
+        DataError: The model cannot be read.
+        FitError: It has no rigid part.
+        PluginError: cvxpy is needed to find links that can exist, and is not installed.
+        RecordingError: The file exists already.
+    """
+    from hil.deploy.identified_urdf import export_urdf as export
+    from hil.identify.model_file import load_model_file
+
+    return export(load_model_file(Path(model)), Path(out))
 
 
 def study(

@@ -18,6 +18,7 @@ from hil.cli import (
     bench,
     data,
     exciting,
+    exports,
     gains,
     listening,
     live,
@@ -58,7 +59,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, resting, data, system, bench,
+    studies, resting, exports, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -68,7 +68,19 @@ def model_from_urdf(path: Path, flange: str | None = None) -> tuple[pin.Model, i
             f"{path}: not a usable URDF: {error}", hint="check it with `check_urdf`"
         ) from None
     _unlimit(model, [str(joint.get("name")) for joint in endless])
+    _set_armature(model, root)
     return model, _flange_frame(model, path, flange)
+
+
+def _set_armature(model: pin.Model, root: ET.Element) -> None:
+    """Rotor inertias: the `armature` of a joint's dynamics is MuJoCo's word, not URDF's."""
+    armature = model.armature.copy()
+    for joint in root.findall("joint"):
+        told = joint.find("dynamics")
+        if told is not None and joint.get("type") != "fixed":
+            index = model.joints[model.getJointId(str(joint.get("name")))].idx_v
+            armature[index] = float(told.get("armature", "0"))
+    model.armature = armature
 
 
 def _limit(joint: ET.Element) -> None:

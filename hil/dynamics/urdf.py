@@ -18,6 +18,7 @@ NUMBERS = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "limit": ("lower", "upper", "effort", "velocity"),
+    "dynamics": ("damping", "friction", "armature"),
 }
 """Attributes that hold numbers, by element, in the joints and the inertias."""
 

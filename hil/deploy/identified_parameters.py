@@ -1,0 +1,177 @@
+"""What a fitted model says about the arm, as parameters of bodies that can exist.
+
+Some estimators carry such parameters (`inertial_`). Others know base parameters only, or none by
+name; then their rigid torques at sampled motions are reproduced by physically consistent links
+nearest to the nominal ones (`hil.identify.consistent`). Where links that can exist have the model's
+base parameters, these come out exactly, and what torques do not show is all that is chosen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset
+from hil.data.prediction import Prediction
+from hil.dynamics import base_parameters, friction_terms
+from hil.dynamics.base import BaseParameters
+from hil.dynamics.pseudo_inertia import is_consistent
+from hil.errors import FitError
+from hil.identify.base import RobotEstimator
+from hil.identify.consistent import consistent_least_squares
+from hil.identify.inertial_bounds import InertialBounds
+from hil.typing import FloatArray
+
+SAMPLES = 400
+SPEED_RAD_S = 1.0
+ACCELERATION_RAD_S2 = 3.0
+"""Motions at which a model is asked for its torques: what an arm does in an excitation."""
+
+REACH_RAD = np.pi
+"""Range of joints without limits."""
+
+SMALLEST_SHARE = 1e-3
+"""Torques are matched to this share of a joint's largest one; exactly where links allow."""
+
+FRICTION_S, FRICTION_HZ = 60.0, 100.0
+SIGN_WIDTH = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IdentifiedParameters:
+    """An arm as bodies.
+
+    Attributes:
+        inertial: (11n,) in the order of `RobotModel.parameters(rotor=True)`, a body each.
+        coulomb: (n,) friction that does not depend on speed [N·m], not below 0.
+        viscous: (n,) friction per speed [N·m·s/rad], not below 0.
+        mismatch: (n,) RMS of their torque less the model's rigid one over sampled motions [N·m].
+        own: Whether the model itself has them.
+        notes: For people.
+    """
+
+    inertial: FloatArray
+    coulomb: FloatArray
+    viscous: FloatArray
+    mismatch: FloatArray
+    own: bool
+    notes: tuple[str, ...]
+
+
+def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
+    """Consistent parameters of a fitted model, and its friction as URDF can say it.
+
+    Raises:
+        FitError: The model has no rigid part, or no consistent parameters could be found.
+        PluginError: cvxpy is needed and not installed.
+    """
+    motion = _sampled(model)
+    torque = _rigid_torque(model, motion)
+    given = getattr(model, "inertial_", None)
+    W = model.robot_.regressor(*motion, rotor=True)
+    inertial = np.asarray(given) if given is not None else _nearest(model, W, torque)
+    coulomb, viscous = _friction(model)
+    error = (torque.ravel() - W @ inertial).reshape(torque.shape)
+    mismatch = np.sqrt(np.mean(error**2, axis=0))
+    notes = []
+    if given is None and np.any(mismatch > 1e-6 * np.abs(torque).max(axis=0)):
+        notes.append("no links within bounds have the model's base parameters; these come nearest")
+    return IdentifiedParameters(
+        inertial, coulomb, viscous, mismatch, given is not None, tuple(notes)
+    )
+
+
+def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> FloatArray:
+    """(11n,) consistent links near the nominal ones that make these torques."""
+    robot, base = model.robot_, base_parameters(model.robot_, rotor=True)
+    weight = 1.0 / np.maximum(SMALLEST_SHARE * np.abs(torque).max(axis=0), 1e-9)
+    rows = np.tile(weight, len(torque))
+    X, y = base.reduce(W) * rows[:, None], torque.ravel() * rows
+    bounds = InertialBounds.nominal(robot)
+    found = consistent_least_squares(X, y, base=base, bounds=bounds).inertial
+    wanted = np.linalg.lstsq(X, y, rcond=None)[0]
+    return _exact(found, wanted, base, robot.n)
+
+
+def _exact(inertial: FloatArray, wanted: FloatArray, base: BaseParameters, n: int) -> FloatArray:
+    """The parameters moved to the wanted base parameters, if that leaves every link a body."""
+    moved = inertial.copy()
+    moved[base.independent] += wanted - base.combine(inertial)
+    fine = np.all(is_consistent(moved[: 10 * n].reshape(n, 10))) and np.all(moved[10 * n :] >= 0)
+    return moved if fine else inertial
+
+
+def _sampled(model: RobotEstimator) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, qd, qdd (SAMPLES, n), each row by itself."""
+    robot, random = model.robot_, np.random.default_rng(0)
+    low, high = _range(model)
+    unit = random.uniform(-1.0, 1.0, (3, SAMPLES, robot.n))
+    q = low + (unit[0] + 1.0) / 2.0 * (high - low)
+    return q, SPEED_RAD_S * unit[1], ACCELERATION_RAD_S2 * unit[2]
+
+
+def _range(model: RobotEstimator) -> tuple[FloatArray, FloatArray]:
+    robot = model.robot_
+    low = np.where(np.isfinite(robot.q_min), robot.q_min, -REACH_RAD)
+    return low, np.where(np.isfinite(robot.q_max), robot.q_max, REACH_RAD)
+
+
+def _rigid_torque(
+    model: RobotEstimator, motion: tuple[FloatArray, FloatArray, FloatArray]
+) -> FloatArray:
+    """(N, n) gravity and inertia of the model [N·m]."""
+    parts = _asked(model, np.arange(len(motion[0])) / FRICTION_HZ, *motion).components
+    if not {"gravity", "inertia"} <= parts.keys():
+        raise FitError(
+            f"{model.estimator} does not tell gravity and inertia apart, so there are no links",
+            hint="export a rigid-body model",
+        )
+    torque: FloatArray = (parts["gravity"] + parts["inertia"]) * model.torque_scale_
+    return torque
+
+
+def _friction(model: RobotEstimator) -> tuple[FloatArray, FloatArray]:
+    """Coulomb and viscous friction (n,) that come nearest to the model's on a smooth motion."""
+    t = np.arange(0.0, FRICTION_S, 1.0 / FRICTION_HZ)
+    low, high = _range(model)
+    q, qd, qdd = np.zeros((3, len(t), model.robot_.n))
+    for j in range(model.robot_.n):
+        for k, share in enumerate((0.6, 0.4)):
+            w = 2 * np.pi * (0.11 + 0.07 * k + 0.013 * j)
+            size = share * min(SPEED_RAD_S / w, (high[j] - low[j]) / 2)
+            q[:, j] += size * np.sin(w * t)
+            qd[:, j] += size * w * np.cos(w * t)
+            qdd[:, j] -= size * w * w * np.sin(w * t)
+    asked = _asked(model, t, q + (low + high) / 2, qd, qdd)
+    friction = asked.components.get("friction")
+    if friction is None:
+        return np.zeros(model.robot_.n), np.zeros(model.robot_.n)
+    terms = np.stack(list(friction_terms(qd, SIGN_WIDTH).values()))
+    torque = friction * model.torque_scale_
+    found = np.array(
+        [np.linalg.lstsq(terms[:, :, j].T, torque[:, j], rcond=None)[0] for j in range(len(low))]
+    )
+    return np.maximum(found[:, 0], 0.0), np.maximum(found[:, 1], 0.0)
+
+
+def _asked(
+    model: RobotEstimator, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
+) -> Prediction:
+    """The model's prediction for a motion as it is, nothing filtered, nothing mounted."""
+    effort = np.zeros_like(q)
+    columns = {"t": t, "q": q, "qd": qd, "effort": effort, "effort_f": effort}
+    columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd}
+    x, y, z = (float(value) for value in model.robot_.gravity_vector)
+    return model.predict(
+        Dataset(
+            robot=model.robot_.name,
+            joint_names=model.joint_names_,
+            effort_kind="torque" if model.effort_kind_ == "torque" else "current",
+            columns=columns,
+            offsets=np.array([0, len(t)], dtype=np.int64),
+            conditions=(Conditions("sampled", "trajectory"),),
+            drive_gains=model.torque_scale_,
+            gravity=(x, y, z),
+        )
+    )
