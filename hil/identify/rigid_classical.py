@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters
-from hil.dynamics.friction import friction_terms
 from hil.errors import FitError
 from hil.identify.clustered import interval
 from hil.identify.correlation import correlated_samples
@@ -104,7 +102,7 @@ class RigidClassical(RigidLinear):
         super()._learn(data)
 
     def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
-        terms = friction_terms(data["qd_f"], self.sign_width)
+        terms = super()._friction_terms(data)
         if not self.filter_columns:
             return terms
         return {
@@ -130,20 +128,19 @@ class RigidClassical(RigidLinear):
         score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
         residual = np.empty_like(data["q"])
         series = data.series_index()
-        for rows, W, weight, rest in self._weighted_rows(data, found):
-            residual[rows] = rest
-            cube = W.reshape(*rest.shape, p)
-            score[rows] = np.einsum("tjp,tj->tp", cube, weight * rest)
-            for number in np.unique(series[rows]):
-                own = series[rows] == number
-                block = (cube[own] * np.sqrt(weight[own])[:, :, None]).reshape(-1, p)
-                gram[number] += block.T @ block
-        return Scores(score, gram, data.offsets, data.n_joints), residual
-
-    def _weighted_rows(
-        self, data: Dataset, found: Solution
-    ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-        """Rows, W (N·n, p), their weights (N, n) and residuals (N, n), in order."""
         for rows, W, target in self._observations(data):
             rest = target - (W @ found.coefficients).reshape(target.shape)
-            yield rows, W, np.broadcast_to(found.weight, rest.shape), rest
+            residual[rows] = rest
+            drive, curvature = self._sample_weights(rest, found)
+            cube = W.reshape(*rest.shape, p)
+            score[rows] = np.einsum("tjp,tj->tp", cube, drive * rest)
+            for number in np.unique(series[rows]):
+                own = series[rows] == number
+                block = cube[own].reshape(-1, p)
+                gram[number] += (block * curvature[own].reshape(-1, 1)).T @ block
+        return Scores(score, gram, data.offsets, data.n_joints), residual
+
+    def _sample_weights(self, rest: FloatArray, found: Solution) -> tuple[FloatArray, FloatArray]:
+        """ψ(r)/r and ψ′(r) of residuals (N, n), each (N, n): equal where squares are minimised."""
+        weight = np.broadcast_to(found.weight, rest.shape)
+        return weight, weight

@@ -17,8 +17,7 @@ import numpy as np
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction
-from hil.dynamics import RobotModel, base_parameters, coulomb_viscous_columns
-from hil.dynamics.friction import friction_terms, joint_columns
+from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
 from hil.identify.base import chunks, payload_torque, prepared
 from hil.identify.checks import (
     require_clean,
@@ -117,7 +116,11 @@ class RigidLinear(WlsEstimator):
 
     def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
         """The friction columns of the fit by name, each (N, n)."""
-        return friction_terms(data["qd_f"], self.sign_width)
+        return self._friction(data["qd_f"])
+
+    def _friction(self, qd: FloatArray) -> dict[str, FloatArray]:
+        """Friction terms of velocities (N, n) by name, each (N, n)."""
+        return friction_terms(qd, self.sign_width)
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         rigid, friction = np.split(self.coefficients_, [-len(TERMS) * q.shape[1]])
@@ -131,6 +134,6 @@ class RigidLinear(WlsEstimator):
         parts = {
             "gravity": gravity,
             "inertia": torque(q, qd, qdd) - gravity,
-            "friction": coulomb_viscous_columns(qd, self.sign_width) @ friction,
+            "friction": joint_columns(self._friction(qd)) @ friction,
         }
         return {name: part.reshape(q.shape) / self.torque_scale_ for name, part in parts.items()}

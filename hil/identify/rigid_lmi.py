@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hil.data.filters import FilterSettings
+from hil.dynamics import BaseParameters
 from hil.identify.compress import JointwiseQR
 from hil.identify.consistent import Consistent, consistent_least_squares
 from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
@@ -26,24 +27,21 @@ PRIOR = 1.0
 
 
 def feasible(
-    found: Solution,
-    observed: JointwiseQR,
-    model: RigidClassical,
-    *,
-    mass_factor: float,
-    prior: float,
-) -> tuple[Solution, Consistent, tuple[str, ...]]:
-    """The consistent solution nearest to a least-squares one, in the fit's own weighting.
+    found: Solution, base: BaseParameters, bounds: InertialBounds, prior: float
+) -> Consistent:
+    """The consistent solution with the least sum of squares in the weighting of another one.
 
-    Returns:
-        The solution, the full parameters, and notes for people.
+    Args:
+        found: Without constraints; base parameters first, then `TERMS` joint by joint.
+        base: Base parameters of the robot.
+        bounds: Of its links.
+        prior: See `RigidLmi`.
     """
-    base = model.base
-    bounds = InertialBounds.nominal(model.robot_, mass_factor=mass_factor)
     X, y = found.weighted_system()
     # Unweighted rows are in N·m: in standard deviations the prior means the same for both.
-    pooled = np.sqrt(np.mean(found.weight * at_least_rounding(found.sigma, found.system[1]) ** 2))
-    consistent = consistent_least_squares(
+    sigma = at_least_rounding(found.sigma, found.system[1])
+    pooled = np.sqrt(np.mean(found.weight * sigma**2))
+    return consistent_least_squares(
         X / pooled,
         y / pooled,
         base=base,
@@ -51,9 +49,6 @@ def feasible(
         nonnegative=dissipative(X.shape[1] - base.rank).tolist(),
         prior=prior or None,
     )
-    coefficients = consistent.coefficients
-    solution = replace(found, coefficients=coefficients, sigma=observed.residual_std(coefficients))
-    return solution, consistent, bounds.notes
 
 
 def dissipative(columns: int) -> IntArray:
@@ -123,9 +118,9 @@ class RigidLmi(RigidClassical):
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
         plain = jointwise_least_squares(observed, weighted=self.weighted)
-        found, consistent, self.notes_ = feasible(
-            plain, observed, self, mass_factor=self.mass_factor, prior=self.prior
-        )
-        self.inertial_ = consistent.inertial
+        bounds = InertialBounds.nominal(self.robot_, mass_factor=self.mass_factor)
+        consistent = feasible(plain, self._base, bounds, self.prior)
+        self.notes_, self.inertial_ = bounds.notes, consistent.inertial
         self.least_eigenvalue_ = consistent.least_eigenvalue
-        return found
+        coefficients = consistent.coefficients
+        return replace(plain, coefficients=coefficients, sigma=observed.residual_std(coefficients))
