@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.dynamics.base import base_parameters
+from hil.dynamics.base import BaseParameters, base_parameters
 from hil.dynamics.regressor_gradient import MotionGradient, RegressorSweep
 from hil.typing import FloatArray
 
@@ -35,6 +35,8 @@ class IdentificationColumns:
         rotor: Whether rotor inertias are among the parameters.
         friction: Whether Coulomb, viscous and offset torques of every joint are.
         sign_width: Of tanh(qd / width), which stands for the sign in Coulomb columns [rad/s].
+        base: The base parameters, where it is to be others than `base_parameters` chooses: the
+            condition number of unscaled columns depends on the choice.
 
     Attributes:
         names: (b,) of the parameters: base parameters, then `coulomb_1` … `offset_n`.
@@ -47,8 +49,9 @@ class IdentificationColumns:
         rotor: bool = False,
         friction: bool = False,
         sign_width: float = 0.01,
+        base: BaseParameters | None = None,
     ) -> None:
-        base = base_parameters(robot, rotor=rotor)
+        base = base or base_parameters(robot, rotor=rotor)
         self._robot, self._geometry = robot, robot.joint_geometry()
         self._width, self._friction = sign_width, friction
         bodies = 10 * robot.n

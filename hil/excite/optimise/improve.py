@@ -1,9 +1,7 @@
-"""One start, improved: sequential quadratic programming on few of the many rows of limits.
+"""One start, improved by sequential quadratic programming (Nocedal and Wright 2006, ch. 18).
 
-Linear limits are kept by every iterate. A step's program holds those rows that are nearly reached;
-rows it would overstep join it, and it is solved again. Other limits are elastic rows with one
-common excess, penalised, and a line search looks at objective plus penalty (Nocedal and Wright
-2006, ch. 18). The objective grows sharper from stage to stage (`log_condition`).
+Linear limits are kept by every iterate; the others are approached, and a line search looks at the
+objective plus a penalty. The objective grows sharper from stage to stage (`log_condition`).
 """
 
 from __future__ import annotations
@@ -14,61 +12,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.excite.optimise.linear_limits import LinearLimits, peaks
+from hil.excite.optimise.linear_limits import LinearLimits
 from hil.excite.optimise.motion_limits import MotionLimits
-from hil.excite.optimise.quadratic import Step, damped_update, solve_step
-from hil.excite.optimise.value import Value, ValueOf
-from hil.typing import FloatArray, IntArray
-
-NEAR = 0.1
-"""Share of a limit below which a row is handed to the solver from the first."""
-
-NEAR_EXCESS = -0.5
-"""The same for the other limits, in their scale."""
-
-MOST_ELASTIC = 200
-"""Rows of the other limits in one program: the worst ones."""
-
-PROGRAMS = 10
-"""Solved for one step at most."""
+from hil.excite.optimise.program import ALLOWED, Point, Proposal, StepProgram
+from hil.excite.optimise.value import ValueOf
+from hil.typing import FloatArray
 
 ARMIJO = 1e-4
 SHORTEST = 1e-3
+FLAT = -1e-9
 
 SMALL = 2e-4
 PATIENCE = 3
 """A stage ends after so many steps in a row that each better the logarithm by less than `SMALL`."""
 
-ALLOWED = 1e-6
-"""Excess that counts as none; what is beyond is caught on the denser grid."""
-
-FIRST_PENALTY = 10.0
-"""Of an excess of 1; doubled where it is too little to bring the excess to nothing."""
-
 MOST_EXCESS = 0.1
 """No step leads to more than this, or to more than there was: bodies deep in each other have no
 slope that leads out again."""
-
-ACTIVE = 1e-7
-"""Multipliers below it are none."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Point:
-    """Where a search is: coefficients (n, f), the objective there, the excess (R, N) of limits."""
-
-    free: FloatArray
-    value: Value
-    excess: FloatArray
-
-    @property
-    def violation(self) -> float:
-        """Largest excess, 0 for none."""
-        return float(self.excess.max(initial=0.0))
-
-    def merit(self, penalty: float) -> float:
-        """Objective plus penalty."""
-        return self.value.value + penalty * self.violation
 
 
 @dataclass
@@ -99,15 +59,10 @@ class Search:
     violation: float = np.inf
     iterations: int = 0
     ended: str = "iterations"
-    _penalty: float = FIRST_PENALTY
-    _hessian: FloatArray = field(init=False)
-    _scale: FloatArray = field(init=False)
-    _work: IntArray = field(init=False)
+    _program: StepProgram = field(init=False)
 
     def __post_init__(self) -> None:
-        self._scale = self.linear.unit()
-        self._hessian = np.eye(self.free.size)
-        self._work = np.empty(0, dtype=np.int64)
+        self._program = StepProgram(self.linear, self.others)
 
     def forget(self) -> None:
         """The limits have changed: what was best may not be allowed any more."""
@@ -115,85 +70,51 @@ class Search:
 
     def run(self, sharpness: float, iterations: int) -> None:
         """One stage."""
-        point = self._at(self.free, sharpness)
+        point: Point | None = self._at(self.free, sharpness)
         slow = 0
+        self.ended = "iterations"
         for _ in range(iterations):
             if time.process_time() > self.deadline:
                 self.ended = "budget"
                 return
-            following = self._next(point, sharpness)
-            if following is None:
-                break
-            gain = point.merit(self._penalty) - following.merit(self._penalty)
-            point, slow = following, slow + 1 if gain < SMALL else 0
-            self.iterations += 1
-            self.told(self)
-            if slow >= PATIENCE:
-                break
-        else:
-            self.ended = "iterations"
-            return
-        self.ended = "converged"
+            assert point is not None
+            before = point.merit(self._program.penalty)
+            point = self._next(point, sharpness)
+            if point is not None:
+                gain = before - point.merit(self._program.penalty)
+                slow = slow + 1 if gain < SMALL else 0
+            if point is None or slow >= PATIENCE:
+                self.ended = "converged"
+                return
 
     def _at(self, free: FloatArray, sharpness: float) -> Point:
-        return Point(free, self.value_of(free, sharpness), self.others.excess(free))
+        """Also notes the point where it is the best one so far."""
+        point = Point(free, self.value_of(free, sharpness), self.others.excess(free))
+        if point.violation <= ALLOWED and point.value.exact < self.best_value:
+            self.best, self.best_value = free, point.value.exact
+        return point
 
     def _next(self, point: Point, sharpness: float) -> Point | None:
         """The next point, or None where no step betters the merit."""
-        numbers = self._near(point.excess)
-        rows = self.others.rows(point.free, numbers) * self._scale
-        step = self._step(point, numbers, rows)
-        if step is None:
+        proposal = self._program.propose(point)
+        following = proposal and self._search_along(proposal, point, sharpness)
+        if proposal is None or following is None:
             return None
-        following = self._search_along(step, point, sharpness)
-        if following is None:
-            return None
-        self._learn(step, point, following, numbers, rows)
+        self._program.learn(proposal, point, following)
         self.free, self.violation = following.free, following.violation
-        if following.violation <= ALLOWED and following.value.exact < self.best_value:
-            self.best, self.best_value = following.free, following.value.exact
+        self.iterations += 1
+        self.told(self)
         return following
 
-    def _near(self, excess: FloatArray) -> IntArray:
-        """Rows of the other limits that a step may come to."""
-        numbers = np.flatnonzero(excess > NEAR_EXCESS)
-        worst = np.argsort(-excess.ravel()[numbers], kind="stable")[:MOST_ELASTIC]
-        return numbers[worst]
-
-    def _step(self, point: Point, numbers: IntArray, rows: FloatArray) -> Step | None:
-        """The step that all linear limits allow."""
-        slack = self.linear.slack(point.free)
-        elastic = rows, -point.excess.ravel()[numbers]
-        work = np.union1d(self._work, peaks(slack, NEAR))
-        for _ in range(PROGRAMS):
-            hard = self.linear.rows(work) * self._scale, slack.ravel()[work]
-            gradient = point.value.gradient * self._scale
-            step = solve_step(self._hessian, gradient, hard, elastic, self._penalty)
-            if step is None:
-                return None
-            self._work = work[step.hard > ACTIVE]
-            left = slack - self.linear.change(self._move(step))
-            overstepped = np.setdiff1d(peaks(left, -ALLOWED), work)
-            if not len(overstepped):
-                break
-            work = np.union1d(work, overstepped)
-        pull = float(step.elastic.sum())
-        if pull > 0.5 * self._penalty and step.excess < ALLOWED:
-            self._penalty = 2.0 * pull
-        return step
-
-    def _search_along(self, step: Step, point: Point, sharpness: float) -> Point | None:
+    def _search_along(self, proposal: Proposal, point: Point, sharpness: float) -> Point | None:
         """As far along the step as the merit becomes better and no linear limit is overstepped."""
-        move = self._move(step)
-        share = self._allowed_share(point.free, move)
-        slope = float(point.value.gradient @ move.ravel())
-        slope -= self._penalty * (point.violation - step.excess)
-        if slope > -1e-9:
+        if proposal.slope > FLAT:
             return None
-        now = point.merit(self._penalty)
+        share = self._allowed_share(point.free, proposal.move)
+        penalty, slope = self._program.penalty, proposal.slope
         while share > SHORTEST:
-            trial = self._at(point.free + share * move, sharpness)
-            change = trial.merit(self._penalty) - now
+            trial = self._at(point.free + share * proposal.move, sharpness)
+            change = trial.merit(penalty) - point.merit(penalty)
             worse = trial.violation > max(MOST_EXCESS, point.violation)
             if change <= ARMIJO * share * slope and not worse:
                 return trial
@@ -206,18 +127,3 @@ class Search:
         slack, change = self.linear.slack(free), self.linear.change(move)
         least = np.min(np.where(change > ALLOWED, slack / np.maximum(change, ALLOWED), 1.0))
         return float(np.clip(least, 0.0, 1.0))
-
-    def _learn(
-        self, step: Step, point: Point, following: Point, numbers: IntArray, rows: FloatArray
-    ) -> None:
-        """Curvature of objective and elastic rows along the way taken."""
-        active = step.elastic > ACTIVE
-        way = (following.free - point.free).ravel() / self._scale
-        turned = (following.value.gradient - point.value.gradient) * self._scale
-        if np.any(active):
-            after = self.others.rows(following.free, numbers[active]) * self._scale
-            turned = turned + step.elastic[active] @ (after - rows[active])
-        self._hessian = damped_update(self._hessian, way, turned)
-
-    def _move(self, step: Step) -> FloatArray:
-        return (step.move * self._scale).reshape(self.free.shape)

@@ -13,6 +13,7 @@ from hil.excite.optimise.series_basis import SeriesBasis
 from hil.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
+    from hil.dynamics.base import BaseParameters
     from hil.dynamics.identification_columns import IdentificationColumns
     from hil.dynamics.robot_model import RobotModel
     from hil.excite.motion import FourierSeries
@@ -62,6 +63,7 @@ class ExcitationProblem:
             a triangle of it, columns as in `columns`. None for none. See `after`.
         collision: Distances of the arm with its load, None for no check.
         clearance_m: Distance that is kept to everything.
+        base: Base parameters to be used instead of `hil.dynamics.base_parameters`.
         samples: Of the objective's grid; 0 for `SAMPLES_PER_HARMONIC` per harmonic.
 
     Raises:
@@ -86,6 +88,7 @@ class ExcitationProblem:
     earlier: FloatArray | None = None
     collision: Distances | None = None
     clearance_m: float = 0.0
+    base: BaseParameters | None = None
     samples: int = 0
 
     def __post_init__(self) -> None:
@@ -101,8 +104,13 @@ class ExcitationProblem:
         """The parameters that are to be identified."""
         from hil.dynamics.identification_columns import IdentificationColumns
 
-        given = {"rotor": self.rotor, "friction": self.friction}
-        return IdentificationColumns(self.robot, **given, sign_width=self.sign_width)
+        return IdentificationColumns(
+            self.robot,
+            rotor=self.rotor,
+            friction=self.friction,
+            sign_width=self.sign_width,
+            base=self.base,
+        )
 
     @cached_property
     def basis(self) -> SeriesBasis:

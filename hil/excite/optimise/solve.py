@@ -49,6 +49,20 @@ def optimise(
     Raises:
         PlanError: No start found a motion within all limits; says which limit is in the way.
     """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):  # matrices are small: threads would only wait for each other
+        return _optimise(problem, starts, seed, progress, cpu_s, iterations)
+
+
+def _optimise(
+    problem: ExcitationProblem,
+    starts: int,
+    seed: int,
+    progress: ProgressCallback | None,
+    cpu_s: float,
+    iterations: int,
+) -> Optimised:
     begun = time.process_time()
     tale = _Tale(starts, iterations, progress)
     done: list[tuple[Start, FloatArray]] = []
