@@ -168,6 +168,16 @@ class RobotModel:
             tau[:] = pin.rnea(self._model, self._data, *sample)
         return out
 
+    def inverse_dynamics_derivatives(
+        self, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
+        rows = self._rows(q, qd, qdd)
+        out = np.empty((3, *rows[0].shape, self.n))
+        for k, sample in enumerate(zip(*rows, strict=True)):
+            out[:, k] = pin.computeRNEADerivatives(self._model, self._data, *sample)
+        return out[0], out[1], out[2]
+
     def torque(
         self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> FloatArray:
