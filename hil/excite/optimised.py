@@ -139,8 +139,10 @@ class OptimisedSeries:
             so_far = time.monotonic() - self._began
             each = (so_far + progress.eta_s) / (self._computed + 1)
             left = progress.eta_s + each * (total - number)
+        is_condition = self.question.asked.objective == "condition"
+        best = progress.best if is_condition else float("inf")
         start = progress.start + 1
-        advance = Advance(number, total, start, progress.starts, progress.best, left)
+        advance = Advance(number, total, start, progress.starts, best, left)
         self.question.setting.watch(advance)
 
 

@@ -22,7 +22,7 @@ class Advance:
     Attributes:
         trajectory, trajectories: Number of the one at work, from 1, and of all; 0 for a note.
         start, starts: The same for its random starts.
-        best: Condition number reached so far (or exp(−log det / b)); infinite while there is none.
+        best: Condition number reached so far; infinite while there is none, or none is asked for.
         left_s: Time that is probably left for all of them, None where nothing can be said yet.
         note: Something to be told once.
     """

@@ -69,13 +69,18 @@ def setting_of(
         loads=tuple(load.payload() for load in spec.loads),
         collision=collision,
         identity={
-            "arm": {field.name: _plain(getattr(arm, field.name)) for field in fields(arm)},
+            "arm": {name: _plain(getattr(arm, name)) for name in _names(arm)},
             "surroundings": station_robot.surroundings.model_dump(mode="json"),
             "loads": [load.model_dump(mode="json", exclude={"prompt"}) for load in spec.loads],
         },
         cache=user_cache() if cache is None else cache,
         watch=watch,
     )
+
+
+def _names(arm: ArmDescription) -> list[str]:
+    """Of what an arm's motions depend on: all but where its numbers come from."""
+    return [field.name for field in fields(arm) if field.name != "sources"]
 
 
 def _plain(value: Any) -> Any:

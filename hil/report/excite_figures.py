@@ -55,7 +55,7 @@ def singular_values(appraisal: Appraisal, random: Appraisal | None) -> Panel:
         theirs = random.jointly.singular_values
         traces.append(_ranked(theirs, "random", colours.PREDICTED, "diamond-open"))
     layout = axes("singular value, the largest first", "of the scaled regressor")
-    layout["yaxis"] |= {"type": "log", "dtick": "D1"}
+    layout["yaxis"] |= {"type": "log", "dtick": "D2"}
     said = f"{len(ours)} singular values from {ours[0]:.2f} down to {ours[-1]:.2f}."
     return Panel("Singular values", {"data": traces, "layout": layout}, said)
 
@@ -118,7 +118,7 @@ def _distance(trajectory: Trajectory, kept_m: float) -> Panel:
 
 
 def _limit(ends: FloatArray, value: float) -> Trace:
-    return line(ends, np.full(2, value), "limit", colours.LIMIT, dash="dash", width=1.8)
+    return line(ends, np.full(2, value), "limit", colours.NEUTRAL, dash="dot", width=2.5)
 
 
 def _ranked(values: FloatArray, name: str, colour: str, symbol: str) -> Trace:

@@ -133,6 +133,8 @@ def _trajectory(report: ExcitationReport, index: int) -> Section:
         f"{trajectory.jointly.condition_scaled:.2f} with those before it. Positions are shares of "
         "half the range, torques of their limits."
     )
-    plots = Plots("", lead, tuple(panels), (*legend, ("limit", colours.LIMIT, "dash")), columns=2)
+    plots = Plots(
+        "Motion", lead, tuple(panels), (*legend, ("limit", colours.NEUTRAL, "dot")), columns=2
+    )
     title = f"Trajectory {index + 1}"
     return Section(f"trajectory-{index + 1}", title, "", (plots,), folded=index >= OPEN)
