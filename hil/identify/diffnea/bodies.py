@@ -1,12 +1,11 @@
 """The links and rotors of an arm in free coordinates, and how far they are from nominal.
 
 Coordinates are the log-Cholesky ones of every link (10 each) and the logarithm of every rotor
-inertia over its start. The distance is the Bregman divergence of −log det per link and, a rotor
-being a 1×1 pseudo-inertia, the same of every rotor. It is a sum of squares: with W = U₀⁻¹U,
-
-    tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4 = Σ_{i<j} Wᵢⱼ² + Σᵢ (Wᵢᵢ² − 1 − 2 log Wᵢᵢ),
-
-so it joins a least-squares problem as further rows.
+inertia over its start. The distance is the Bregman divergence of −log det per link,
+tr(J₀⁻¹J) − log det(J₀⁻¹J) − 4, and, a rotor being a 1×1 pseudo-inertia, the same of every rotor.
+It is convex in the inertial parameters. Its curvature there, tr(J⁻¹dJ J⁻¹dJ), carried over to the
+coordinates is positive semidefinite; what it leaves out is the total gradient by the parameters
+times how the coordinates bend, and that gradient vanishes at the minimum.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from hil.dynamics.pseudo_inertia import (
     triangle,
     triangle_jacobian,
 )
+from hil.identify.diffnea.minimise import Local
 from hil.typing import FloatArray
 
 LEAST_SHARE = 1e-6
@@ -32,10 +32,6 @@ LEAST_SHARE = 1e-6
 
 ROTOR_SHARE = 0.3
 """Start of a rotor nobody told: this share of what its joint accelerates on average."""
-
-SMALL = 1e-4
-
-_OFF_DIAGONAL = np.triu_indices(4, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,35 +70,33 @@ class Bodies:
         theta, log_rotor = self._split(u)
         return _blocks(coordinate_jacobian(theta), self.rotor * np.exp(log_rotor))
 
-    def divergence(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(11n,) r with |r|² the divergence from nominal, and (11n, 11n) ∂r/∂u."""
+    def divergence(self, u: FloatArray) -> Local:
+        """Divergence from nominal, by the coordinates (11n,)."""
         theta, log_rotor = self._split(u)
+        U, slope = triangle(theta), triangle_jacobian(theta)
+        links, links_gradient = self._links(U, slope)
+        inner = np.linalg.inv(U)[:, None] @ slope
+        rows = (inner + np.swapaxes(inner, -1, -2)).reshape(len(U), 10, 16)
+        ratio = np.exp(log_rotor)
+        return Local(
+            links + float(np.sum(ratio - log_rotor - 1.0)),
+            np.concatenate([links_gradient.ravel(), ratio - 1.0]),
+            _blocks(rows @ np.swapaxes(rows, -1, -2), np.ones(len(ratio))),
+        )
+
+    def _links(self, U: FloatArray, slope: FloatArray) -> tuple[float, FloatArray]:
+        """Sum of the links' divergences, |W|² − 2 Σ log Wᵢᵢ − 4 with W = U₀⁻¹U, and gradient."""
         back = np.linalg.inv(triangle(self.theta))
-        W, slope = back @ triangle(theta), back[:, None] @ triangle_jacobian(theta)
-        upper, upper_slope = W[(..., *_OFF_DIAGONAL)], slope[(..., *_OFF_DIAGONAL)]
-        x = np.log(np.diagonal(W, axis1=-2, axis2=-1))
-        root, root_slope = _root(x)
-        dx = np.diagonal(slope, axis1=-2, axis2=-1) * np.exp(-x)[:, None]
-        links = np.concatenate([upper, root], axis=-1)
-        links_slope = np.concatenate([upper_slope, dx * root_slope[:, None]], axis=-1)
-        # A rotor is J = exp(log_rotor) of its start, so its W is exp(log_rotor / 2).
-        rotor, rotor_slope = _root(0.5 * log_rotor)
-        r = np.concatenate([links.ravel(), rotor])
-        return r, _blocks(np.swapaxes(links_slope, -1, -2), 0.5 * rotor_slope)
+        W, dW = back @ U, back[:, None] @ slope
+        diagonal = np.diagonal(W, axis1=-2, axis2=-1)
+        value = np.sum(W**2) - 2.0 * np.sum(np.log(diagonal)) - 4.0 * len(W)
+        bent = np.diagonal(dW, axis1=-2, axis2=-1) / diagonal[:, None]
+        gradient = 2.0 * np.einsum("lij,lkij->lk", W, dW) - 2.0 * np.sum(bent, axis=-1)
+        return float(value), gradient
 
     def _split(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         n = len(self.rotor)
         return u[: 10 * n].reshape(n, 10), u[10 * n : 11 * n]
-
-
-def _root(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """±√(e²ˣ − 1 − 2x) with the sign of x, smooth through 0, and its derivative."""
-    near = np.abs(x) < SMALL
-    far = np.where(near, 1.0, x)
-    root = np.sign(far) * np.sqrt(np.expm1(2.0 * far) - 2.0 * far)
-    slope = np.expm1(2.0 * far) / root
-    series = np.sqrt(2.0) * x * (1.0 + x / 3.0)
-    return np.where(near, series, root), np.where(near, np.sqrt(2.0) * (1 + x / 1.5), slope)
 
 
 def _blocks(links: FloatArray, rotors: FloatArray) -> FloatArray:

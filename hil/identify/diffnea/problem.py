@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hil.identify.compress import JointwiseQR, upper_triangle
-from hil.identify.diffnea.minimise import Minimum, minimise
+from hil.identify.diffnea.minimise import Local, Minimum, minimise
 from hil.identify.diffnea.unknowns import Unknowns
 from hil.identify.jointwise import Solution, System
 from hil.typing import FloatArray
 
 Observed = Callable[[FloatArray], System]
 """Values → an equivalent small system whose columns are those of the values, slopes included."""
+
+BENT_ENOUGH = 1e-8
+"""Relative decrease below which shapes are left alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,57 +44,60 @@ class Problem:
         R = upper_triangle(weighted)
         moved = start.size - self.unknowns.counts[2]
 
-        def residual(u: FloatArray) -> tuple[FloatArray, FloatArray]:
-            values, slope = self.unknowns.at(np.concatenate([u, start[moved:]]))
+        def cost(moving: FloatArray) -> Local:
+            u = np.concatenate([moving, start[moved:]])
+            values, slope = self.unknowns.at(u)
             r = R[:, :-1] @ values[:linear] - R[:, -1]
-            return self._with_prior(u, r, R[:, :-1] @ slope[:linear, :moved])
+            return _cut(self._local(u, r, R[:, :-1] @ slope[:linear]), moved)
 
-        found = minimise(residual, start[:moved])
-        whole = np.concatenate([found.u, start[moved:]])
-        return Minimum(whole, found.cost, found.iterations, found.converged)
+        found = minimise(cost, start[:moved])
+        return replace(found, u=np.concatenate([found.u, start[moved:]]))
 
     def bending(self, observed: Observed, start: FloatArray) -> Minimum:
         """The minimum over shapes too, whose columns are evaluated anew at every step."""
         linear = self.unknowns.linear
 
-        def residual(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def cost(u: FloatArray) -> Local:
             values, slope = self.unknowns.at(u)
             X, y, joint = observed(values)
             root = 1.0 / self.sigma[joint]
             r = root * (X[:, :linear] @ values[:linear] - y)
-            return self._with_prior(u, r, root[:, None] * (X @ slope))
+            return self._local(u, r, root[:, None] * (X @ slope))
 
-        return minimise(residual, start, tolerance=1e-9)
+        return minimise(cost, start, tolerance=BENT_ENOUGH)
 
     def solution(self, u: FloatArray, observed: JointwiseQR) -> Solution:
         """Values at u with the covariance of the delta method, from all observations.
 
-        With D the Jacobian of the values and H that of the cost, (XᵀWX)⁻¹ becomes D H⁻¹ Dᵀ.
+        With D the Jacobian of the values and H half the curvature, (XᵀWX)⁻¹ becomes D H⁻¹ Dᵀ.
         """
         values, slope = self.unknowns.at(u)
         system = X, _, joint = observed.system()
         weight = 1.0 / self.sigma**2
-        J = np.sqrt(weight)[joint, None] * (X @ slope)
-        _, J = self._with_prior(u, np.zeros(len(J)), J)
-        length = np.linalg.norm(J, axis=0)
-        length[length == 0] = 1.0
-        half = np.linalg.pinv(J / length, rcond=1e-12) / length[:, None]
-        bread = slope @ half @ half.T @ slope.T
-        linear = self.unknowns.linear
-        still = np.concatenate([values[:linear], np.zeros(len(values) - linear)])
         scaled = X * np.sqrt(weight)[joint, None]
+        H = 0.5 * self._local(u, np.zeros(len(X)), scaled @ slope).curvature
+        length = np.sqrt(np.diag(H))
+        length[length == 0] = 1.0
+        inverse = np.linalg.pinv(H / np.outer(length, length), rcond=1e-13, hermitian=True)
+        to = slope / length
+        linear = self.unknowns.linear
+        straight = np.concatenate([values[:linear], np.zeros(len(values) - linear)])
         rank, condition = _excited(scaled[:, :linear])
-        sigma = observed.residual_std(still)
-        return Solution(values, sigma, weight, bread, rank, condition, system)
+        sigma = observed.residual_std(straight)
+        return Solution(values, sigma, weight, to @ inverse @ to.T, rank, condition, system)
 
-    def _with_prior(
-        self, u: FloatArray, r: FloatArray, J: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        root = np.sqrt(self.prior * self.samples)
-        away, slope = self.unknowns.bodies.divergence(u)
-        wide = np.zeros((len(away), J.shape[1]))
-        wide[:, : slope.shape[1]] = root * slope
-        return np.concatenate([r, root * away]), np.vstack([J, wide])
+    def _local(self, u: FloatArray, r: FloatArray, J: FloatArray) -> Local:
+        away, pull = self.unknowns.divergence(u), self.prior * self.samples
+        return Local(
+            float(r @ r) + pull * away.cost,
+            2.0 * J.T @ r + pull * away.gradient,
+            2.0 * J.T @ J + pull * away.curvature,
+        )
+
+
+def _cut(local: Local, moved: int) -> Local:
+    """The same for the first coordinates alone."""
+    return Local(local.cost, local.gradient[:moved], local.curvature[:moved, :moved])
 
 
 def _excited(X: FloatArray) -> tuple[int, float]:

@@ -16,6 +16,7 @@ from scipy.special import expit
 from hil.dynamics import BaseParameters
 from hil.identify.diffnea.bodies import Bodies
 from hil.identify.diffnea.forms import Form
+from hil.identify.diffnea.minimise import Local
 from hil.typing import FloatArray
 
 SHAPE_EDGE = 0.01
@@ -71,6 +72,23 @@ class Unknowns:
         slope[np.arange(b, b + nk + ns), np.arange(inner, inner + nk + ns)] = diagonal
         base = self.fold @ self.bodies.parameters(u)
         return np.concatenate([base, friction, shapes]), slope
+
+    def divergence(self, u: FloatArray) -> Local:
+        """How far links, rotors and friction coefficients are from nominal or usual ones.
+
+        A coefficient that cannot be negative is a 1×1 pseudo-inertia too.
+        """
+        inner, nk = self.fold.shape[1], self.scale.size
+        bodies = self.bodies.divergence(u[:inner])
+        x, bounded = u[inner : inner + nk], np.tile(self.form.nonnegative, len(self.scale))
+        ratio = np.where(bounded, np.logaddexp(0.0, x), 1.0)
+        slope = np.where(bounded, expit(x), 0.0) / ratio
+        gradient, curvature = np.zeros(len(u)), np.zeros((len(u), len(u)))
+        gradient[:inner], curvature[:inner, :inner] = bodies.gradient, bodies.curvature
+        own = np.arange(inner, inner + nk)
+        gradient[own], curvature[own, own] = slope * (ratio - 1.0), slope**2
+        friction = float(np.sum(ratio - np.log(ratio) - 1.0))
+        return Local(bodies.cost + friction, gradient, curvature)
 
     def notes(self, u: FloatArray, joints: tuple[str, ...]) -> tuple[str, ...]:
         """What ended at its bound, for people."""
