@@ -52,9 +52,11 @@ class CoupledModel(RobotModel):
             )
         if rotor_inertia is not None:
             self.rotor_inertia = rotor_inertia
-        self._model.armature = np.zeros(self.n)  # counted here, in the motors' coordinates
+        bare = model.copy()
+        bare.armature = np.zeros(self.n)  # counted here, in the motors' coordinates
+        self._serial = RobotModel(bare, flange, name=name, arm=arm)
         self._T = T = np.array(arm.joints_per_motor)
-        back = np.linalg.inv(T)
+        back: FloatArray = np.asarray(np.linalg.inv(T), np.float64)
         self.q_min, self.q_max = _box(back, self.q_min, self.q_max)
         self.qd_max = np.abs(back) @ self.qd_max
         self.effort_max = np.abs(T).T @ self.effort_max
@@ -86,26 +88,35 @@ class CoupledModel(RobotModel):
 
     def inverse_dynamics(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """(N, n) torques of the motors behind their gears, rotor inertias included."""
-        torque: FloatArray = super().inverse_dynamics(*self.joints(q, qd, qdd)) @ self._T
-        return torque + self.rotor_inertia * np.asarray(qdd)
+        return self.torque(self.parameters(), q, qd, qdd)
+
+    def torque(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> FloatArray:
+        """(N, n) regressor times parameters (11·n,), without the regressor."""
+        bodies, rotors = np.split(np.asarray(parameters), [len(PARAMETERS) * self.n])
+        links = np.concatenate([bodies, np.zeros(self.n)])
+        joints = self._serial.torque(links, *self.joints(q, qd, qdd))
+        out: FloatArray = joints @ self._T + rotors * np.asarray(qdd)
+        return out
 
     def inverse_dynamics_derivatives(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Each (N, n, n), in the motors' coordinates."""
-        found = super().inverse_dynamics_derivatives(*self.joints(q, qd, qdd))
-        by_q, by_qd, by_qdd = (self._T.T @ one @ self._T for one in found)
+        found = self._serial.inverse_dynamics_derivatives(*self.joints(q, qd, qdd))
+        by_q, by_qd, by_qdd = (np.asarray(self._T.T @ one @ self._T) for one in found)
         return by_q, by_qd, by_qdd + np.diag(self.rotor_inertia)
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) motor torques behind the gears that hold the arm still."""
-        torque: FloatArray = super().gravity(*self.joints(q)) @ self._T
+        torque: FloatArray = self._serial.gravity(*self.joints(q)) @ self._T
         return torque
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
         """(N, n, n) inertia in the motors' coordinates."""
-        M: FloatArray = self._T.T @ super().mass_matrix(*self.joints(q)) @ self._T
-        return M + np.diag(self.rotor_inertia)
+        M: FloatArray = self._T.T @ self._serial.mass_matrix(*self.joints(q)) @ self._T
+        return np.asarray(M + np.diag(self.rotor_inertia))
 
     def regressor(
         self,
@@ -120,7 +131,7 @@ class CoupledModel(RobotModel):
         body = len(PARAMETERS) * self.n
         wanted = np.arange(body + rotor * self.n) if columns is None else np.asarray(columns)
         moves = self.joints(q, qd, qdd)
-        W = super().regressor(*moves, columns=wanted).reshape(len(moves[0]), self.n, -1)
+        W = self._serial.regressor(*moves, columns=wanted).reshape(len(moves[0]), self.n, -1)
         out = self._T.T @ W
         for place in np.flatnonzero(wanted >= body):
             out[:, :, place] = 0.0
@@ -129,7 +140,7 @@ class CoupledModel(RobotModel):
 
     def parameters(self, *, rotor: bool = True) -> FloatArray:
         """(p,) parameters in the order of the regressor's columns."""
-        bodies = super().parameters(rotor=False)
+        bodies = self._serial.parameters(rotor=False)
         return np.concatenate([bodies, self.rotor_inertia]) if rotor else bodies
 
     def with_payload(self, payload: Payload) -> RobotModel:
@@ -146,7 +157,7 @@ class CoupledModel(RobotModel):
 
     def flange_pose(self, q: FloatArray) -> FloatArray:
         """(N, 4, 4) pose of the flange in the base frame."""
-        return super().flange_pose(*self.joints(q))
+        return self._serial.flange_pose(*self.joints(q))
 
 
 def _box(matrix: FloatArray, low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
