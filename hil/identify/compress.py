@@ -37,6 +37,12 @@ class JointwiseQR:
             self._triangles[j] = _compressed(stacked)
             self.rows[j] += samples
 
+    def add_joint(self, joint: int, rows: FloatArray, samples: int) -> None:
+        """Add rows [W τ] (m, p + 1) of one joint that stand for so many samples."""
+        previous = self._triangles[joint]
+        self._triangles[joint] = rows if previous is None else np.vstack([previous, rows])
+        self.rows[joint] += samples
+
     @staticmethod
     def merged(parts: Sequence[JointwiseQR]) -> JointwiseQR:
         """What one would hold that had seen the rows of all parts."""

@@ -1,0 +1,128 @@
+"""Learning a rigid body with friction that remembers; `learning` has the steps' machinery."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings
+from hil.dynamics import BaseParameters, RobotModel
+from hil.identify.friction.law import FrictionLaw
+from hil.identify.friction.learning import Training, core_groups, rigid_of
+from hil.identify.friction.library import CORE, Columns, groups
+from hil.identify.friction.motion import Shapes
+from hil.identify.friction.observed import Observed
+from hil.identify.friction.selection import Selection, select
+from hil.identify.friction.series import temperatures_vary
+from hil.identify.friction.shapes import first_shapes, fitted_shapes
+from hil.identify.friction.solve import Solved, consistent, friction_ends, solve
+from hil.identify.inertial_bounds import InertialBounds
+from hil.typing import FloatArray
+
+NO_TRAJECTORIES = (
+    "one trajectory only: friction columns were chosen on parts of it left out, which is less "
+    "than a trajectory of its own"
+)
+BACKBONE = ("load", "stribeck", "speed p")
+"""Friction while shapes are looked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learnt:
+    """What a fit found; torques in N·m, see `RigidHysteresis`."""
+
+    rigid: FloatArray
+    gear_rigid: FloatArray
+    inertial: FloatArray | None
+    law: FrictionLaw
+    held_out: FloatArray
+    samples: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HysteresisFit:
+    """A robot to be learnt.
+
+    Attributes:
+        base: Its base parameters.
+        robot: Nominal model.
+        filters: Of the prepared data.
+        turns: (n,) motor turns per joint turn, NaN where unknown.
+    """
+
+    base: BaseParameters
+    robot: RobotModel
+    filters: FilterSettings
+    turns: FloatArray
+
+    def learn(
+        self,
+        data: Dataset,
+        scale: FloatArray,
+        *,
+        friction: str | Sequence[str],
+        least_gain: float,
+        fit_shapes: bool,
+        consistent: bool,
+    ) -> Learnt:
+        """From prepared data whose efforts make `scale` (n,) torque per unit."""
+        training = Training.of(data, self.filters, self.robot, self.base, scale)
+        ripple = bool(np.any(np.isfinite(self.turns)))
+        library = groups(ripple=ripple, temperature=temperatures_vary(data))
+        shapes, gear_rigid = self._shaped(training, library, fit_shapes)
+        named = library if friction == "auto" else {name: library[name] for name in friction}
+        observed = training.observed(named, gear_rigid, shapes)
+        found = self._chosen(observed, tuple(named), friction, least_gain)
+        solved = solve(observed, found.chosen)
+        self._require_excited(solved)
+        if consistent:
+            solved = self._consistent(observed, found, solved)
+        return Learnt(
+            solved.rigid,
+            gear_rigid,
+            solved.inertial,
+            FrictionLaw(found.chosen, solved.friction, shapes),
+            found.error,
+            int(training.kept.sum()),
+            () if training.whole else (NO_TRAJECTORIES,),
+        )
+
+    def _shaped(
+        self, training: Training, library: Mapping[str, Columns], fit_shapes: bool
+    ) -> tuple[Shapes, FloatArray]:
+        """Shapes, and the base parameters that tell the torque through the gears."""
+        shapes = first_shapes(self.turns)
+        rigid = rigid_of(training, core_groups(library, ["speed p"]), None, shapes)
+        rigid = rigid_of(training, core_groups(library, BACKBONE), rigid, shapes)
+        if fit_shapes:
+            shapes = fitted_shapes(training.rest(rigid, shapes), shapes)
+            rigid = rigid_of(training, core_groups(library, BACKBONE), rigid, shapes)
+        return shapes, rigid
+
+    def _chosen(
+        self,
+        observed: Observed,
+        names: tuple[str, ...],
+        friction: str | Sequence[str],
+        least_gain: float,
+    ) -> Selection:
+        if friction == "auto":
+            candidates = [name for name in names if name != CORE]
+            return select(observed, [CORE], candidates, least_gain=least_gain)
+        return select(observed, names, [])
+
+    def _consistent(self, observed: Observed, found: Selection, solved: Solved) -> Solved:
+        bounds = InertialBounds.nominal(self.robot)
+        return consistent(solved, self.base, bounds, friction_ends(observed, found.chosen))
+
+    def _require_excited(self, solved: Solved) -> None:
+        from hil.identify.checks import require_rank
+
+        weighted = solved.weighted
+        X, _ = weighted.weighted_system()
+        names = (*self.base.names, *(f"friction {i}" for i in range(X.shape[1] - self.base.rank)))
+        require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)

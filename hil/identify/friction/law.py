@@ -1,0 +1,88 @@
+"""Friction as it was found: groups and coefficients per joint, ready to predict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hil.identify.friction.library import Columns, column_names, groups
+from hil.identify.friction.motion import MULTIPLES, FrictionMotion, Shapes
+from hil.typing import FloatArray
+
+PARTS = {"ripple": "ripple", "drive": "drive"}
+"""First word of a group → the part of the effort it belongs to; all others are friction."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionLaw:
+    """What friction, ripple and drive add to each joint.
+
+    Attributes:
+        chosen: Groups per joint, in the order of their coefficients.
+        coefficients: Per joint, of its groups' columns.
+        shapes: The parameters that are not linear.
+    """
+
+    chosen: tuple[tuple[str, ...], ...]
+    coefficients: tuple[FloatArray, ...]
+    shapes: Shapes
+
+    @classmethod
+    def from_flat(
+        cls, chosen: tuple[tuple[str, ...], ...], flat: FloatArray, shapes: Shapes
+    ) -> FrictionLaw:
+        """From all coefficients behind each other, joint by joint."""
+        law = cls(chosen, (), shapes)
+        counts = [sum(law._count(name) for name in names) for names in chosen]
+        return cls(chosen, tuple(np.split(flat, np.cumsum(counts)[:-1])), shapes)
+
+    def torques(self, motion: FrictionMotion) -> dict[str, FloatArray]:
+        """Parts `friction`, `ripple` and `drive`, each (N, n) [N·m]; only those there are."""
+        found: dict[str, FloatArray] = {"friction": np.zeros_like(motion.v)}
+        for name, weights in self._weights.items():
+            part = PARTS.get(name.split()[0], "friction")
+            torque = found.setdefault(part, np.zeros_like(motion.v))
+            for column, weight in zip(self._library[name](motion), weights, strict=True):
+                torque += column * weight
+        return found
+
+    @property
+    def multiples(self) -> tuple[float, ...]:
+        """Lengths of the states that a stream must carry, as multiples of the shortest."""
+        return MULTIPLES
+
+    def parameter_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
+        """Names of all coefficients, joint by joint."""
+        return tuple(
+            f"{joint}.{column}"
+            for joint, names in zip(joint_names, self.chosen, strict=True)
+            for name in names
+            for column in column_names(name, self._count(name))
+        )
+
+    @cached_property
+    def _library(self) -> Mapping[str, Columns]:
+        return groups(ripple=True, temperature=True)
+
+    @cached_property
+    def _weights(self) -> dict[str, list[FloatArray]]:
+        """Per group, for each of its columns the coefficient of every joint; 0 without it."""
+        n, found = len(self.chosen), dict[str, list[FloatArray]]()
+        for j, names in enumerate(self.chosen):
+            at = 0
+            for name in names:
+                count = self._count(name)
+                weights = found.setdefault(name, [np.zeros(n) for _ in range(count)])
+                for i in range(count):
+                    weights[i][j] = self.coefficients[j][at + i]
+                at += count
+        return found
+
+    def _count(self, name: str) -> int:
+        probe = np.zeros((1, len(self.chosen)))
+        states = dict.fromkeys(MULTIPLES, probe)
+        motion = FrictionMotion(probe, probe, probe, self.shapes, given=states)
+        return len(self._library[name](motion))

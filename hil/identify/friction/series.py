@@ -1,0 +1,58 @@
+"""The motion of every series of a dataset, ready for friction columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hil.data.dataset import Conditions, Dataset
+from hil.data.filters import AT_REST, FilterSettings, nyquist_fraction, sample_rate, zero_phase
+from hil.identify.friction.motion import FrictionMotion, Shapes
+from hil.typing import FloatArray
+
+
+def motions(
+    dataset: Dataset, steps: FloatArray, transmitted: FloatArray, shapes: Shapes
+) -> Iterator[tuple[Conditions, slice, FrictionMotion]]:
+    """Conditions, rows and motion of every series that has rows.
+
+    Args:
+        dataset: Prepared.
+        steps: (N, n) from `path_steps` [rad].
+        transmitted: (N, n) torque through the gears [N·m].
+        shapes: Of the friction.
+    """
+    celsius = dataset.columns.get("temperature")
+    for condition, rows in dataset.slices():
+        if rows.stop > rows.start:
+            yield (
+                condition,
+                rows,
+                FrictionMotion(
+                    dataset["q"][rows],
+                    dataset["qd_f"][rows],
+                    transmitted[rows],
+                    shapes,
+                    steps[rows],
+                    None if celsius is None else celsius[rows],
+                ),
+            )
+
+
+def temperatures_vary(dataset: Dataset, least_k: float = 1.0) -> bool:
+    """Whether joint temperatures were recorded and changed by `least_k` or more in some joint."""
+    celsius = dataset.columns.get("temperature")
+    if celsius is None or not np.all(np.isfinite(celsius)) or not len(celsius):
+        return False
+    return bool(np.max(np.ptp(celsius, axis=0)) >= least_k)
+
+
+def smoothed(
+    values: FloatArray, condition: Conditions, t: FloatArray, settings: FilterSettings
+) -> FloatArray:
+    """Columns (N, …) of one series through the filter of its effort; at rest as they are."""
+    if condition.kind in AT_REST:
+        return values
+    fraction = nyquist_fraction(settings.effort, settings.unit, sample_rate(t))
+    return zero_phase(values, fraction, settings.order)
