@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -22,7 +23,7 @@ from hil.identify.robust_covariance import (
     hac_window,
     trajectory_covariance,
 )
-from hil.typing import FloatArray
+from hil.typing import FloatArray, IntArray
 
 Covariance = Literal["hac", "clustered"]
 COVARIANCES = ("hac", "clustered")
@@ -123,7 +124,10 @@ class RigidClassical(RigidLinear):
         self.std_error_ = np.sqrt(np.diag(told.covariance))
 
     def _scores(self, data: Dataset, found: Solution) -> tuple[Scores, FloatArray]:
-        """Scores of the weighted least squares, and the residual (N, n)."""
+        """Scores of the weighted least squares, and the residual (N, n).
+
+        Only clustered errors ask for XᵀWX of every series; otherwise it stays 0.
+        """
         p = len(found.coefficients)
         score, gram = np.empty((len(data), p)), np.zeros((len(data.conditions), p, p))
         residual = np.empty_like(data["q"])
@@ -134,13 +138,19 @@ class RigidClassical(RigidLinear):
             drive, curvature = self._sample_weights(rest, found)
             cube = W.reshape(*rest.shape, p)
             score[rows] = np.einsum("tjp,tj->tp", cube, drive * rest)
-            for number in np.unique(series[rows]):
-                own = series[rows] == number
-                block = cube[own].reshape(-1, p)
-                gram[number] += (block * curvature[own].reshape(-1, 1)).T @ block
+            if self.covariance == "clustered":  # costs as much as the fit itself
+                weighted = cube * curvature[:, :, None]
+                for number, own in _series_in(series[rows]):
+                    gram[number] += np.tensordot(cube[own], weighted[own], ((0, 1), (0, 1)))
         return Scores(score, gram, data.offsets, data.n_joints), residual
 
     def _sample_weights(self, rest: FloatArray, found: Solution) -> tuple[FloatArray, FloatArray]:
         """ψ(r)/r and ψ′(r) of residuals (N, n), each (N, n): equal where squares are minimised."""
         weight = np.broadcast_to(found.weight, rest.shape)
         return weight, weight
+
+
+def _series_in(series: IntArray) -> list[tuple[int, slice]]:
+    """Numbers of the series and their rows, of successive rows with these numbers (N,)."""
+    ends = [0, *(np.flatnonzero(np.diff(series)) + 1).tolist(), len(series)]
+    return [(int(series[i]), slice(i, j)) for i, j in pairwise(ends) if j > i]
