@@ -198,16 +198,6 @@ class RobotModel:
         fill_torques(self._chain, *rows, bodies.reshape(self.n, -1), rotors, out)
         return out
 
-    def inverse_dynamics_derivatives(
-        self, q: FloatArray, qd: FloatArray, qdd: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Each (N, n, n): how row i of the joint torques changes with q, qd and qdd of joint j."""
-        rows = self._rows(q, qd, qdd)
-        out = np.empty((3, *rows[0].shape, self.n))
-        for k, sample in enumerate(zip(*rows, strict=True)):
-            out[:, k] = pin.computeRNEADerivatives(self._model, self._data, *sample)
-        return out[0], out[1], out[2]
-
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) joint torques that hold the arm still."""
         (rows,) = self._rows(q)
