@@ -62,6 +62,8 @@ def measure(name: str, *, quick: bool = False, **options: Any) -> dict[str, Any]
     assert module_spec.loader is not None
     module = importlib.util.module_from_spec(module_spec)
     sys.modules[module_spec.name] = module  # where dataclasses look their types up
+    if (root := str(FOLDER.parent)) not in sys.path:
+        sys.path.append(root)  # a benchmark's own modules are `benchmarks.…`
     module_spec.loader.exec_module(module)
     known = inspect.signature(module.run).parameters
     if unknown := [option for option in options if option not in known]:

@@ -32,7 +32,7 @@ UR10E_TRAIN = (
 UR10E_VALIDATION = "ur-20_02_19_14harm50sec"
 UR10E_LOADED = "ur-20_02_19_14harm50secLoad"
 
-PANDA_HZ, TX40_HZ = 250.0, 500.0
+PANDA_HZ, TX40_HZ = 125.0, 500.0
 """To which the recordings at 1 kHz and 5 kHz are thinned out."""
 
 

@@ -6,7 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table
+from hil.cli.output import JsonFlag, fold, print_json, print_table
+
+TABLE_WIDTH = 100
 
 
 def register(app: typer.Typer) -> None:
@@ -58,6 +60,11 @@ def _list(known: dict[str, str], json: bool) -> None:
 
 def _print(document: dict[str, Any]) -> None:
     typer.echo(document["name"])
+    for table in document.get("tables", ()):
+        typer.echo(f"\n{table['title']}")
+        print_table(table["header"], table["rows"])
+        for note in table["notes"]:
+            typer.echo(fold(f"  {note}", TABLE_WIDTH))
     for part in ("figures", "ratios"):
         rows = [(f"  {key}", f"{value:.4g}") for key, value in document[part].items()]
         if rows:
