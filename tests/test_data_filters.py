@@ -246,3 +246,12 @@ def test_columns_are_filtered_as_their_effort_and_rest_stays() -> None:
     expected = filtfilt(*butter(5, 0.3), values[: len(t)], axis=0)
     assert filtered[: len(t)] == pytest.approx(expected, abs=1e-8)
     assert np.array_equal(filtered[len(t) :], values[len(t) :])
+
+
+def test_columns_of_fewer_rows_are_filtered_at_the_same_frequency() -> None:
+    data = raw(moving(1))
+    settings = FilterSettings(effort=0.1, every=4)
+    whole = filter_columns(data["qd"], data, settings)
+    fewer = downsample(prepare(data, settings), settings)
+    again = filter_columns(fewer["qd"], fewer, settings)
+    assert again[20:-20] == pytest.approx(whole[::4][20:-20], abs=2e-3)

@@ -38,7 +38,7 @@ JOINTS = (
 
 @pytest.fixture
 def odd(tmp_path):
-    """Sliding and oblique joints behind a fixed one, hung from a slope."""
+    """Sliding and oblique joints behind a fixed one, with rotors, hung from a slope."""
     parents = ("plate", *(f"l{i}" for i in range(1, 7)))
     links = (
         LINK.format(i=i, kind=kind, axis=axis, parent=parent)
@@ -46,7 +46,7 @@ def odd(tmp_path):
     )
     path = tmp_path / "odd.urdf"
     path.write_text(URDF.format(links="\n".join(links)))
-    return RobotModel.from_urdf(path, gravity=(3.0, -4.0, 7.0))
+    return RobotModel.from_urdf(path, rotor_inertia=np.arange(7.0), gravity=(3.0, -4.0, 7.0))
 
 
 def sample_by_sample(robot, q, qd, qdd):
@@ -97,8 +97,34 @@ def test_base_columns_are_those_that_reduce_picks():
 def test_without_numba_the_regressor_is_the_same(monkeypatch, odd):
     rows = motion(SAMPLES, odd.n)
     compiled = odd.regressor(*rows)
-    monkeypatch.setattr(module, "_compiled", lambda: None)
+    monkeypatch.setattr(module, "_has_numba", lambda: False)
     np.testing.assert_allclose(odd.regressor(*rows), compiled, rtol=0, atol=1e-10)
+
+
+def test_many_torques_are_pinocchios(odd):
+    q, qd, qdd = motion(SAMPLES, odd.n)
+    data = odd._model.createData()
+    expected = [pin.rnea(odd._model, data, *row) for row in zip(q, qd, qdd, strict=True)]
+    np.testing.assert_allclose(odd.inverse_dynamics(q, qd, qdd), expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("samples", [3, SAMPLES])
+def test_torque_of_any_parameters_is_regressor_times_parameters(odd, samples):
+    rows = motion(samples, odd.n)
+    parameters = np.random.default_rng(0).normal(size=11 * odd.n)
+    np.testing.assert_allclose(
+        odd.torque(parameters, *rows).ravel(),
+        odd.regressor(*rows) @ parameters,
+        rtol=0,
+        atol=1e-9,
+    )
+
+
+def test_torque_of_base_parameters_set_among_zeros_is_the_robots():
+    robot, rows = RobotModel.from_arm("ur5", rotor_inertia=[0.5] * 6), motion(SAMPLES)
+    base = base_parameters(robot)
+    some = base.expand(base.combine(robot.parameters()))
+    np.testing.assert_allclose(robot.torque(some, *rows), robot.inverse_dynamics(*rows), atol=1e-8)
 
 
 def test_rows_without_any_sample_are_an_empty_regressor():

@@ -24,7 +24,7 @@ from hil.data.filtering.butterworth import (
     zero_phase,
 )
 from hil.data.filtering.derivative import derivative, local_slope
-from hil.data.filtering.downsampling import AT_REST, downsample, kept_rows
+from hil.data.filtering.downsampling import AT_REST, downsample, kept_rows, stride_of
 from hil.data.filtering.settings import PRESETS, FilterSettings
 from hil.errors import DataError
 from hil.typing import FloatArray
@@ -83,7 +83,8 @@ def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSetting
     filtering; Gautier 1997). Series at rest stay as they are, as their effort does.
 
     Args:
-        values: (N, …), a row per row of the dataset, before any is left out.
+        values: (N, …), a row per row of the dataset. Best before any is left out by `downsample`;
+            afterwards the filter is at the same frequency, but columns with steps have folded.
         dataset: Says where series begin and how fast they were sampled.
         settings: Those the effort was filtered with.
 
@@ -96,7 +97,10 @@ def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSetting
             continue
         try:
             require_finite("the columns", values[rows])
-            out[rows] = _smooth("effort", values[rows], dataset["t"][rows], settings)
+            stride = stride_of(dataset, rows)
+            recorded_hz = stride * sample_rate(dataset["t"][rows])
+            fraction = stride * nyquist_fraction(settings.effort, settings.unit, recorded_hz)
+            out[rows] = zero_phase(values[rows], fraction, settings.order)
         except DataError as error:
             raise DataError(f"series {condition.id}: {error.message}", hint=error.hint) from error
     return out

@@ -140,8 +140,11 @@ def joint_geometry(model: pin.Model) -> JointGeometry:
     data, joints = model.createData(), range(1, model.njoints)
     pin.computeJointJacobians(model, data, pin.neutral(model))
     moves = [pin.getJointJacobian(model, data, j, pin.ReferenceFrame.LOCAL) for j in joints]
-    # Column j of its own Jacobian: how joint j moves its own frame, linear before angular.
-    motions = np.array([move[:, j - 1] for j, move in zip(joints, moves, strict=True)])
+    # Column j of its own Jacobian: how joint j moves its own frame, linear before angular. Of a
+    # single joint, Pinocchio's Jacobian is a vector.
+    motions = np.array(
+        [move.reshape(6, -1)[:, j - 1] for j, move in zip(joints, moves, strict=True)]
+    )
     linear, angular = motions[:, :3], motions[:, 3:]
     return JointGeometry(
         placement=np.array([pose_of(place) for place in list(model.jointPlacements)[1:]]),

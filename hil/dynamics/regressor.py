@@ -11,22 +11,20 @@ Joint j ≤ i feels w·n + v·f, with w its axis and v the velocity that its uni
 origin of frame i. So axes and velocities travel outwards with the recursion, and each link adds
 ten columns for itself and the joints before it; nothing is summed up on the way back.
 
-Where numba is installed the recursion is compiled (`hil.dynamics.compiled_regressor`), about ten
-times as fast as a loop over Pinocchio; elsewhere, and for a few samples, it is that loop. The two
-agree to rounding.
+Where numba is installed the recursion is compiled (`hil.dynamics.compiled`), four to five times as
+fast as a loop over Pinocchio; elsewhere, and for a few samples, it is that loop. The two agree to
+rounding.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
 
 import numpy as np
 import pinocchio as pin
 
-from hil.dynamics.build import joint_geometry
-from hil.dynamics.chain import joints_of
+from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS
 from hil.errors import DataError
 from hil.typing import FloatArray, IntArray
@@ -44,32 +42,33 @@ class Regressor:
 
     Args:
         model: The robot.
+        chain: Its constants.
         columns: (k,) which of the 11·n columns of `RobotModel.parameters` are wanted, ascending.
 
     Raises:
         DataError: There is no such column, or they do not ascend.
     """
 
-    def __init__(self, model: pin.Model, columns: IntArray) -> None:
+    def __init__(self, model: pin.Model, chain: Chain, columns: IntArray) -> None:
         n = int(model.nv)
         self.columns = _ascending(columns, (BODY + 1) * n)
-        self._model, self._data = model, model.createData()
+        self._model, self._data, self._chain = model, model.createData(), chain
         link, kind = np.divmod(self.columns, BODY)
         self._body = np.flatnonzero(link < n)
         self._rotor = np.flatnonzero(link >= n)
         self._joint = self.columns[self._rotor] - BODY * n
         self._kinds = kind
         self._first = np.searchsorted(link, np.arange(n + 1))
-        self._constants: tuple[FloatArray, ...] | None = None
 
     def __call__(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """(N·n, k) for motions (N, n), sample-major."""
         out = np.zeros((len(q), q.shape[1], len(self.columns)))
-        compiled = _compiled() if len(q) >= COMPILED_FROM else None
-        if compiled is None:
-            self._loop(q, qd, qdd, out)
+        if compiles(len(q)):
+            from hil.dynamics.compiled import fill_regressor
+
+            fill_regressor(self._chain, q, qd, qdd, self._first, self._kinds, out)
         else:
-            compiled(q, qd, qdd, *self._geometry(), self._first, self._kinds, out)
+            self._loop(q, qd, qdd, out)
         # Pinocchio leaves the rotor inertias out; their columns hold qdd.
         for place, joint in zip(self._rotor, self._joint, strict=True):
             out[:, joint, place] = qdd[:, joint]
@@ -84,16 +83,6 @@ class Regressor:
         if not whole:
             out[:, :, self._body] = full[:, :, self.columns[self._body]]
 
-    def _geometry(self) -> tuple[FloatArray, ...]:
-        if self._constants is None:
-            joints = joints_of(joint_geometry(self._model))
-            parts = ("constant", "cosine", "sine")
-            rotations = np.array([[getattr(j, part) for j in joints] for part in parts])
-            names = ("offset", "slide", "axis", "turns")
-            stacked = (np.array([getattr(joint, name) for joint in joints]) for name in names)
-            self._constants = (np.array(self._model.gravity.linear), rotations, *stacked)
-        return self._constants
-
 
 def _ascending(columns: IntArray, count: int) -> IntArray:
     if np.any(np.diff(columns) <= 0) or not np.all((columns >= 0) & (columns < count)):
@@ -104,11 +93,11 @@ def _ascending(columns: IntArray, count: int) -> IntArray:
     return columns
 
 
-@cache
-def _compiled() -> Callable[..., None] | None:
-    """The compiled recursion; None without numba."""
-    if find_spec("numba") is None:
-        return None
-    from hil.dynamics.compiled_regressor import fill
+def compiles(samples: int) -> bool:
+    """Whether so many samples are for compiled recursions, and there is numba to compile them."""
+    return samples >= COMPILED_FROM and _has_numba()
 
-    return fill
+
+@cache
+def _has_numba() -> bool:
+    return find_spec("numba") is not None

@@ -193,9 +193,10 @@ class RobotModel:
     def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
         from hil.dynamics.compiled import fill_torques
 
+        q, qd, qdd = rows
         bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
-        out = np.empty(rows[0].shape)
-        fill_torques(self._chain, *rows, bodies.reshape(self.n, -1), rotors, out)
+        out = np.empty(q.shape)
+        fill_torques(self._chain, q, qd, qdd, bodies.reshape(self.n, -1), rotors, out)
         return out
 
     def gravity(self, q: FloatArray) -> FloatArray:

@@ -13,6 +13,9 @@ from hil.typing import BoolArray, FloatArray
 AT_REST = ("dwell", "reference")
 """Series kinds that stand still: too short to filter, and with nothing to differentiate."""
 
+STRIDE = "stride"
+"""Column (N,) of a down-sampled dataset: how many recorded samples each row stands for."""
+
 
 def downsample(dataset: Dataset, settings: FilterSettings) -> Dataset:
     """The rows a fit uses: every so manyth of each motion, counted from its first.
@@ -27,7 +30,10 @@ def downsample(dataset: Dataset, settings: FilterSettings) -> Dataset:
     Raises:
         DataError: So few samples cannot tell what the filters let through.
     """
-    return rows_of(dataset, kept_rows(dataset, settings)) if settings.thins else dataset
+    if not settings.thins:
+        return dataset
+    stride = _strides(dataset, settings)
+    return rows_of(dataset.with_columns(**{STRIDE: stride}), _kept(dataset, stride))
 
 
 def kept_rows(dataset: Dataset, settings: FilterSettings) -> BoolArray:
@@ -36,12 +42,26 @@ def kept_rows(dataset: Dataset, settings: FilterSettings) -> BoolArray:
     Raises:
         DataError: So few samples cannot tell what the filters let through.
     """
-    keep = np.ones(len(dataset), dtype=bool)
+    return _kept(dataset, _strides(dataset, settings))
+
+
+def stride_of(dataset: Dataset, rows: slice) -> float:
+    """How many recorded samples each row of a series stands for: 1 before `downsample`."""
+    return float(dataset.columns[STRIDE][rows.start]) if STRIDE in dataset.columns else 1.0
+
+
+def _kept(dataset: Dataset, stride: FloatArray) -> BoolArray:
+    within = np.arange(len(dataset)) - dataset.offsets[:-1][dataset.series_index()]
+    return np.asarray(within % stride == 0)
+
+
+def _strides(dataset: Dataset, settings: FilterSettings) -> FloatArray:
+    """(N,) every how manyth sample of its series stays."""
+    stride = np.ones(len(dataset))
     for condition, rows in dataset.slices():
         if condition.kind not in AT_REST and rows.stop - rows.start > 1:
-            every = _step(condition, dataset["t"][rows], settings)
-            keep[rows] = np.arange(rows.stop - rows.start) % every == 0
-    return keep
+            stride[rows] = _step(condition, dataset["t"][rows], settings)
+    return stride
 
 
 def _step(condition: Conditions, t: FloatArray, settings: FilterSettings) -> int:

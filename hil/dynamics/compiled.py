@@ -1,0 +1,224 @@
+"""Recursions over the links as numba compiles them: one sample after the other, in scalars.
+
+Compiled code is kept on disk; the first call on a machine takes some seconds longer. All of it is
+in one file, because numba looks for changes only in the file of the function that is called. The
+equations are in `hil.dynamics.regressor`, the constants of a joint in `hil.dynamics.chain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from hil.dynamics.chain import Chain
+from hil.typing import FloatArray, IntArray
+
+OMEGA, ALPHA, ACCELERATION = 0, 1, 2
+"""Rows of what is known of one link's motion, in its own frame."""
+
+Compiled = TypeVar("Compiled", bound=Callable[..., None])
+
+
+def compiled(function: Compiled) -> Compiled:
+    """Compiled by numba; kept on disk where there is a folder that can be written."""
+    try:
+        return cast("Compiled", njit(function, cache=True, error_model="numpy"))
+    except RuntimeError:
+        return cast("Compiled", njit(function, error_model="numpy"))
+
+
+@compiled
+def turn(R: FloatArray, i: int, vectors: FloatArray, j: int) -> None:
+    """Turn row j of vectors (m, 3) in place by R[i]."""
+    x, y, z = vectors[j, 0], vectors[j, 1], vectors[j, 2]
+    vectors[j, 0] = R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z
+    vectors[j, 1] = R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z
+    vectors[j, 2] = R[i, 2, 0] * x + R[i, 2, 1] * y + R[i, 2, 2] * z
+
+
+@compiled
+def add_cross(
+    a: FloatArray, i: int, b: FloatArray, j: int, factor: float, out: FloatArray, k: int
+) -> None:
+    """Add row i of a × row j of b, times a factor, to row k of `out`."""
+    x, y, z = factor * b[j, 0], factor * b[j, 1], factor * b[j, 2]
+    out[k, 0] += a[i, 1] * z - a[i, 2] * y
+    out[k, 1] += a[i, 2] * x - a[i, 0] * z
+    out[k, 2] += a[i, 0] * y - a[i, 1] * x
+
+
+@compiled
+def curl(body: FloatArray, K: FloatArray) -> None:
+    """K = [α]× + [ω]×², (3, 3)."""
+    wx, wy, wz = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
+    ax, ay, az = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
+    K[0, 0], K[0, 1], K[0, 2] = -(wy * wy + wz * wz), wx * wy - az, wx * wz + ay
+    K[1, 0], K[1, 1], K[1, 2] = wx * wy + az, -(wx * wx + wz * wz), wy * wz - ax
+    K[2, 0], K[2, 1], K[2, 2] = wx * wz - ay, wy * wz + ax, -(wx * wx + wy * wy)
+
+
+@compiled
+def place(chain: Chain, i: int, q: float, R: FloatArray, origin: FloatArray) -> None:
+    """Where joint i is in the frame before, and the rotation from there into its own."""
+    cos, sin = np.cos(q), np.sin(q)
+    for k in range(3):
+        origin[i, k] = chain.offset[i, k] + chain.slide[i, k] * q
+        for m in range(3):
+            R[i, k, m] = (
+                chain.constant[i, k, m] + cos * chain.cosine[i, k, m] + sin * chain.sine[i, k, m]
+            )
+
+
+@compiled
+def carry(
+    chain: Chain,
+    i: int,
+    qd: float,
+    qdd: float,
+    R: FloatArray,
+    origin: FloatArray,
+    body: FloatArray,
+    K: FloatArray,
+) -> None:
+    """From the motion of the link before, and its K, to those of link i."""
+    for k in range(3):
+        body[ACCELERATION, k] += (
+            K[k, 0] * origin[i, 0] + K[k, 1] * origin[i, 1] + K[k, 2] * origin[i, 2]
+        )
+    for row in range(3):
+        turn(R, i, body, row)
+    if chain.turns[i]:
+        add_cross(body, OMEGA, chain.axis, i, qd, body, ALPHA)
+        for k in range(3):
+            body[OMEGA, k] += chain.axis[i, k] * qd
+            body[ALPHA, k] += chain.axis[i, k] * qdd
+    else:
+        add_cross(body, OMEGA, chain.axis, i, 2.0 * qd, body, ACCELERATION)  # Coriolis
+        for k in range(3):
+            body[ACCELERATION, k] += chain.axis[i, k] * qdd
+    curl(body, K)
+
+
+@compiled
+def columns(
+    body: FloatArray, K: FloatArray, w: FloatArray, v: FloatArray, j: int, row: FloatArray
+) -> None:
+    """What the link's ten parameters do to joint j, whose unit speed moves it by w and v."""
+    a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
+    w0, w1, w2, v0, v1, v2 = w[j, 0], w[j, 1], w[j, 2], v[j, 0], v[j, 1], v[j, 2]
+    x = w0 * 0.5 * (K[1, 2] + K[2, 1])
+    y = w1 * 0.5 * (K[0, 2] + K[2, 0])
+    z = w2 * 0.5 * (K[0, 1] + K[1, 0])
+    row[0] = v0 * a0 + v1 * a1 + v2 * a2
+    row[1] = v0 * K[0, 0] + v1 * K[1, 0] + v2 * K[2, 0] + a1 * w2 - a2 * w1
+    row[2] = v0 * K[0, 1] + v1 * K[1, 1] + v2 * K[2, 1] + a2 * w0 - a0 * w2
+    row[3] = v0 * K[0, 2] + v1 * K[1, 2] + v2 * K[2, 2] + a0 * w1 - a1 * w0
+    row[4] = w0 * body[ALPHA, 0] + y - z
+    row[5] = w1 * K[2, 1] - w0 * K[2, 0] + w2 * (K[0, 0] - K[1, 1])
+    row[6] = w1 * body[ALPHA, 1] + z - x
+    row[7] = w0 * K[1, 0] - w2 * K[1, 2] + w1 * (K[2, 2] - K[0, 0])
+    row[8] = w2 * K[0, 2] - w1 * K[0, 1] + w0 * (K[1, 1] - K[2, 2])
+    row[9] = w2 * body[ALPHA, 2] + x - y
+
+
+@compiled
+def fill_regressor(
+    chain: Chain,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    first: IntArray,
+    kinds: IntArray,
+    out: FloatArray,
+) -> None:
+    """Columns first[i] to first[i + 1] of `out` (N, n, k): of link i, those of these kinds."""
+    n = q.shape[1]
+    w, v, body = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, 3))
+    R, K, origin, row = np.zeros((n, 3, 3)), np.zeros((3, 3)), np.zeros((n, 3)), np.zeros(10)
+    for s in range(len(q)):
+        K[:] = 0.0
+        body[:] = 0.0
+        body[ACCELERATION] = -chain.gravity
+        for i in range(n):
+            place(chain, i, q[s, i], R, origin)
+            carry(chain, i, qd[s, i], qdd[s, i], R, origin, body, K)
+            for j in range(i):
+                add_cross(w, j, origin, i, 1.0, v, j)
+                turn(R, i, w, j)
+                turn(R, i, v, j)
+            for k in range(3):
+                w[i, k] = chain.axis[i, k] if chain.turns[i] else 0.0
+                v[i, k] = chain.axis[i, k] - w[i, k]
+            for j in range(i + 1):
+                columns(body, K, w, v, j, row)
+                for c in range(first[i], first[i + 1]):
+                    out[s, j, c] = row[kinds[c]]
+
+
+@compiled
+def wrench(
+    p: FloatArray, i: int, body: FloatArray, K: FloatArray, f: FloatArray, t: FloatArray
+) -> None:
+    """Force and torque about its origin that link i with parameters p[i] (10,) needs."""
+    a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
+    w0, w1, w2 = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
+    l0, l1, l2 = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
+    c0, c1, c2 = p[i, 1], p[i, 2], p[i, 3]
+    for k in range(3):
+        f[i, k] = p[i, 0] * body[ACCELERATION, k] + K[k, 0] * c0 + K[k, 1] * c1 + K[k, 2] * c2
+    h0 = p[i, 4] * w0 + p[i, 5] * w1 + p[i, 7] * w2
+    h1 = p[i, 5] * w0 + p[i, 6] * w1 + p[i, 8] * w2
+    h2 = p[i, 7] * w0 + p[i, 8] * w1 + p[i, 9] * w2
+    t[i, 0] = p[i, 4] * l0 + p[i, 5] * l1 + p[i, 7] * l2 + w1 * h2 - w2 * h1 + c1 * a2 - c2 * a1
+    t[i, 1] = p[i, 5] * l0 + p[i, 6] * l1 + p[i, 8] * l2 + w2 * h0 - w0 * h2 + c2 * a0 - c0 * a2
+    t[i, 2] = p[i, 7] * l0 + p[i, 8] * l1 + p[i, 9] * l2 + w0 * h1 - w1 * h0 + c0 * a1 - c1 * a0
+
+
+@compiled
+def fill_torques(
+    chain: Chain,
+    q: FloatArray,
+    qd: FloatArray,
+    qdd: FloatArray,
+    parameters: FloatArray,
+    rotor: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Joint torques (N, n) of links with parameters (n, 10) and rotors (n,): Newton and Euler."""
+    n = q.shape[1]
+    body, f, t = np.zeros((3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    R, K, origin = np.zeros((n, 3, 3)), np.zeros((3, 3)), np.zeros((n, 3))
+    for s in range(len(q)):
+        K[:] = 0.0
+        body[:] = 0.0
+        body[ACCELERATION] = -chain.gravity
+        for i in range(n):
+            place(chain, i, q[s, i], R, origin)
+            carry(chain, i, qd[s, i], qdd[s, i], R, origin, body, K)
+            wrench(parameters, i, body, K, f, t)
+        for i in range(n - 1, -1, -1):
+            felt = t if chain.turns[i] else f
+            along = (
+                chain.axis[i, 0] * felt[i, 0]
+                + chain.axis[i, 1] * felt[i, 1]
+                + chain.axis[i, 2] * felt[i, 2]
+            )
+            out[s, i] = along + rotor[i] * qdd[s, i]
+            turn_back(R, i, f)
+            turn_back(R, i, t)
+            add_cross(origin, i, f, i, 1.0, t, i)
+            for k in range(3):
+                if i:
+                    f[i - 1, k] += f[i, k]
+                    t[i - 1, k] += t[i, k]
+
+
+@compiled
+def turn_back(R: FloatArray, i: int, vectors: FloatArray) -> None:
+    """Turn row i of vectors (n, 3) in place by the inverse of R[i]."""
+    x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+    for k in range(3):
+        vectors[i, k] = R[i, 0, k] * x + R[i, 1, k] * y + R[i, 2, k] * z
