@@ -85,7 +85,8 @@ class ClearanceLimit:
         N, n = at.q.shape
         steps = DIFFERENCE_RAD * np.stack([np.eye(n), -np.eye(n)])
         moved = (at.q + steps[:, :, None]).reshape(-1, n)
-        distances = self._model.distances(moved).reshape(-1, 2, n, N)[row, :, :, np.arange(N)]
+        distances = self._model.distances(moved).reshape(len(self._model.names), 2, n, N)
+        distances = distances[row, :, :, np.arange(N)]
         slope = (distances[:, 1] - distances[:, 0]) / (2.0 * DIFFERENCE_RAD * DISTANCE_SCALE_M)
         return Motion(slope, np.zeros_like(slope), np.zeros_like(slope))
 
