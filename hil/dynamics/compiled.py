@@ -1,8 +1,9 @@
-"""Recursions over the links as numba compiles them: one sample after the other, in scalars.
+"""The regressor's recursion as numba compiles it: one sample after the other, in scalars.
 
-Compiled code is kept on disk; the first call on a machine takes some seconds longer. All of it is
-in one file, because numba looks for changes only in the file of the function that is called. The
-equations are in `hil.dynamics.regressor`, the constants of a joint in `hil.dynamics.chain`.
+Compiled code is kept on disk; the first call on a machine takes some seconds longer. Numba looks
+for changes only in the file of the function that is called: who changes the steps here that
+`hil.dynamics.compiled_torques` takes too, saves that file as well. The equations are in
+`hil.dynamics.regressor`, the constants of a joint in `hil.dynamics.chain`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from hil.dynamics.chain import Chain
-from hil.typing import FloatArray, IntArray
+from hil.typing import BoolArray, FloatArray, IntArray
 
 OMEGA, ALPHA, ACCELERATION = 0, 1, 2
 """Rows of what is known of one link's motion, in its own frame."""
@@ -61,20 +62,28 @@ def curl(body: FloatArray, K: FloatArray) -> None:
 
 
 @compiled
-def place(chain: Chain, i: int, q: float, R: FloatArray, origin: FloatArray) -> None:
+def place(
+    offset: FloatArray,
+    slide: FloatArray,
+    rotations: tuple[FloatArray, FloatArray, FloatArray],
+    i: int,
+    q: float,
+    R: FloatArray,
+    origin: FloatArray,
+) -> None:
     """Where joint i is in the frame before, and the rotation from there into its own."""
+    constant, cosine, sine = rotations
     cos, sin = np.cos(q), np.sin(q)
     for k in range(3):
-        origin[i, k] = chain.offset[i, k] + chain.slide[i, k] * q
+        origin[i, k] = offset[i, k] + slide[i, k] * q
         for m in range(3):
-            R[i, k, m] = (
-                chain.constant[i, k, m] + cos * chain.cosine[i, k, m] + sin * chain.sine[i, k, m]
-            )
+            R[i, k, m] = constant[i, k, m] + cos * cosine[i, k, m] + sin * sine[i, k, m]
 
 
 @compiled
 def carry(
-    chain: Chain,
+    turns: BoolArray,
+    axis: FloatArray,
     i: int,
     qd: float,
     qdd: float,
@@ -90,15 +99,15 @@ def carry(
         )
     for row in range(3):
         turn(R, i, body, row)
-    if chain.turns[i]:
-        add_cross(body, OMEGA, chain.axis, i, qd, body, ALPHA)
+    if turns[i]:
+        add_cross(body, OMEGA, axis, i, qd, body, ALPHA)
         for k in range(3):
-            body[OMEGA, k] += chain.axis[i, k] * qd
-            body[ALPHA, k] += chain.axis[i, k] * qdd
+            body[OMEGA, k] += axis[i, k] * qd
+            body[ALPHA, k] += axis[i, k] * qdd
     else:
-        add_cross(body, OMEGA, chain.axis, i, 2.0 * qd, body, ACCELERATION)  # Coriolis
+        add_cross(body, OMEGA, axis, i, 2.0 * qd, body, ACCELERATION)  # Coriolis
         for k in range(3):
-            body[ACCELERATION, k] += chain.axis[i, k] * qdd
+            body[ACCELERATION, k] += axis[i, k] * qdd
     curl(body, K)
 
 
@@ -136,89 +145,26 @@ def fill_regressor(
 ) -> None:
     """Columns first[i] to first[i + 1] of `out` (N, n, k): of link i, those of these kinds."""
     n = q.shape[1]
+    # Arrays by themselves: what is looked up in a tuple is looked up again for every sample.
+    gravity, turns, axis, constant, cosine, sine, offset, slide = chain
+    rotations = (constant, cosine, sine)
     w, v, body = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, 3))
     R, K, origin, row = np.zeros((n, 3, 3)), np.zeros((3, 3)), np.zeros((n, 3)), np.zeros(10)
     for s in range(len(q)):
         K[:] = 0.0
         body[:] = 0.0
-        body[ACCELERATION] = -chain.gravity
+        body[ACCELERATION] = -gravity
         for i in range(n):
-            place(chain, i, q[s, i], R, origin)
-            carry(chain, i, qd[s, i], qdd[s, i], R, origin, body, K)
+            place(offset, slide, rotations, i, q[s, i], R, origin)
+            carry(turns, axis, i, qd[s, i], qdd[s, i], R, origin, body, K)
             for j in range(i):
                 add_cross(w, j, origin, i, 1.0, v, j)
                 turn(R, i, w, j)
                 turn(R, i, v, j)
             for k in range(3):
-                w[i, k] = chain.axis[i, k] if chain.turns[i] else 0.0
-                v[i, k] = chain.axis[i, k] - w[i, k]
+                w[i, k] = axis[i, k] if turns[i] else 0.0
+                v[i, k] = axis[i, k] - w[i, k]
             for j in range(i + 1):
                 columns(body, K, w, v, j, row)
                 for c in range(first[i], first[i + 1]):
                     out[s, j, c] = row[kinds[c]]
-
-
-@compiled
-def wrench(
-    p: FloatArray, i: int, body: FloatArray, K: FloatArray, f: FloatArray, t: FloatArray
-) -> None:
-    """Force and torque about its origin that link i with parameters p[i] (10,) needs."""
-    a0, a1, a2 = body[ACCELERATION, 0], body[ACCELERATION, 1], body[ACCELERATION, 2]
-    w0, w1, w2 = body[OMEGA, 0], body[OMEGA, 1], body[OMEGA, 2]
-    l0, l1, l2 = body[ALPHA, 0], body[ALPHA, 1], body[ALPHA, 2]
-    c0, c1, c2 = p[i, 1], p[i, 2], p[i, 3]
-    for k in range(3):
-        f[i, k] = p[i, 0] * body[ACCELERATION, k] + K[k, 0] * c0 + K[k, 1] * c1 + K[k, 2] * c2
-    h0 = p[i, 4] * w0 + p[i, 5] * w1 + p[i, 7] * w2
-    h1 = p[i, 5] * w0 + p[i, 6] * w1 + p[i, 8] * w2
-    h2 = p[i, 7] * w0 + p[i, 8] * w1 + p[i, 9] * w2
-    t[i, 0] = p[i, 4] * l0 + p[i, 5] * l1 + p[i, 7] * l2 + w1 * h2 - w2 * h1 + c1 * a2 - c2 * a1
-    t[i, 1] = p[i, 5] * l0 + p[i, 6] * l1 + p[i, 8] * l2 + w2 * h0 - w0 * h2 + c2 * a0 - c0 * a2
-    t[i, 2] = p[i, 7] * l0 + p[i, 8] * l1 + p[i, 9] * l2 + w0 * h1 - w1 * h0 + c0 * a1 - c1 * a0
-
-
-@compiled
-def fill_torques(
-    chain: Chain,
-    q: FloatArray,
-    qd: FloatArray,
-    qdd: FloatArray,
-    parameters: FloatArray,
-    rotor: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Joint torques (N, n) of links with parameters (n, 10) and rotors (n,): Newton and Euler."""
-    n = q.shape[1]
-    body, f, t = np.zeros((3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-    R, K, origin = np.zeros((n, 3, 3)), np.zeros((3, 3)), np.zeros((n, 3))
-    for s in range(len(q)):
-        K[:] = 0.0
-        body[:] = 0.0
-        body[ACCELERATION] = -chain.gravity
-        for i in range(n):
-            place(chain, i, q[s, i], R, origin)
-            carry(chain, i, qd[s, i], qdd[s, i], R, origin, body, K)
-            wrench(parameters, i, body, K, f, t)
-        for i in range(n - 1, -1, -1):
-            felt = t if chain.turns[i] else f
-            along = (
-                chain.axis[i, 0] * felt[i, 0]
-                + chain.axis[i, 1] * felt[i, 1]
-                + chain.axis[i, 2] * felt[i, 2]
-            )
-            out[s, i] = along + rotor[i] * qdd[s, i]
-            turn_back(R, i, f)
-            turn_back(R, i, t)
-            add_cross(origin, i, f, i, 1.0, t, i)
-            for k in range(3):
-                if i:
-                    f[i - 1, k] += f[i, k]
-                    t[i - 1, k] += t[i, k]
-
-
-@compiled
-def turn_back(R: FloatArray, i: int, vectors: FloatArray) -> None:
-    """Turn row i of vectors (n, 3) in place by the inverse of R[i]."""
-    x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-    for k in range(3):
-        vectors[i, k] = R[i, 0, k] * x + R[i, 1, k] * y + R[i, 2, k] * z

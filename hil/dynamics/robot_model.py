@@ -191,7 +191,7 @@ class RobotModel:
         return (self.regressor(*rows) @ parameters).reshape(rows[0].shape)
 
     def _recursion(self, parameters: FloatArray, *rows: FloatArray) -> FloatArray:
-        from hil.dynamics.compiled import fill_torques
+        from hil.dynamics.compiled_torques import fill_torques
 
         q, qd, qdd = rows
         bodies, rotors = np.split(parameters, [len(PARAMETERS) * self.n])
