@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.identify.compress import JointwiseQR, upper_triangle
-from hil.identify.diffnea.minimise import Local, Minimum, minimise
+from hil.identify.diffnea.minimise import Cost, Local, Minimum, minimise
 from hil.identify.diffnea.unknowns import Unknowns
 from hil.identify.jointwise import Solution, System
 from hil.typing import FloatArray
@@ -55,6 +55,10 @@ class Problem:
 
     def bending(self, observed: Observed, start: FloatArray) -> Minimum:
         """The minimum over shapes too, whose columns are evaluated anew at every step."""
+        return minimise(self.bending_cost(observed), start, tolerance=BENT_ENOUGH)
+
+    def bending_cost(self, observed: Observed) -> Cost:
+        """The cost by all coordinates, shapes included."""
         linear = self.unknowns.linear
 
         def cost(u: FloatArray) -> Local:
@@ -64,7 +68,7 @@ class Problem:
             r = root * (X[:, :linear] @ values[:linear] - y)
             return self._local(u, r, root[:, None] * (X @ slope))
 
-        return minimise(cost, start, tolerance=BENT_ENOUGH)
+        return cost
 
     def solution(self, u: FloatArray, observed: JointwiseQR) -> Solution:
         """Values at u with the covariance of the delta method, from all observations.

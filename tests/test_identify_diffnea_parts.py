@@ -1,0 +1,146 @@
+"""The parts of rigid-diffnea: minimisation, divergence, coordinates, bending columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import rosen, rosen_der, rosen_hess
+from synthetic_motion import nominal
+
+from hil.dynamics import base_parameters
+from hil.dynamics.pseudo_inertia import divergence, is_consistent
+from hil.identify.compress import JointwiseQR
+from hil.identify.diffnea.bodies import Bodies
+from hil.identify.diffnea.forms import FORMS, sign_of, spread
+from hil.identify.diffnea.minimise import Local, minimise
+from hil.identify.diffnea.problem import Problem
+from hil.identify.diffnea.rows import BendingRows
+from hil.identify.diffnea.unknowns import Unknowns, folding
+from hil.typing import FloatArray
+
+BENDING = [name for name, form in FORMS.items() if form.shapes]
+BASE = base_parameters(nominal(), rotor=True)
+
+
+def unknowns(law: str) -> Unknowns:
+    form = FORMS[law]
+    scale = np.linspace(0.5, 2.0, 6 * len(form.terms)).reshape(6, -1)
+    return Unknowns(Bodies.nominal(nominal()), folding(BASE), form, scale)
+
+
+def somewhere(sought: Unknowns, seed: int) -> FloatArray:
+    return sought.start() + np.random.default_rng(seed).normal(0.0, 0.3, len(sought.start()))
+
+
+def numeric(function, u: FloatArray, step: float = 1e-6) -> FloatArray:
+    """Central differences by every coordinate, last axis."""
+    rows = [function(u + step * e) - function(u - step * e) for e in np.eye(len(u))]
+    return np.moveaxis(np.array(rows), 0, -1) / (2 * step)
+
+
+def bending_rows(law: str) -> BendingRows:
+    random = np.random.default_rng(3)
+    qd = random.normal(0.0, 0.4, (300, 6))
+    Y = random.normal(size=(300, 6, BASE.rank))
+    return BendingRows(Y, qd, sign_of(qd, 0.01), random.normal(size=(300, 6)), FORMS[law])
+
+
+def test_a_valley_is_followed_to_its_minimum() -> None:
+    def cost(u: FloatArray) -> Local:
+        values, vectors = np.linalg.eigh(rosen_hess(u))
+        curvature = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return Local(float(rosen(u)) + 1.0, rosen_der(u), curvature)
+
+    found = minimise(cost, np.array([-1.2, 1.0, 0.5]))
+    assert found.converged
+    np.testing.assert_allclose(found.u, 1.0, atol=1e-4)
+
+
+def test_steps_that_run_out_are_told() -> None:
+    def cost(u: FloatArray) -> Local:
+        return Local(float(rosen(u)), rosen_der(u), np.abs(rosen_hess(u)) + 10 * np.eye(2))
+
+    assert not minimise(cost, np.array([-1.2, 1.0]), iterations=3).converged
+
+
+def test_divergence_is_that_of_the_pseudo_inertias_and_rotors() -> None:
+    bodies = Bodies.nominal(nominal())
+    u = bodies.start + np.random.default_rng(1).normal(0.0, 0.4, 66)
+    now, then = (bodies.parameters(v) for v in (u, bodies.start))
+    of_links = divergence(now[:60].reshape(6, 10), then[:60].reshape(6, 10)).sum()
+    ratio = now[60:] / then[60:]
+    expected = of_links + np.sum(ratio - np.log(ratio) - 1.0)
+    assert bodies.divergence(u).cost == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("law", FORMS)
+def test_divergence_gradient_is_what_differences_give(law: str) -> None:
+    sought = unknowns(law)
+    u = somewhere(sought, 2)
+    found = numeric(lambda v: np.array(sought.divergence(v).cost), u)
+    np.testing.assert_allclose(sought.divergence(u).gradient, found, rtol=1e-5, atol=1e-5)
+
+
+def test_divergence_curvature_is_exact_at_the_nominal_arm() -> None:
+    bodies = Bodies.nominal(nominal())
+    found = numeric(lambda v: bodies.divergence(v).gradient, bodies.start, 1e-5)
+    expected = bodies.divergence(bodies.start).curvature
+    np.testing.assert_allclose(expected, found, rtol=1e-4, atol=1e-3 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("law", FORMS)
+def test_values_change_with_coordinates_as_differences_say(law: str) -> None:
+    sought = unknowns(law)
+    u = somewhere(sought, 4)
+    slope = sought.at(u)[1]
+    np.testing.assert_allclose(
+        slope, numeric(lambda v: sought.at(v)[0], u), rtol=1e-5, atol=1e-6 * np.abs(slope).max()
+    )
+
+
+@pytest.mark.parametrize("law", BENDING)
+def test_columns_bend_with_shapes_as_differences_say(law: str) -> None:
+    form, qd = FORMS[law], np.linspace(-1.0, 1.0, 41)
+    shapes = np.array([shape.start for shape in form.shapes])
+    sign = sign_of(qd, 0.01)
+    found = numeric(lambda s: form.columns(qd, sign, s)[0], shapes)
+    np.testing.assert_allclose(form.columns(qd, sign, shapes)[1], found, atol=1e-7)
+
+
+@pytest.mark.parametrize("law", FORMS)
+def test_cost_gradient_is_what_differences_give(law: str) -> None:
+    sought, rows = unknowns(law), bending_rows(law)
+    problem = Problem(sought, 1800, np.linspace(0.5, 1.5, 6), 1e-3)
+    u = somewhere(sought, 5)
+    cost = problem.bending_cost(rows)
+    found = numeric(lambda v: np.array(cost(v).cost), u, 1e-5)
+    np.testing.assert_allclose(cost(u).gradient, found, rtol=1e-4, atol=1e-6 * np.abs(found).max())
+
+
+def test_bending_rows_are_the_rows_themselves_compressed() -> None:
+    sought, rows = unknowns("stribeck"), bending_rows("stribeck")
+    values = sought.at(somewhere(sought, 6))[0]
+    random = np.random.default_rng(3)
+    qd = random.normal(0.0, 0.4, (300, 6))
+    Y, target = random.normal(size=(300, 6, BASE.rank)), random.normal(size=(300, 6))
+    C, _ = FORMS["stribeck"].evaluate(qd, sign_of(qd, 0.01), values[-12:].reshape(6, 2))
+    whole = JointwiseQR(6)
+    whole.add(np.hstack([Y.reshape(1800, -1), spread(C)]), target)
+    sigma = whole.residual_std(values[: sought.linear])
+    degrees = 300 / (300 - sought.linear / 6)
+    np.testing.assert_allclose(rows.deviation(values) * np.sqrt(degrees), sigma, rtol=1e-6)
+
+
+def test_any_coordinates_are_links_that_can_exist_and_rotors_that_turn() -> None:
+    bodies = Bodies.nominal(nominal())
+    for seed in range(20):
+        found = bodies.parameters(np.random.default_rng(seed).normal(0.0, 2.0, 66))
+        assert np.all(is_consistent(found[:60].reshape(6, 10)))
+        assert np.all(found[60:] > 0)
+
+
+def test_coordinates_start_at_the_nominal_links() -> None:
+    bodies = Bodies.nominal(nominal())
+    np.testing.assert_allclose(
+        bodies.parameters(bodies.start)[:60], nominal().parameters(rotor=False), atol=1e-9
+    )
