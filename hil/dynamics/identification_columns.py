@@ -53,6 +53,8 @@ class IdentificationColumns:
     ) -> None:
         base = base or base_parameters(robot, rotor=rotor)
         self._robot, self._geometry = robot, robot.joint_geometry()
+        # Where one motor moves several joints, the rows are the motors' (`hil.dynamics.coupled`).
+        self._T: FloatArray = getattr(robot, "joints_per_motor", np.eye(robot.n))
         self._width, self._friction = sign_width, friction
         bodies = 10 * robot.n
         self._inertial = base.independent[base.independent < bodies]
@@ -65,36 +67,39 @@ class IdentificationColumns:
 
     def rows(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Rows:
         """The regressor at `q`, `qd`, `qdd`, each (N, n)."""
-        sweep = RegressorSweep.of(self._robot, q, qd, qdd, self._geometry)
-        bodies, (N, n) = sweep.columns, q.shape
-        parts = [bodies[self._inertial], self._diagonal(qdd)[self._rotors]]
-        sign = np.tanh(qd / self._width)
+        joints = q @ self._T.T, qd @ self._T.T, qdd @ self._T.T
+        sweep = RegressorSweep.of(self._robot, *joints, self._geometry)
+        parts = [np.matmul(self._T.T, sweep.columns[self._inertial])]
+        parts.append(_diagonal(qdd)[self._rotors])
         if self._friction:
-            parts += [self._diagonal(x) for x in (sign, qd, np.ones_like(qd))]
-        slope = (1.0 - sign**2) / self._width
+            sign = np.tanh(qd / self._width)
+            parts += [_diagonal(x) for x in (sign, qd, np.ones_like(qd))]
+        (N, n), counts = q.shape, np.cumsum([len(part) for part in parts[:-1]])
 
         def pull_back(by_rows: FloatArray) -> MotionGradient:
-            by_bodies = np.zeros_like(bodies)
-            counts = np.cumsum([len(part) for part in parts[:-1]])
             by_parts = np.split(by_rows.reshape(-1, n, N), counts)
-            by_bodies[self._inertial] = by_parts[0]
-            by = sweep.pull_back(by_bodies)
+            by = self._pull_back_inertial(sweep, by_parts[0])
             for joint, by_column in zip(self._rotors, by_parts[1], strict=True):
                 by.qdd[:, joint] += by_column[joint]
             if self._friction:
-                joints = np.arange(n)
-                coulomb, viscous = (part[joints, joints].T for part in by_parts[2:4])
-                by.qd[:] += coulomb * slope + viscous
+                coulomb, viscous = (part[range(n), range(n)].T for part in by_parts[2:4])
+                by.qd[:] += coulomb * (1.0 - sign**2) / self._width + viscous
             return by
 
         return Rows(np.concatenate(parts).reshape(-1, n * N), pull_back)
 
-    def _diagonal(self, x: FloatArray) -> FloatArray:
-        """(n, n, N): column j acts on joint j only, by x (N, n)."""
-        N, n = x.shape
-        out = np.zeros((n, n, N))
-        out[np.arange(n), np.arange(n)] = x.T
-        return out
+    def _pull_back_inertial(self, sweep: RegressorSweep, by_part: FloatArray) -> MotionGradient:
+        by_bodies = np.zeros_like(sweep.columns)
+        by_bodies[self._inertial] = np.matmul(self._T, by_part)
+        return MotionGradient(*(by @ self._T for by in sweep.pull_back(by_bodies)))
+
+
+def _diagonal(x: FloatArray) -> FloatArray:
+    """(n, n, N): column j acts on joint j only, by x (N, n)."""
+    N, n = x.shape
+    out = np.zeros((n, n, N))
+    out[np.arange(n), np.arange(n)] = x.T
+    return out
 
 
 _FRICTION = ("coulomb", "viscous", "offset")

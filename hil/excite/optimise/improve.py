@@ -97,8 +97,10 @@ class Search:
     def _next(self, point: Point, sharpness: float) -> Point | None:
         """The next point, or None where no step betters the merit."""
         proposal = self._program.propose(point)
-        following = proposal and self._search_along(proposal, point, sharpness)
-        if proposal is None or following is None:
+        if proposal is None:
+            return None
+        following = self._search_along(proposal, point, sharpness)
+        if following is None:
             return None
         self._program.learn(proposal, point, following)
         self.free, self.violation = following.free, following.violation

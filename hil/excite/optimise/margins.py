@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.excite.motion import FourierSeries
 from hil.excite.optimise.linear_limits import POINTS_PER_HARMONIC
-from hil.excite.optimise.motion_limits import ClearanceLimit, Motion
+from hil.excite.optimise.motion_limits import ClearanceLimit, Motion, torques
 from hil.excite.optimise.result import Margins
 from hil.typing import FloatArray
 
@@ -35,7 +35,7 @@ def margins_of(problem: ExcitationProblem, series: FourierSeries, points: int = 
         kept, bodies = ClearanceLimit(problem).closest(motion)
     effort = None
     if problem.effort_max is not None:
-        effort = _left(problem.robot.inverse_dynamics(*motion), problem.limit("effort_max"))
+        effort = _left(torques(problem.robot, motion), problem.limit("effort_max"))
     return Margins(
         position_rad=np.minimum(
             q.min(axis=0) - problem.limit("q_min"), problem.limit("q_max") - q.max(axis=0)

@@ -10,12 +10,15 @@ from hil.excite.optimise.linear_limits import POINTS_PER_HARMONIC
 from hil.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from hil.dynamics.robot_model import RobotModel
     from hil.excite.optimise.problem import ExcitationProblem
 
 DISTANCE_SCALE_M = 0.1
 """An excess of 1 is so much too close, or all of a torque limit too much."""
 
 DIFFERENCE_RAD = 1e-6
+
+TORQUES_AT_ONCE = 500
 
 
 class Motion(NamedTuple):
@@ -24,6 +27,12 @@ class Motion(NamedTuple):
     q: FloatArray
     qd: FloatArray
     qdd: FloatArray
+
+
+def torques(robot: RobotModel, at: Motion) -> FloatArray:
+    """(N, n) of the nominal model, in blocks: to compile for many samples would take longer."""
+    blocks = zip(*(np.array_split(x, 1 + len(x) // TORQUES_AT_ONCE) for x in at), strict=True)
+    return np.concatenate([robot.inverse_dynamics(*block) for block in blocks])
 
 
 class MotionLimit(Protocol):
@@ -47,7 +56,7 @@ class EffortLimit:
 
     def excess(self, at: Motion) -> FloatArray:
         """(2n, N) share of the limit."""
-        share = (self._robot.inverse_dynamics(*at) / self._most).T
+        share = (torques(self._robot, at) / self._most).T
         return np.concatenate([share, -share]) - 1.0
 
     def gradient(self, at: Motion, row: IntArray) -> Motion:
@@ -81,12 +90,13 @@ class ClearanceLimit:
         return (self._kept - self._model.distances(at.q)) / DISTANCE_SCALE_M
 
     def gradient(self, at: Motion, row: IntArray) -> Motion:
-        """By central differences, all samples and joints in one call."""
-        N, n = at.q.shape
+        """By central differences, all different samples and joints in one call."""
+        q, number = np.unique(at.q, axis=0, return_inverse=True)
+        N, n = q.shape
         steps = DIFFERENCE_RAD * np.stack([np.eye(n), -np.eye(n)])
-        moved = (at.q + steps[:, :, None]).reshape(-1, n)
+        moved = (q + steps[:, :, None]).reshape(-1, n)
         distances = self._model.distances(moved).reshape(len(self._model.names), 2, n, N)
-        distances = distances[row, :, :, np.arange(N)]
+        distances = distances[row, :, :, number]
         slope = (distances[:, 1] - distances[:, 0]) / (2.0 * DIFFERENCE_RAD * DISTANCE_SCALE_M)
         return Motion(slope, np.zeros_like(slope), np.zeros_like(slope))
 
