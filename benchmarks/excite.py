@@ -1,0 +1,207 @@
+"""Optimised Fourier excitation of a UR5 from random starts, against SciPy's SLSQP.
+
+The base regressor has 36 unscaled columns (no rotors), the series five harmonics and 10 s: 66
+coefficients. |qd| ≤ 2 rad/s, |qdd| ≤ 6 rad/s²; the position box is the arm's own, ±360° for every
+joint, and `box_deg` gives another.
+
+The condition number of unscaled columns depends on which columns stand for those that depend on
+them. Judged are the ones a pivoted QR of a random regressor keeps, the usual choice and the harder
+one; `leftmost` are those of `hil.dynamics.base_parameters`, whose names depend on nothing random.
+
+SciPy's SLSQP minimises the logarithm of the same condition number on the same samples from the same
+starts, with its finite differences and with our exact gradient, so that method and gradient can be
+told apart; all limits on all samples are one matrix. One BLAS thread; CPU seconds.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+from threadpoolctl import threadpool_limits
+
+from hil.dynamics import BaseParameters, CollisionModel, Environment, RobotModel, conditioning
+from hil.excite.optimise import ExcitationProblem, optimise
+from hil.excite.optimise.draw import within_linear_limits
+from hil.excite.optimise.linear_limits import LinearLimits
+from hil.excite.optimise.margins import margins_of
+
+ARM = "ur5"
+SPEED, ACCELERATION = 2.0, 6.0
+STARTS, QUICK_STARTS = 10, 2
+ITERATIONS, QUICK_ITERATIONS = 120, 20
+PEER_ITERATIONS, QUICK_PEER_ITERATIONS = 60, 3
+CLEARANCE_M = 0.03
+DENSER_POINTS = 1000
+"""Ten times the objective's samples."""
+
+PEERS = {"slsqp_differences": False, "slsqp_our_gradient": True}
+"""Whether it is given our gradient."""
+
+
+class Outcome(NamedTuple):
+    """Of one start.
+
+    Attributes:
+        condition: Unscaled, of the result.
+        cpu_s: CPU time.
+        exceeded: Largest share by which a limit is exceeded on the denser grid, 0 for none.
+    """
+
+    condition: float
+    cpu_s: float
+    exceeded: float
+
+
+def run(
+    quick: bool = False,
+    seeds: Sequence[int] | None = None,
+    box_deg: float = 360.0,
+    iterations: int = 0,
+) -> dict[str, Any]:
+    """Condition number and CPU time of every start, ours and SciPy's.
+
+    Args:
+        quick: Two starts, few iterations, no collisions.
+        seeds: Of the starts; 0 to 9 by default.
+        box_deg: Joint positions stay within ± this.
+        iterations: Of SciPy's SLSQP at most; 60 by default.
+    """
+    chosen = tuple(seeds) if seeds else tuple(range(QUICK_STARTS if quick else STARTS))
+    ours = QUICK_ITERATIONS if quick else ITERATIONS
+    theirs = iterations or (QUICK_PEER_ITERATIONS if quick else PEER_ITERATIONS)
+    robot = RobotModel.from_arm(ARM)
+    base = pivoted_base(robot)
+    problem = _problem(robot, box_deg, base=base)
+    with threadpool_limits(1):
+        optimise(problem, starts=1, iterations=2)  # imports are nobody's
+        told = {"ours": _ours("ours", problem, chosen, ours)}
+        told["leftmost"] = _ours("leftmost", _problem(robot, box_deg), chosen, ours)
+        if not quick:
+            clear = _problem(robot, box_deg, base=base, **_surroundings(robot))
+            told["with_collisions"] = _ours("with_collisions", clear, chosen, ours)
+        for name, exact in PEERS.items():
+            told[name] = _theirs(name, problem, chosen, theirs, exact)
+    figures: dict[str, float] = {"starts": len(chosen), "box_deg": box_deg}
+    for name, outcomes in told.items():
+        figures |= _figures(name, outcomes)
+    return {"name": "excite", "figures": figures, "ratios": _ratios(told)}
+
+
+def pivoted_base(robot: RobotModel, seed: int = 0) -> BaseParameters:
+    """The base parameters whose columns a pivoted QR of random samples keeps."""
+    samples = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3, 500, robot.n))
+    W = robot.regressor(*samples, rotor=False)
+    _, R, order = scipy.linalg.qr(W, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    rank = int(np.sum(size > 1e-9 * size[0]))
+    kept, left = np.sort(order[:rank]), np.sort(order[rank:])
+    K = np.asarray(np.linalg.lstsq(W[:, kept], W[:, left], rcond=None)[0], dtype=np.float64)
+    names = robot.parameter_names(rotor=False)
+    return BaseParameters(kept, left, K, tuple(names[i] for i in kept))
+
+
+def _problem(robot: RobotModel, box_deg: float, **more: Any) -> ExcitationProblem:
+    box = float(np.radians(box_deg))
+    return ExcitationProblem(robot, -box, box, SPEED, ACCELERATION, scaled=False, **more)
+
+
+def _surroundings(robot: RobotModel) -> dict[str, Any]:
+    """A table the arm stands on, 30 mm from it and from the arm itself, torques within limits."""
+    collision = CollisionModel.for_model(robot, Environment(table_z=0.0))
+    return {
+        "collision": collision,
+        "clearance_m": CLEARANCE_M,
+        "effort_max": robot.effort_max,
+    }
+
+
+def _ours(
+    name: str, problem: ExcitationProblem, seeds: Sequence[int], iterations: int
+) -> list[Outcome]:
+    outcomes = []
+    for seed in seeds:
+        found = optimise(problem, starts=1, seed=seed, iterations=iterations)
+        exceeded = _exceeded(problem, found.series)
+        outcomes.append(Outcome(found.condition_raw, found.cpu_s, exceeded))
+        _tell(name, seed, found.starts[0].drawn, outcomes[-1])
+    return outcomes
+
+
+def _theirs(
+    name: str, problem: ExcitationProblem, seeds: Sequence[int], iterations: int, exact: bool
+) -> list[Outcome]:
+    peer, limits, outcomes = _peer(problem), LinearLimits(problem), []
+    for seed in seeds:
+        free = within_linear_limits(limits, np.random.default_rng((seed, 0)))
+        start = problem.basis.series(free)
+        began = time.process_time()
+        series = peer.minimise(start, iterations, exact)
+        cpu_s = time.process_time() - began
+        condition = conditioning(problem.regressor(series)).raw
+        outcomes.append(Outcome(condition, cpu_s, _exceeded(problem, series)))
+        _tell(name, seed, conditioning(problem.regressor(start)).raw, outcomes[-1])
+    return outcomes
+
+
+def _peer(problem: ExcitationProblem) -> Any:
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    from benchmarks.excite_peers.slsqp import Slsqp
+
+    assert problem.base is not None
+    return Slsqp(
+        problem.robot,
+        problem.base.independent,
+        (float(problem.limit("q_max")[0]), SPEED, ACCELERATION),
+        problem.harmonics,
+        problem.fundamental_hz,
+        problem.points,
+    )
+
+
+def _exceeded(problem: ExcitationProblem, series: Any) -> float:
+    margins = margins_of(problem, series, DENSER_POINTS)
+    shares = (margins.velocity, margins.acceleration, margins.position_rad, margins.effort)
+    least = min(float(np.min(share)) for share in shares if share is not None)
+    return max(0.0, -min(least, margins.clearance_m or 0.0))
+
+
+def _tell(name: str, seed: int, drawn: float, outcome: Outcome) -> None:
+    kept = "kept" if outcome.exceeded <= 1e-9 else f"exceeded by {100 * outcome.exceeded:.1f} %"
+    print(
+        f"{name:18} seed {seed}: {drawn:8.1f} → {outcome.condition:7.3f}  "
+        f"{outcome.cpu_s:6.2f} CPU s  limits {kept}",
+        file=sys.stderr,
+    )
+
+
+def _figures(name: str, outcomes: Sequence[Outcome]) -> dict[str, float]:
+    conditions, cpu_s, exceeded = (np.array(x) for x in zip(*outcomes, strict=True))
+    return {
+        f"{name}_median_condition": float(np.median(conditions)),
+        f"{name}_worst_condition": float(conditions.max()),
+        f"{name}_best_condition": float(conditions.min()),
+        f"{name}_median_cpu_s": float(np.median(cpu_s)),
+        f"{name}_worst_cpu_s": float(cpu_s.max()),
+        f"{name}_largest_excess": float(exceeded.max()),
+    }
+
+
+def _ratios(told: dict[str, list[Outcome]]) -> dict[str, float]:
+    """How many times better conditioned and how many times sooner ours is, in the median."""
+    ours = np.median(told["ours"], axis=0)
+    out = {}
+    for name in PEERS:
+        theirs = np.median(told[name], axis=0)
+        out[f"condition_vs_{name}"] = float(theirs[0] / ours[0])
+        out[f"cpu_vs_{name}"] = float(theirs[1] / ours[1])
+    return out
+
+
+if __name__ == "__main__":
+    print(run())
