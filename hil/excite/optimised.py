@@ -69,19 +69,23 @@ class OptimisedSeries:
         Raises:
             PlanError: None is found.
         """
-        number = len(found) + 1
-        problem = self.question.problem(found)
-        for attempt in range(ATTEMPTS):
-            best = self._search(problem, number, attempt)
-            for scale in SCALES:
-                if self._is_possible(series := scaled(best, scale)):
-                    return series
-        raise PlanError(
+        number, problem = len(found) + 1, self.question.problem(found)
+        failure = PlanError(
             f"trajectory {number}: {ATTEMPTS} optimised motions keep their limits, but the arm "
             "cannot get to where they begin without coming too close to something",
             hint="raise excitation.optimise.starts, or set excitation.range_deg where there is "
             "room",
         )
+        for attempt in range(ATTEMPTS):
+            try:
+                best = self._search(problem, number, attempt)
+            except PlanError as error:
+                failure = PlanError(f"trajectory {number}: {error.message}", hint=error.hint)
+                continue
+            for scale in SCALES:
+                if self._is_possible(series := scaled(best, scale)):
+                    return series
+        raise failure
 
     def _search(self, problem: ExcitationProblem, number: int, attempt: int) -> FourierSeries:
         """The best motion of one search.
@@ -92,16 +96,13 @@ class OptimisedSeries:
         from hil.excite.optimise import optimise
 
         seeds = np.random.SeedSequence([self.question.seed, number, attempt])
-        try:
-            return optimise(
-                problem,
-                starts=self.question.asked.starts,
-                seed=int(seeds.generate_state(1)[0]),
-                progress=lambda progress: self._tell(number, progress),
-                cpu_s=self.question.asked.budget_s,
-            ).series
-        except PlanError as error:
-            raise PlanError(f"trajectory {number}: {error.message}", hint=error.hint) from error
+        return optimise(
+            problem,
+            starts=self.question.asked.starts,
+            seed=int(seeds.generate_state(1)[0]),
+            progress=lambda progress: self._tell(number, progress),
+            cpu_s=self.question.asked.budget_s,
+        ).series
 
     def _is_possible(self, series: FourierSeries) -> bool:
         """Whether it keeps its limits at the robot's own samples, is clear and can be reached."""

@@ -15,15 +15,15 @@ class Optimise(Strict):
     `optimise: true` is the same as `optimise: {}`; `false` and `null` draw at random.
     """
 
-    objective: Literal["condition", "log_det"] = Field(
-        "condition",
-        description="What is made best: `condition` makes the condition number of the base "
-        "regressor small (no parameter much worse than the others), `log_det` the information "
-        "large (D-optimal).",
+    objective: Literal["log_det", "condition"] = Field(
+        "log_det",
+        description="What is made best: `log_det` makes the parameters' errors small (D-optimal), "
+        "`condition` the condition number of the base regressor, which says how evenly the "
+        "parameters are told and not how well.",
     )
     scaled: bool = Field(
         True,
-        description="Condition number with every column of the regressor scaled to length 1; "
+        description="`condition` with every column of the regressor scaled to length 1; "
         "`false` takes the columns as they are, in mixed units.",
     )
     friction: bool = Field(
