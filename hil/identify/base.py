@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from hil import plugins
 from hil.data.dataset import Conditions, Dataset, SeriesKind
-from hil.data.filters import FilterSettings, is_prepared, prepare
+from hil.data.filters import FilterSettings, downsample, is_prepared, prepare
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError, SpecError
@@ -146,6 +146,11 @@ class RobotEstimator(Parametrised):
 def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:
     """The dataset with filtered columns: those it has already, or fresh ones."""
     return dataset if is_prepared(dataset) else prepare(dataset, settings)
+
+
+def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
+    """The rows that a fit uses, with filtered columns: all, or every so manyth."""
+    return downsample(prepared(dataset, settings), settings)
 
 
 def chunks(dataset: Dataset) -> Iterator[slice]:

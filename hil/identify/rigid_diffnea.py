@@ -17,20 +17,19 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
-from hil.identify.base import chunks, payload_torque
+from hil.data.prediction import Stream
 from hil.identify.compress import JointwiseQR
+from hil.identify.diffnea.arm import DiffneaArm
 from hil.identify.diffnea.bodies import Bodies
+from hil.identify.diffnea.carried import DiffneaStream
 from hil.identify.diffnea.fit import DiffneaFit
-from hil.identify.diffnea.forms import FORMS, sign_of, spread
-from hil.identify.diffnea.rows import BendingRows
+from hil.identify.diffnea.forms import FORMS
 from hil.identify.diffnea.unknowns import Unknowns, folding
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.parameters import choice, number
-from hil.identify.rigid_linear import MOTION, RigidLinear
+from hil.identify.rigid_linear import RigidLinear
+from hil.payload import Payload
 from hil.typing import FloatArray
-
-MOST_ROWS = 40_000
-"""Rows that shapes are fitted to; of longer recordings, evenly chosen ones."""
 
 WELL_CONDITIONED = 1e7
 """Condition number of the column-scaled regressor up to which data determine all parameters."""
@@ -40,7 +39,7 @@ class RigidDiffnea(RigidLinear):
     """Physically consistent rigid-body dynamics and friction by Gauss–Newton.
 
     Args:
-        friction: `coulomb-viscous`, `stribeck` or `stribeck-power`, see
+        friction: `coulomb-viscous`, `stribeck`, `stribeck-power` or `memory`, see
             `hil.identify.diffnea.forms`.
         prior: Weight of the pull towards the nominal arm: one unit of Bregman divergence counts as
             this share of all samples.
@@ -51,12 +50,14 @@ class RigidDiffnea(RigidLinear):
         inertial_: (11n,) in the order of `RobotModel.parameters(rotor=True)`; always of bodies that
             can exist.
         parameter_names_: Base parameters, friction coefficients joint by joint, then shapes.
+        gear_rigid_: (b,) base parameters the torque through the gears was computed with.
         coefficients_: Their values, `std_error_` by the delta method.
     """
 
     estimator: ClassVar[str] = "rigid-diffnea"
 
     inertial_: FloatArray
+    gear_rigid_: FloatArray
 
     def __init__(
         self,
@@ -70,37 +71,53 @@ class RigidDiffnea(RigidLinear):
         self.friction = choice("friction", friction, tuple(FORMS))
         self.prior = number("prior", prior, above=0.0)
 
+    def stream(self, payload: Payload | None = None) -> Stream:
+        """A predictor for one sample at a time that carries friction states, if there are any."""
+        if not self._arm.form.multiples:
+            return super().stream(payload)
+        return DiffneaStream(
+            self._arm, self.coefficients_, self.gear_rigid_, self.torque_scale_, payload
+        )
+
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of every linear model, and the full inertial parameters."""
-        return super().fitted_arrays() | {"inertial": self.inertial_}
+        own = {"inertial": self.inertial_, "gear_rigid": self.gear_rigid_}
+        return super().fitted_arrays() | own
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
-        self.inertial_ = arrays["inertial"]
+        self.inertial_, self.gear_rigid_ = arrays["inertial"], arrays["gear_rigid"]
 
     def _open(self) -> None:
         super()._open()
-        self._form = FORMS[self.friction]
-        joints, form = self.joint_names_, self._form
+        form, joints = FORMS[self.friction], self.joint_names_
+        self._arm = DiffneaArm(self.robot_, self._base, form, self.sign_width)
         terms = (f"{joint}.{term}" for joint in joints for term in form.terms)
         shapes = (f"{joint}.{shape.name}" for joint in joints for shape in form.shapes)
         self.parameter_names_ = (*self._base.names, *terms, *shapes)
 
     def _learn(self, data: Dataset) -> None:
         """Shapes where they start, then fitted to rows of bounded number, then all rows."""
-        unknowns = self._unknowns()
-        self.coefficients_ = unknowns.at(unknowns.start())[0]
+        scale = np.ones((data.n_joints, len(self._arm.form.terms)))
+        bodies, fold = Bodies.nominal(self.robot_), folding(self._base)
+        unknowns = Unknowns(bodies, fold, self._arm.form, scale)
+        self._start_from(unknowns.at(unknowns.start())[0])
         observed = self._compressed(data)
         fit = DiffneaFit.begun(unknowns, observed, self.prior)
-        if self._form.shapes:
-            fit = fit.bent(self._bending_rows(data))
-            self.coefficients_ = fit.values
+        if self._arm.form.shapes:
+            self._start_from(fit.values)
+            fit = fit.bent(self._arm.bending_rows(data, self._target(data), self.gear_rigid_))
+            self._start_from(fit.values)
             observed = self._compressed(data)
             fit = fit.finished(observed)
         self.inertial_ = fit.inertial
         self.notes_ = fit.notes(self.joint_names_)
         self._adopt(data, fit.solution(observed))
+
+    def _start_from(self, values: FloatArray) -> None:
+        """Evaluate columns at these values from now on."""
+        self.coefficients_, self.gear_rigid_ = values, values[: self._base.rank]
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
         """What the same columns give without any constraint, for comparison."""
@@ -117,61 +134,30 @@ class RigidDiffnea(RigidLinear):
         self._tell_uncertainty(data, found)
 
     def _residual(self, data: Dataset, coefficients: FloatArray) -> FloatArray:
+        # The columns of shapes tell how the residual bends, not what it is.
         straight = np.array(coefficients)
-        straight[len(straight) - len(self._form.shapes) * data.n_joints :] = 0.0
+        straight[len(straight) - len(self._arm.form.shapes) * data.n_joints :] = 0.0
         return super()._residual(data, straight)
 
-    def _unknowns(self) -> Unknowns:
-        scale = np.ones((len(self.joint_names_), len(self._form.terms)))
-        return Unknowns(Bodies.nominal(self.robot_), folding(self._base), self._form, scale)
-
-    def _bending_rows(self, data: Dataset) -> BendingRows:
-        every = -(-len(data) // MOST_ROWS)
-        parts = [
-            (Y.reshape(*qd.shape, -1)[::every], qd[::every], target[::every])
-            for _, Y, qd, target in self._rigid_rows(data)
-        ]
-        Y, qd, target = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return BendingRows(Y, qd, sign_of(qd, self.sign_width), target, self._form)
-
-    def _rigid_rows(
-        self, data: Dataset
-    ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-        """Rows, base regressor (N·n, b), velocities (N, n) and target torques (N, n), in order."""
-        motion = tuple(data[name] for name in MOTION)
-        load = payload_torque(self.robot_, data, *motion)
-        target = data["effort_f"] * self.torque_scale_ - load
-        for rows in chunks(data):
-            q, qd, qdd = (values[rows] for values in motion)
-            Y = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=True))
-            yield rows, Y, qd, target[rows]
+    def _target(self, data: Dataset) -> FloatArray:
+        return data["effort_f"] * self.torque_scale_ - self._arm.load(data)
 
     def _observations(self, data: Dataset) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
-        c, shapes = self._friction_values()
-        for rows, Y, qd, target in self._rigid_rows(data):
-            C, slope = self._form.evaluate(qd, sign_of(qd, self.sign_width), shapes)
-            bent = np.einsum("Njks,jk->Njs", slope, c)
-            yield rows, np.hstack([Y, spread(C), spread(bent)]), target
+        target = self._target(data)
+        return self._arm.observations(data, target, self.coefficients_, self.gear_rigid_)
+
+    def _all_parts(
+        self, dataset: Dataset, q: FloatArray, qd: FloatArray, qdd: FloatArray
+    ) -> dict[str, FloatArray]:
+        motion = self._arm.motion(dataset, self.gear_rigid_)
+        friction = self._arm.friction(motion, self.coefficients_)
+        parts = super()._all_parts(dataset, q, qd, qdd)
+        return {**parts, "friction": friction / self.torque_scale_}
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
-        rigid, still = self.coefficients_[: self._base.rank], np.zeros_like(q)
-        c, shapes = self._friction_values()
-
-        def torque(*motion: FloatArray) -> FloatArray:
-            columns: FloatArray = self._base.reduce(self.robot_.regressor(*motion, rotor=True))
-            return (columns @ rigid).reshape(q.shape)
-
-        gravity = torque(q, still, still)
-        C, _ = self._form.evaluate(qd, sign_of(qd, self.sign_width), shapes)
-        parts = {
-            "gravity": gravity,
-            "inertia": torque(q, qd, qdd) - gravity,
-            "friction": np.einsum("Njk,jk->Nj", C, c),
-        }
+        values, still = self.coefficients_, np.zeros_like(q)
+        gravity = self._arm.rigid(values, q, still, still)
+        parts = {"gravity": gravity, "inertia": self._arm.rigid(values, q, qd, qdd) - gravity}
+        if not self._arm.form.multiples:
+            parts["friction"] = self._arm.friction(self._arm.moment(qd), values)
         return {name: part / self.torque_scale_ for name, part in parts.items()}
-
-    def _friction_values(self) -> tuple[FloatArray, FloatArray]:
-        """(n, k) coefficients and (n, s) shapes."""
-        n, k = len(self.joint_names_), len(self._form.terms)
-        values = self.coefficients_[self._base.rank :]
-        return values[: n * k].reshape(n, k), values[n * k :].reshape(n, -1)

@@ -18,7 +18,7 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
-from hil.identify.base import chunks, payload_torque, prepared
+from hil.identify.base import chunks, payload_torque, prepared, training_rows
 from hil.identify.checks import (
     require_clean,
     require_motion,
@@ -79,7 +79,7 @@ class RigidLinear(WlsEstimator):
         self._open()
         require_samples(len(dataset), len(self.parameter_names_), "samples")
         require_motion(dataset)
-        data = prepared(dataset, self.filters)
+        data = training_rows(dataset, self.filters)
         self.samples_ = len(data)
         self._learn(data)
         return self
@@ -110,7 +110,7 @@ class RigidLinear(WlsEstimator):
         terms = self._friction_terms(data)
         for rows in chunks(data):
             q, qd, qdd = (values[rows] for values in motion)
-            W = self._base.reduce(self.robot_.regressor(q, qd, qdd, rotor=True))
+            W = self._base.regressor(self.robot_, q, qd, qdd)
             friction = joint_columns({name: term[rows] for name, term in terms.items()})
             yield rows, np.hstack([W, friction]), target[rows]
 
@@ -124,16 +124,11 @@ class RigidLinear(WlsEstimator):
 
     def _parts(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
         rigid, friction = np.split(self.coefficients_, [-len(TERMS) * q.shape[1]])
-        still = np.zeros_like(q)
-
-        def torque(*motion: FloatArray) -> FloatArray:
-            columns: FloatArray = self._base.reduce(self.robot_.regressor(*motion, rotor=True))
-            return columns @ rigid
-
-        gravity = torque(q, still, still)
+        bodies, still = self._base.expand(rigid), np.zeros_like(q)
+        gravity = self.robot_.torque(bodies, q, still, still)
         parts = {
             "gravity": gravity,
-            "inertia": torque(q, qd, qdd) - gravity,
-            "friction": joint_columns(self._friction(qd)) @ friction,
+            "inertia": self.robot_.torque(bodies, q, qd, qdd) - gravity,
+            "friction": (joint_columns(self._friction(qd)) @ friction).reshape(q.shape),
         }
-        return {name: part.reshape(q.shape) / self.torque_scale_ for name, part in parts.items()}
+        return {name: part / self.torque_scale_ for name, part in parts.items()}
