@@ -47,8 +47,10 @@ class RigidHysteresis(RobotEstimator):
     """The default for dynamics: a robot that can exist, with friction that remembers.
 
     Args:
-        friction: `auto` lets the training trajectories choose; or the groups every joint has.
-        least_gain: Share by which a group must lower the error on left-out trajectories.
+        friction: `auto` lets training trajectories that are left out choose among a few nested
+            lists of groups, joint by joint; `search` takes group after group from the whole
+            library; or the groups every joint has.
+        least_gain: With `search`, share by which a group must lower the error left out.
         fit_shapes: Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.
         consistent: Links that can exist; needs the extra `identify`.
         gear_ratio: Motor turns per joint turn, for ripple; by default the arm's, if known.

@@ -12,10 +12,10 @@ from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.learning import Training, core_groups, rigid_of
-from hil.identify.friction.library import CORE, Columns, groups
+from hil.identify.friction.library import CORE, Columns, groups, rungs
 from hil.identify.friction.motion import Shapes
 from hil.identify.friction.observed import Observed
-from hil.identify.friction.selection import Selection, select
+from hil.identify.friction.selection import Selection, climb, select
 from hil.identify.friction.series import temperatures_vary
 from hil.identify.friction.shapes import first_shapes, fitted_shapes
 from hil.identify.friction.solve import Solved, consistent, friction_ends, solve
@@ -74,9 +74,11 @@ class HysteresisFit:
         ripple = bool(np.any(np.isfinite(self.turns)))
         library = groups(ripple=ripple, temperature=temperatures_vary(data))
         shapes, gear_rigid = self._shaped(training, library, fit_shapes)
-        named = library if friction == "auto" else {name: library[name] for name in friction}
+        ladder = rungs(ripple=ripple, temperature="temperature" in library)
+        wanted = {"auto": ladder[-1], "search": tuple(library)}.get(str(friction), friction)
+        named = {name: library[name] for name in wanted if name in library}
         observed = training.observed(named, gear_rigid, shapes)
-        found = self._chosen(observed, tuple(named), friction, least_gain)
+        found = _chosen(observed, tuple(named), friction, least_gain, ladder)
         solved = solve(observed, found.chosen)
         self._require_excited(solved)
         if consistent:
@@ -103,18 +105,6 @@ class HysteresisFit:
             rigid = rigid_of(training, core_groups(library, BACKBONE), rigid, shapes)
         return shapes, rigid
 
-    def _chosen(
-        self,
-        observed: Observed,
-        names: tuple[str, ...],
-        friction: str | Sequence[str],
-        least_gain: float,
-    ) -> Selection:
-        if friction == "auto":
-            candidates = [name for name in names if name != CORE]
-            return select(observed, [CORE], candidates, least_gain=least_gain)
-        return select(observed, names, [])
-
     def _consistent(self, observed: Observed, found: Selection, solved: Solved) -> Solved:
         bounds = InertialBounds.nominal(self.robot)
         return consistent(solved, self.base, bounds, friction_ends(observed, found.chosen))
@@ -126,3 +116,18 @@ class HysteresisFit:
         X, _ = weighted.weighted_system()
         names = (*self.base.names, *(f"friction {i}" for i in range(X.shape[1] - self.base.rank)))
         require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)
+
+
+def _chosen(
+    observed: Observed,
+    names: tuple[str, ...],
+    friction: str | Sequence[str],
+    least_gain: float,
+    ladder: Sequence[tuple[str, ...]],
+) -> Selection:
+    if friction == "auto":
+        return climb(observed, ladder)
+    if friction == "search":
+        candidates = [name for name in names if name != CORE]
+        return select(observed, [CORE], candidates, least_gain=least_gain)
+    return select(observed, names, [])

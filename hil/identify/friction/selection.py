@@ -1,9 +1,10 @@
 """Which groups of friction columns a joint gets: those that predict trajectories they never saw.
 
-Forward selection by leave-one-trajectory-out: in every round each joint takes the group that
-lowers its error on the held-out folds most, as long as that is by a share worth having and not the
-luck of one fold. The rigid body, shared by all joints, is fitted again after every round. All of it
-happens on Gram matrices: a candidate is a small solve, not a pass over the data.
+Either the best of a few nested lists (`climb`), or forward selection (`select`): in every round
+each joint takes the group that lowers its error on the held-out folds most, as long as that is by a
+share worth having and not the luck of one fold. The rigid body, shared by all joints, is fitted
+again after every round. All of it happens on Gram matrices: a candidate is a small solve, not a
+pass over the data.
 """
 
 from __future__ import annotations
@@ -18,6 +19,11 @@ from hil.typing import FloatArray, IntArray
 
 LEAST_GAIN = 0.003
 """Share by which a group must lower the root-mean-square error on held-out trajectories."""
+
+AS_GOOD = 0.04
+"""Share by which a richer list may be worse than the best and still be taken. Two or three
+trajectories left out judge lists less well than the robots before them did: on four of a UR10e,
+each left out in turn with the choice made on the other three, 0.5 % cost 2 % of accuracy."""
 
 MOST_GROUPS = 24
 DEPENDENT = 1e-9
@@ -59,6 +65,7 @@ def select(
     """
     folds = _Folds(observed)
     chosen = [list(first) for _ in range(observed.joints)]
+    folds.errors(chosen)  # sets the weights
     start = current = folds.errors(chosen)
     open_joints = set(range(observed.joints)) if candidates else set()
     while open_joints:
@@ -78,6 +85,30 @@ def select(
         np.sqrt(current.sum(axis=1) / total),
         np.sqrt(start.sum(axis=1) / total),
     )
+
+
+def climb(observed: Observed, rungs: Sequence[Sequence[str]]) -> Selection:
+    """Choose one of a few nested lists of groups for every joint.
+
+    A joint takes the richest list whose error on held-out folds is the lowest, or as good.
+
+    Args:
+        observed: At least two folds.
+        rungs: Lists of groups, from the poorest to the richest.
+    """
+    folds = _Folds(observed)
+    total = float(np.sum(observed.rows))
+    tried = []
+    for names in rungs:
+        everywhere = [names] * observed.joints
+        folds.errors(everywhere)  # sets the weights for these groups
+        tried.append(np.sqrt(folds.errors(everywhere).sum(axis=1) / total))
+    errors = np.array(tried)
+    good = errors <= (1.0 + AS_GOOD) * errors.min(axis=0)
+    richest = len(rungs) - 1 - np.argmax(good[::-1], axis=0)
+    chosen = tuple(tuple(rungs[i]) for i in richest)
+    last = np.sqrt(folds.errors(chosen).sum(axis=1) / total)
+    return Selection(chosen, last, tried[0])
 
 
 class _Folds:
