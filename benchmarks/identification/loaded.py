@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.identification import recordings
 from benchmarks.identification.methods import DEFAULT, fitted, reason, titles, with_gains
-from benchmarks.identification.table import Section, Table
+from benchmarks.identification.table import Section, Table, slug
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.errors import HilError
@@ -46,7 +46,7 @@ def measure(*, quick: bool = False) -> Section:
                   with_gains(loaded, values, source))  # fmt: skip
     if not quick and DEFAULT in wanted:
         pooled = [with_gains(part, gains, "controller") for part in recordings.ur10e_train()]
-        _case(section, table, DEFAULT, "controller, four trajectories", pooled,
+        _case(section, table, DEFAULT, "controller, 4 pooled", pooled,
               with_gains(loaded, gains, "controller"))  # fmt: skip
     section.tables.append(table)
     return section
@@ -56,10 +56,10 @@ def _table(gains: FloatArray) -> Table:
     listed = " ".join(f"{gain:.2f}" for gain in gains)
     return Table(
         f"UR10e with {TRUE_KG} kg: load from one half of 14h50Load, raw mean RMSE on the other [A]",
-        ("method", "gains", "ignored", "with the load", "mass kg", "mass error"),
+        ("method", "gains", "ignored", "fitted", "mass kg", "mass error"),
         notes=[
-            "both ways: first half fitted / second half fitted; the arm's model is of 14h50 "
-            "without load unless said",
+            "both ways, first half fitted / second half fitted; the arm's model is of 14h50 "
+            "without load, or of the four trajectories pooled",
             f"gains from the controller's currents and torques: {listed} N·m/A",
         ],
     )
@@ -86,7 +86,7 @@ def _case(
         _both([half.mean_raw for half in halves], ".4f"), _both(masses, ".3f"),
         " / ".join(f"{100 * share:+.1f} %" for share in off),
     )  # fmt: skip
-    key = f"load_{title}_{source.split(',')[0]}{'_pooled' if ',' in source else ''}"
+    key = slug("load", title, source)
     section.figures |= {
         f"{key}_raw_a": float(np.mean([half.mean_raw for half in halves])),
         f"{key}_mass_kg": float(np.mean(masses)),

@@ -13,7 +13,7 @@ from benchmarks.identification.methods import (
     relative,
     titles,
 )
-from benchmarks.identification.table import Section, Table, joints, numbers
+from benchmarks.identification.table import Section, Table, joints, numbers, slug
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, load_model
 from hil.errors import HilError
@@ -26,7 +26,7 @@ NAMES = {
 }
 
 COMPARED = ("OLS", "WLS", "IRLS", "LMI", "LMI, weighted", "DiffNEA", DEFAULT)
-QUICK = ("WLS", DEFAULT)
+QUICK = ("WLS", "LMI, weighted")
 
 
 def measure(*, quick: bool = False) -> Section:
@@ -59,7 +59,7 @@ def _robot(
         except HilError as error:
             section.skipped[f"{NAMES[key]}, {title}"] = reason(error)
     section.tables.append(table)
-    section.figures |= {f"{key}_{title}_relative_percent": value for title, value in means.items()}
+    section.figures |= {slug(key, title, "percent"): value for title, value in means.items()}
     others = [value for title, value in means.items() if title != DEFAULT]
     if DEFAULT in means and others:
         section.ratios[f"{key}_default_to_best_classical"] = means[DEFAULT] / min(others)

@@ -13,7 +13,8 @@ from benchmarks.identification.methods import (
     reason,
     titles,
 )
-from benchmarks.identification.table import Section, Table, joints, numbers
+from benchmarks.identification.table import Section, Table, joints, numbers, slug
+from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.errors import HilError
 from hil.evaluate import Errors
@@ -34,7 +35,7 @@ CHOICES: dict[str, tuple[tuple[str, dict[str, object]], ...]] = {
 }
 """What could have been chosen instead, judged on the training trajectories alone."""
 
-QUICK = ("WLS", "LMI, weighted", DEFAULT)
+QUICK = ("WLS", DEFAULT)
 
 
 def measure(*, quick: bool = False) -> Section:
@@ -95,7 +96,7 @@ def _tell(
     raw, filtered = found.mean("rmse_raw"), found.mean("rmse_filtered")
     told = "" if np.isnan(score) else f"{score:.4f}"
     table.add(title, numbers(found.rmse_raw), f"{raw:.4f}", f"{filtered:.4f}", told, f"{cpu_s:.2f}")
-    key = f"ur10e_{title}"
+    key = slug("ur10e", title)
     section.figures |= {f"{key}_raw_a": raw, f"{key}_filtered_a": filtered, f"{key}_cpu_s": cpu_s}
     if not np.isnan(score):
         section.figures[f"{key}_left_out_a"] = score
@@ -113,16 +114,16 @@ def _anchored(section: Section) -> None:
         ("method", "anchor", "here", "deviation", "within 2 %"),
     )
     for title, anchor in ANCHORS.items():
-        here = section.figures.get(f"ur10e_{title}_raw_a")
+        here = section.figures.get(slug("ur10e", title, "raw_a"))
         if here is not None:
             off = here / anchor - 1.0
             within = "yes" if abs(off) <= WITHIN else "NO"
             table.add(title, f"{anchor:.4f}", f"{here:.4f}", f"{100 * off:+.2f} %", within)
-            section.ratios[f"ur10e_{title}_to_anchor"] = here / anchor
+            section.ratios[slug("ur10e", title, "to_anchor")] = here / anchor
     section.tables.append(table)
 
 
-def _choices(train: list, wanted: list[str], section: Section) -> Table:  # type: ignore[type-arg]
+def _choices(train: list[Dataset], wanted: list[str], section: Section) -> Table:
     robot = load_model("ur10e")
     table = Table(
         "UR10e: choices, judged by leaving out each training trajectory in turn [A]",
@@ -131,7 +132,8 @@ def _choices(train: list, wanted: list[str], section: Section) -> Table:  # type
     for title, options in CHOICES.items():
         if title not in wanted:
             continue
-        table.add(title, "as above", f"{section.figures[f'ur10e_{title}_left_out_a']:.4f}")
+        above = section.figures.get(slug("ur10e", title, "left_out_a"), float("nan"))
+        table.add(title, "as above", f"{above:.4f}")
         for told, changed in options:
             try:
                 table.add(title, told, f"{left_out(title, train, robot, **changed):.4f}")
