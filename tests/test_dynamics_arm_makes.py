@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
 from hil.dynamics import load_model
+from hil.errors import SpecError
 
 QUARTER = np.pi / 2
 
@@ -112,3 +113,10 @@ def test_panda_holds_its_wrist_with_the_torque_its_masses_ask_for():
         9.81 * arm.mass[i - 1] * (poses[i] @ [*centre, 1.0])[0] for i, centre in com.items()
     )
     assert pinned == pytest.approx(-moment, rel=1e-6)
+
+
+def test_mock_says_that_it_has_no_drives_for_seven_joints():
+    from hil_mock_robot.draw import draw_truth
+
+    with pytest.raises(SpecError, match="arms with 6 joints; panda has 7"):
+        draw_truth("panda")

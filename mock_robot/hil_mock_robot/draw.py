@@ -25,6 +25,9 @@ from hil_mock_robot.truth import (
     Truth,
 )
 
+JOINTS = 6
+"""Of the arms the frozen ranges are for."""
+
 
 @cache
 def published(arm: str) -> ArmDescription:
@@ -47,13 +50,19 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
     Coulomb–viscous friction, at one temperature, on a linear drive.
 
     Raises:
-        SpecError: There is no such arm or profile.
+        SpecError: There is no such arm or profile, or the mock knows no drives for that many joints.
     """
     if profile not in ("ideal", "full"):
         raise SpecError(
             f"the mock has no profile {profile!r}", hint="use 'full' (every effect) or 'ideal'"
         )
-    truth = _draw_full(published(arm), seed)
+    described = published(arm)
+    if described.n_joints != JOINTS:
+        raise SpecError(
+            f"the mock's drives are of arms with {JOINTS} joints; {arm} has {described.n_joints}",
+            hint="simulate one of the six-joint arms, such as ur5 or lab6",
+        )
+    truth = _draw_full(described, seed)
     return truth if profile == "full" else _idealise(truth)
 
 
