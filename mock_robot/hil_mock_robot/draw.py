@@ -50,7 +50,7 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
     Coulomb–viscous friction, at one temperature, on a linear drive.
 
     Raises:
-        SpecError: There is no such arm or profile, or the mock knows no drives for that many joints.
+        SpecError: There is no such arm or profile, or no drives for that many joints are known.
     """
     if profile not in ("ideal", "full"):
         raise SpecError(
