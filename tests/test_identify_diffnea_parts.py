@@ -11,8 +11,9 @@ from hil.dynamics import base_parameters
 from hil.dynamics.pseudo_inertia import divergence, is_consistent
 from hil.identify.compress import JointwiseQR
 from hil.identify.diffnea.bodies import Bodies
-from hil.identify.diffnea.forms import FORMS, sign_of, spread
+from hil.identify.diffnea.forms import FORMS, spread
 from hil.identify.diffnea.minimise import Local, minimise
+from hil.identify.diffnea.motion import ArmMotion, sign_of
 from hil.identify.diffnea.problem import Problem
 from hil.identify.diffnea.rows import BendingRows
 from hil.identify.diffnea.unknowns import Unknowns, folding
@@ -38,11 +39,21 @@ def numeric(function, u: FloatArray, step: float = 1e-6) -> FloatArray:
     return np.moveaxis(np.array(rows), 0, -1) / (2 * step)
 
 
-def bending_rows(law: str) -> BendingRows:
+def arm_motion(samples: int = 200) -> ArmMotion:
+    """Two series of random motion under random torques."""
     random = np.random.default_rng(3)
-    qd = random.normal(0.0, 0.4, (300, 6))
-    Y = random.normal(size=(300, 6, BASE.rank))
-    return BendingRows(Y, qd, sign_of(qd, 0.01), random.normal(size=(300, 6)), FORMS[law])
+    qd, load = random.normal(0.0, 0.4, (samples, 6)), random.normal(0.0, 9.0, (samples, 6))
+    series = (slice(0, samples // 2), slice(samples // 2, samples))
+    return ArmMotion(qd, sign_of(qd, 0.01), load, 1e-3 * qd, series)
+
+
+def regressor_and_target(samples: int = 200) -> tuple[FloatArray, FloatArray]:
+    random = np.random.default_rng(4)
+    return random.normal(size=(samples, 6, BASE.rank)), random.normal(size=(samples, 6))
+
+
+def bending_rows(law: str) -> BendingRows:
+    return BendingRows(*regressor_and_target(), arm_motion(), FORMS[law])
 
 
 def test_a_valley_is_followed_to_its_minimum() -> None:
@@ -100,35 +111,46 @@ def test_values_change_with_coordinates_as_differences_say(law: str) -> None:
 
 @pytest.mark.parametrize("law", BENDING)
 def test_columns_bend_with_shapes_as_differences_say(law: str) -> None:
-    form, qd = FORMS[law], np.linspace(-1.0, 1.0, 41)
+    form, motion = FORMS[law], arm_motion().joint(2)
     shapes = np.array([shape.start for shape in form.shapes])
-    sign = sign_of(qd, 0.01)
-    found = numeric(lambda s: form.columns(qd, sign, s)[0], shapes)
-    np.testing.assert_allclose(form.columns(qd, sign, shapes)[1], found, atol=1e-7)
+    found = numeric(lambda logs: form.columns(motion, np.exp(logs))[0], np.log(shapes))
+    slope = form.columns(motion, shapes)[1] * shapes
+    np.testing.assert_allclose(slope, found, atol=1e-7)
 
 
 @pytest.mark.parametrize("law", FORMS)
 def test_cost_gradient_is_what_differences_give(law: str) -> None:
-    sought, rows = unknowns(law), bending_rows(law)
-    problem = Problem(sought, 1800, np.linspace(0.5, 1.5, 6), 1e-3)
+    sought = unknowns(law)
+    cost = Problem(sought, 1200, np.linspace(0.5, 1.5, 6), 1e-3).bending_cost(bending_rows(law))
     u = somewhere(sought, 5)
-    cost = problem.bending_cost(rows)
-    found = numeric(lambda v: np.array(cost(v).cost), u, 1e-5)
-    np.testing.assert_allclose(cost(u).gradient, found, rtol=1e-4, atol=1e-6 * np.abs(found).max())
+    for seed in range(8):
+        way = 1e-5 * np.random.default_rng(seed).normal(size=len(u))
+        rise = 0.5 * (cost(u + way).cost - cost(u - way).cost)
+        assert rise == pytest.approx(float(cost(u).gradient @ way), rel=1e-5, abs=1e-6)
 
 
 def test_bending_rows_are_the_rows_themselves_compressed() -> None:
-    sought, rows = unknowns("stribeck"), bending_rows("stribeck")
+    sought, rows = unknowns("memory"), bending_rows("memory")
     values = sought.at(somewhere(sought, 6))[0]
-    random = np.random.default_rng(3)
-    qd = random.normal(0.0, 0.4, (300, 6))
-    Y, target = random.normal(size=(300, 6, BASE.rank)), random.normal(size=(300, 6))
-    C, _ = FORMS["stribeck"].evaluate(qd, sign_of(qd, 0.01), values[-12:].reshape(6, 2))
+    Y, target = regressor_and_target()
+    C, _ = FORMS["memory"].evaluate(arm_motion(), values[-18:].reshape(6, 3))
     whole = JointwiseQR(6)
-    whole.add(np.hstack([Y.reshape(1800, -1), spread(C)]), target)
+    whole.add(np.hstack([Y.reshape(1200, -1), spread(C)]), target)
     sigma = whole.residual_std(values[: sought.linear])
-    degrees = 300 / (300 - sought.linear / 6)
+    degrees = 200 / (200 - sought.linear / 6)
     np.testing.assert_allclose(rows.deviation(values) * np.sqrt(degrees), sigma, rtol=1e-6)
+
+
+def test_memory_starts_afresh_with_every_series() -> None:
+    whole = arm_motion()
+    half = slice(100, 200)
+    alone = ArmMotion(
+        whole.qd[half], whole.sign[half], whole.transmitted[half], whole.steps[half],
+        (slice(0, 100),),
+    )  # fmt: skip
+    shapes = np.tile([2e-4, 0.1, 0.4], (6, 1))
+    together, apart = (FORMS["memory"].evaluate(m, shapes)[0] for m in (whole, alone))
+    np.testing.assert_array_equal(together[half], apart)
 
 
 def test_any_coordinates_are_links_that_can_exist_and_rotors_that_turn() -> None:

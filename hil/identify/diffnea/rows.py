@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.identify.diffnea.forms import Form
+from hil.identify.diffnea.motion import ArmMotion
 from hil.identify.jointwise import System
 from hil.typing import FloatArray, IntArray
 
@@ -22,24 +23,21 @@ class BendingRows:
 
     Args:
         base: (N, n, b) base regressor.
-        qd: (N, n) joint velocities [rad/s].
-        sign: (N, n) their smoothed signs.
         target: (N, n) torques [N·m].
+        motion: Of all rows, for friction with memory needs them all.
         form: Friction law.
+        every: Only every so manieth row is fitted; `base` and `target` have those alone.
     """
 
     def __init__(
-        self, base: FloatArray, qd: FloatArray, sign: FloatArray, target: FloatArray, form: Form
+        self, base: FloatArray, target: FloatArray, motion: ArmMotion, form: Form, every: int = 1
     ) -> None:
-        self._form = form
-        self._n, self._b = qd.shape[1], base.shape[2]
+        self._form, self._every = form, every
+        self._n, self._b = target.shape[1], base.shape[2]
         fixed = [np.column_stack([base[:, j], target[:, j]]) for j in range(self._n)]
         self._fixed = fixed
         self._fixed_gram = [block.T @ block for block in fixed]
-        self._motion = [
-            (np.ascontiguousarray(qd[:, j]), np.ascontiguousarray(sign[:, j]))
-            for j in range(self._n)
-        ]
+        self._motion = [motion.joint(j) for j in range(self._n)]
 
     def __call__(self, values: FloatArray) -> System:
         """The system at values (b + nk + ns,): its columns are those of the values."""
@@ -67,8 +65,8 @@ class BendingRows:
 
     def _joint(self, j: int, c: FloatArray, shape: FloatArray) -> FloatArray:
         """(m, m) triangle of [Y | τ | C | ∂C/∂s·c] of a joint."""
-        C, slope = self._form.columns(*self._motion[j], shape)
-        bent = np.column_stack([C, np.einsum("Nks,k->Ns", slope, c)])
+        C, slope = self._form.columns(self._motion[j], shape)
+        bent = np.column_stack([C, np.einsum("Nks,k->Ns", slope, c)])[:: self._every]
         across = self._fixed[j].T @ bent
         gram = np.block([[self._fixed_gram[j], across], [across.T, bent.T @ bent]])
         length = np.sqrt(np.diag(gram))
