@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.excite.optimise.linear_limits import LinearLimits
-from hil.excite.optimise.motion_limits import MotionLimits
+from hil.excite.optimise.motion_limits import TOLERATED, MotionLimits
 from hil.excite.optimise.program import ALLOWED, Point, Proposal, StepProgram
 from hil.excite.optimise.value import ValueOf
 from hil.typing import FloatArray
@@ -66,6 +66,8 @@ class Search:
 
     def forget(self) -> None:
         """The limits have changed: what was best may not be allowed any more."""
+        if self.best is not None:
+            self.free = self.best
         self.best, self.best_value = None, np.inf
 
     def run(self, sharpness: float, iterations: int) -> None:
@@ -90,7 +92,7 @@ class Search:
     def _at(self, free: FloatArray, sharpness: float) -> Point:
         """Also notes the point where it is the best one so far."""
         point = Point(free, self.value_of(free, sharpness), self.others.excess(free))
-        if point.violation <= ALLOWED and point.value.exact < self.best_value:
+        if point.violation <= TOLERATED and point.value.exact < self.best_value:
             self.best, self.best_value = free, point.value.exact
         return point
 

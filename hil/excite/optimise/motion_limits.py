@@ -20,6 +20,13 @@ DIFFERENCE_RAD = 1e-6
 
 TORQUES_AT_ONCE = 500
 
+RESERVE = 0.005
+"""Taken off every limit from the first: for what is exceeded between the points, and because steps
+come near to limits like these but seldom upon them."""
+
+TOLERATED = 0.5 * RESERVE
+"""Excess over a limit less its reserve that counts as none."""
+
 
 class Motion(NamedTuple):
     """Samples of a motion, each (N, n)."""
@@ -120,7 +127,7 @@ class MotionLimits:
 
     Attributes:
         limits: Those there are.
-        reserve: Taken off each, in its own scale: what is exceeded between the points.
+        reserve: Taken off each, in its own scale.
     """
 
     def __init__(self, problem: ExcitationProblem) -> None:
@@ -129,7 +136,7 @@ class MotionLimits:
             self.limits.append(EffortLimit(problem))
         if problem.collision is not None:
             self.limits.append(ClearanceLimit(problem))
-        self.reserve = np.zeros(len(self.limits))
+        self.reserve = np.full(len(self.limits), RESERVE)
         self._basis = problem.basis
         self._points = POINTS_PER_HARMONIC * problem.harmonics
         self._maps = np.stack(problem.basis.grid(self._points)[:3])

@@ -11,17 +11,14 @@ from hil.excite.optimise.draw import draw
 from hil.excite.optimise.improve import Search
 from hil.excite.optimise.linear_limits import LinearLimits
 from hil.excite.optimise.margins import DENSER, margins_of
-from hil.excite.optimise.motion_limits import MotionLimits
+from hil.excite.optimise.motion_limits import RESERVE, MotionLimits
 from hil.excite.optimise.problem import ExcitationProblem
 from hil.excite.optimise.result import Optimised, Progress, ProgressCallback, Start
 from hil.excite.optimise.value import ValueOf
 from hil.typing import FloatArray
 
 ROUNDS = 5
-"""How often what is exceeded between the points is taken off the limits."""
-
-RESERVE = 0.01
-"""Taken off in addition, in the scale of the limits."""
+"""More of the last stage, while what it finds exceeds limits between the points."""
 
 ITERATIONS = 120
 
@@ -97,6 +94,8 @@ class _Attempt:
         self._value_of, self._others = ValueOf(problem), MotionLimits(problem)
         linear, rng = LinearLimits(problem), np.random.default_rng(seed)
         free = draw(linear, self._others, rng)
+        self._found: FloatArray | None = None
+        self._value = np.inf
         tale.begins(seed[1])
         self._search = Search(linear, self._others, self._value_of, free, tale.step, deadline)
 
@@ -108,33 +107,37 @@ class _Attempt:
         for stage, sharpness in enumerate(stages):
             left = self._iterations - search.iterations
             search.run(sharpness, -(-left // (len(stages) - stage)))
-        feasible = self._within_limits()
-        free = search.free if search.best is None else search.best
+            self._check()
+        for _ in range(ROUNDS):
+            if search.best is not None or search.ended == "budget":
+                break
+            search.run(stages[-1], max(10, self._iterations // 6))
+            self._check()
         start = Start(
             seed=self._seed,
             drawn=drawn,
-            value=search.best_value if feasible else np.inf,
+            value=self._value,
             iterations=search.iterations,
             evaluations=self._value_of.evaluations,
             cpu_s=time.process_time() - begun,
-            ended=search.ended if feasible else "infeasible",
+            ended="infeasible" if self._found is None else search.ended,
         )
-        return start, free
+        return start, search.free if self._found is None else self._found
 
-    def _within_limits(self) -> bool:
-        """Whether the best motion keeps all limits between the points, too; sees to it."""
+    def _check(self) -> None:
+        """Keep the best motion if it is within all limits between the points, too.
+
+        If not, take off the limits what it exceeds them by, and let the search go on from there.
+        """
         search, others = self._search, self._others
-        for _ in range(ROUNDS):
-            if search.best is None:
-                return False
-            exceeded = others.exceeded(search.best, DENSER)
-            if not np.any(exceeded > 0):
-                return True
-            others.reserve += np.where(exceeded > 0, exceeded + RESERVE, 0.0)
-            search.free = search.best
-            search.forget()
-            search.run(self._value_of.stages[-1], max(10, self._iterations // 4))
-        return False
+        if search.best is None or search.best_value >= self._value:
+            return
+        exceeded = others.exceeded(search.best, DENSER)
+        if not np.any(exceeded > 0):
+            self._found, self._value = search.best, search.best_value
+            return
+        others.reserve += np.where(exceeded > 0, exceeded + RESERVE, 0.0)
+        search.forget()
 
 
 class _Tale:
