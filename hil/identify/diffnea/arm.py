@@ -17,7 +17,7 @@ from hil.typing import FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 
-MOST_ROWS = 40_000
+MOST_ROWS = 10_000
 """Rows that shapes are fitted to; of longer recordings, evenly chosen ones."""
 
 

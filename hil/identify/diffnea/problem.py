@@ -16,7 +16,7 @@ from hil.typing import FloatArray
 Observed = Callable[[FloatArray], System]
 """Values → an equivalent small system whose columns are those of the values, slopes included."""
 
-BENT_ENOUGH = 1e-8
+BENT_ENOUGH = 1e-6
 """Relative decrease below which shapes are left alone."""
 
 
