@@ -102,7 +102,7 @@ def _print_conditions(report: ExcitationReport) -> None:
         )
         together = _conditions(report.random.jointly)
         rows.append(("random", *_conditions(best), *together, _least(report)))
-    typer.echo("condition number: scaled and raw, of each alone and with those before it")
+    _say("condition number: scaled and raw, of each alone and with those before it")
     print_table(("", "scaled", "raw", "jointly", "raw", "clear mm"), rows)
     if report.random is not None:
         _say("random: the best single one of as many random draws, and all of them jointly")

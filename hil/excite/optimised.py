@@ -46,8 +46,8 @@ class OptimisedSeries:
 
     question: Question
     roadmap: Roadmap
-    _began: float = field(default_factory=time.monotonic)
-    _computed: int = 0
+    _began: float = 0.0
+    _took_s: list[float] = field(default_factory=list)
 
     def all(self) -> list[FourierSeries]:
         """As many as the spec asks for, from the cache as far as it has them.
@@ -58,8 +58,9 @@ class OptimisedSeries:
         wanted, key = self.question.spec.trajectories, self.question.key
         found = self._kept(key)
         for _ in range(len(found), wanted):
+            self._began = time.monotonic()
             found.append(self._next(found))
-            self._computed += 1
+            self._took_s.append(time.monotonic() - self._began)
             self._keep(key, found)
         return found[:wanted]
 
@@ -134,17 +135,23 @@ class OptimisedSeries:
         self.question.setting.watch(Advance(note=text))
 
     def _tell(self, number: int, progress: Progress) -> None:
-        total = self.question.spec.trajectories
-        left = None
-        if progress.eta_s is not None:
-            so_far = time.monotonic() - self._began
-            each = (so_far + progress.eta_s) / (self._computed + 1)
-            left = progress.eta_s + each * (total - number)
-        is_condition = self.question.asked.objective == "condition"
-        best = progress.best if is_condition else float("inf")
-        start = progress.start + 1
-        advance = Advance(number, total, start, progress.starts, best, left)
-        self.question.setting.watch(advance)
+        asked = self.question.asked
+        best = progress.best if asked.objective == "condition" else float("inf")
+        total, start = self.question.spec.trajectories, progress.start + 1
+        left = self._left_s(total - number, progress.eta_s)
+        self.question.setting.watch(Advance(number, total, start, progress.starts, best, left))
+
+    def _left_s(self, others: int, eta_s: float | None) -> float | None:
+        """Time left for the trajectory at work and `others`; a search tells `eta_s` for its own.
+
+        A search cannot know how soon it converges: those before it are the better measure.
+        """
+        now = time.monotonic()
+        if not self._took_s:
+            return None if eta_s is None else (now - self._began + eta_s) * others + eta_s
+        each = sum(self._took_s) / len(self._took_s)
+        own = max(each - (now - self._began), 0.1 * each)
+        return each * others + (own if eta_s is None else min(own, eta_s))
 
 
 def scaled(series: FourierSeries, scale: float) -> FourierSeries:

@@ -106,10 +106,12 @@ def _worth(report: ExcitationReport) -> Section:
     appraisal, random = report.appraisal, report.random
     panels = [condition_by_number(appraisal, random), singular_values(appraisal, random)]
     if random is not None:
-        panels.append(standard_errors(appraisal, random))
+        panels.insert(0, standard_errors(appraisal, random))
     lead = (
-        f"Of the regressor of all {len(appraisal.jointly.names)} base parameters: noise in the "
-        "efforts reaches the worst parameter about so many times larger than the best."
+        f"Of the regressor of all {len(appraisal.jointly.names)} base parameters. Standard errors "
+        "say how well parameters are told: those from random draws over those from these "
+        "trajectories, for the same noise. A condition number says how evenly they are told, "
+        "however well."
     )
     blocks: list[Block] = [
         Plots("Together", lead, tuple(panels), BOTH if random is not None else BOTH[:1]),
