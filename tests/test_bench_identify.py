@@ -92,3 +92,15 @@ def test_thinning_keeps_the_motion_and_not_what_would_alias(parts) -> None:
     np.testing.assert_allclose(
         data["qd"][inside, 0], 4 * np.pi * np.cos(4 * np.pi * data["t"][inside]), atol=0.02
     )
+
+
+def test_every_part_is_left_out_once_and_never_touches_what_is_learnt(parts) -> None:
+    whole = swinging(1000, 100.0)
+    judged = []
+    for train, test in parts.in_turn(whole):
+        judged += test["t"].tolist()
+        apart = np.abs(train["t"][:, None] - test["t"][None]).min()
+        assert apart >= parts.GAP_S - 1e-9
+        for _, rows in train.slices():
+            assert np.max(np.diff(train["t"][rows])) < 0.011
+    assert sorted(set(judged)) == whole["t"].tolist()

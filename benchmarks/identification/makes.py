@@ -13,10 +13,13 @@ from benchmarks.identification.methods import (
     relative,
     titles,
 )
+from benchmarks.identification.parts import cut, in_turn
 from benchmarks.identification.table import Section, Table, joints, numbers, slug
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, load_model
 from hil.errors import HilError
+from hil.evaluate import Errors
+from hil.typing import FloatArray
 
 NAMES = {
     "ur10": "Universal Robots UR10 (CB3)",
@@ -26,6 +29,7 @@ NAMES = {
 }
 
 COMPARED = ("OLS", "WLS", "IRLS", "LMI", "LMI, weighted", "DiffNEA", DEFAULT)
+QUARTERS = 4
 QUICK = ("WLS", "LMI, weighted")
 
 
@@ -36,33 +40,50 @@ def measure(*, quick: bool = False) -> Section:
         quick: The UR10 alone, few methods.
     """
     section = Section()
-    for key in ("ur10",) if quick else recordings.SPLIT:
+    for key in ("ur10",) if quick else recordings.ONCE:
         if missing := recordings.missing(key):
             section.skipped[NAMES[key]] = missing
-            continue
-        train, test = recordings.SPLIT[key]()
-        _robot(section, key, train, test, QUICK if quick else COMPARED)
+        else:
+            _robot(section, key, QUICK if quick else COMPARED, turns=not quick)
     return section
 
 
-def _robot(
-    section: Section, key: str, train: Dataset, test: Dataset, compared: tuple[str, ...]
-) -> None:
-    robot = load_model(train.robot)
+def _robot(section: Section, key: str, compared: tuple[str, ...], *, turns: bool) -> None:
+    whole = recordings.whole(key)
+    train, test = cut(whole)
+    robot = load_model(whole.robot)
     wanted, absent = titles(compared)
     section.skipped |= {f"{NAMES[key]}, {title}": why for title, why in absent.items()}
     table = _table(key, train, test)
-    means: dict[str, float] = {}
     for title in wanted:
         try:
-            means[title] = _method(table, title, train, test, robot)
+            later = _later(title, train, test, robot)
+            each = _in_turn(title, whole, robot) if turns else float("nan")
         except HilError as error:
             section.skipped[f"{NAMES[key]}, {title}"] = reason(error)
+            continue
+        share, told, cpu_s = later
+        mean = float(np.mean(share))
+        table.add(
+            title, numbers(share, ".1f"), f"{mean:.1f}", f"{told.mean('rmse_filtered'):.3f}",
+            f"{each:.1f}" if turns else "", f"{cpu_s:.2f}",
+        )  # fmt: skip
+        section.figures[slug(key, title, "percent")] = mean
+        if turns:
+            section.figures[slug(key, title, "in turn percent")] = each
     section.tables.append(table)
-    section.figures |= {slug(key, title, "percent"): value for title, value in means.items()}
-    others = [value for title, value in means.items() if title != DEFAULT]
-    if DEFAULT in means and others:
-        section.ratios[f"{key}_default_to_best_classical"] = means[DEFAULT] / min(others)
+    _compare(section, key, [title for title in wanted if title != DEFAULT])
+
+
+def _compare(section: Section, key: str, classical: list[str]) -> None:
+    """The default's mean over that of the best classical method, both ways of judging."""
+    for way in ("percent", "in turn percent"):
+        ours = section.figures.get(slug(key, DEFAULT, way))
+        others = [section.figures.get(slug(key, title, way)) for title in classical]
+        known = [value for value in others if value is not None]
+        if ours is not None and known:
+            name = "default_to_best" if way == "percent" else "default_to_best_in_turn"
+            section.ratios[slug(key, name)] = ours / min(known)
 
 
 def _table(key: str, train: Dataset, test: Dataset) -> Table:
@@ -70,18 +91,28 @@ def _table(key: str, train: Dataset, test: Dataset) -> Table:
     return Table(
         f"{NAMES[key]}: RMSE in % of the RMS effort, {lasted[1]:.1f} s behind the "
         f"{lasted[0]:.1f} s learnt from",
-        ("method", *joints(test.n_joints), "mean", "filtered", "CPU s"),
-        notes=[f"filtered: mean RMSE against the zero-phase filtered effort [{test.effort_unit}]"],
+        ("method", *joints(test.n_joints), "mean", "filtered", "in turn", "CPU s"),
+        notes=[
+            f"filtered: mean RMSE against the zero-phase filtered effort [{test.effort_unit}]; "
+            f"in turn: mean % over {QUARTERS} contiguous parts, each by a model of the others"
+        ],
     )
 
 
-def _method(table: Table, title: str, train: Dataset, test: Dataset, robot: RobotModel) -> float:
+def _later(
+    title: str, train: Dataset, test: Dataset, robot: RobotModel
+) -> tuple[FloatArray, Errors, float]:
     found = fitted(title, [train], robot)
     told = errors(found.model, test)
-    share = relative(told, test)
-    mean = float(np.mean(share))
-    table.add(
-        title, numbers(share, ".1f"), f"{mean:.1f}", f"{told.mean('rmse_filtered'):.3f}",
-        f"{found.cpu_s:.2f}",
-    )  # fmt: skip
-    return mean
+    return relative(told, test), told, found.cpu_s
+
+
+def _in_turn(title: str, whole: Dataset, robot: RobotModel) -> float:
+    """Mean over the joints of the RMS over all parts."""
+    squares, rows = np.zeros(whole.n_joints), 0
+    for train, test in in_turn(whole, QUARTERS):
+        told = errors(fitted(title, [train], robot).model, test)
+        squares += told.rmse_raw**2 * len(test)
+        rows += len(test)
+    size = np.sqrt(np.mean(whole["effort"] ** 2, axis=0))
+    return float(np.mean(100.0 * np.sqrt(squares / rows) / size))

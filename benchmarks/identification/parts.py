@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,9 @@ TRAIN_SHARE = 0.6
 GAP_S = 0.5
 """Between the part to fit on and the part to judge on: longer than a filter's memory."""
 
+SHORTEST = 60
+"""Samples below which what is left of a series is mostly a filter's edges."""
+
 
 def cut(
     dataset: Dataset, share: float = TRAIN_SHARE, gap_s: float = GAP_S
@@ -25,10 +29,20 @@ def cut(
     return _part(dataset, t <= end, "first"), _part(dataset, t >= end + gap_s, "rest")
 
 
-def folds(dataset: Dataset, count: int = 4) -> list[Dataset]:
-    """A recording in contiguous parts of equal length, for leaving each out in turn."""
-    number = np.arange(len(dataset)) * count // len(dataset)
-    return [_part(dataset, number == i, f"fold {i}") for i in range(count)]
+def in_turn(
+    dataset: Dataset, count: int = 4, gap_s: float = GAP_S
+) -> Iterator[tuple[Dataset, Dataset]]:
+    """All but one contiguous part of a recording, a gap away from it, and that part: each in turn.
+
+    What lies before the part left out and what lies behind it become series of their own.
+    """
+    t = dataset["t"]
+    ends = t[0] + np.linspace(0.0, 1.0, count + 1) * (t[-1] - t[0])
+    for i, (begin, end) in enumerate(pairwise(ends)):
+        before, behind = t <= begin - gap_s, t >= end + gap_s
+        kept = [(before, f"before {i}"), (behind, f"behind {i}")]
+        train = [_part(dataset, rows, name) for rows, name in kept if rows.sum() >= SHORTEST]
+        yield Dataset.concatenate(train), _part(dataset, (t >= begin) & (t <= end), f"part {i}")
 
 
 def thinned(dataset: Dataset, rate_hz: float) -> Dataset:
@@ -69,9 +83,9 @@ def _thinned(series: Dataset, rate_hz: float) -> Dataset:
 
 
 def _part(dataset: Dataset, rows: BoolArray, name: str) -> Dataset:
-    """Some rows, under names of their own; a series that is not among them is gone."""
+    """Some rows, under names of their own; a series of which hardly any are left is gone."""
     part = rows_of(dataset, rows)
-    part = part.take(np.flatnonzero(np.diff(part.offsets)))
+    part = part.take(np.flatnonzero(np.diff(part.offsets) >= SHORTEST))
     conditions = tuple(
         replace(c, id=f"{c.id} {name}", source=f"{c.source} {name}") for c in part.conditions
     )

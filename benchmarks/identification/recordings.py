@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -32,8 +31,13 @@ UR10E_TRAIN = (
 UR10E_VALIDATION = "ur-20_02_19_14harm50sec"
 UR10E_LOADED = "ur-20_02_19_14harm50secLoad"
 
-PANDA_HZ, TX40_HZ = 125.0, 500.0
-"""To which the recordings at 1 kHz and 5 kHz are thinned out."""
+ONCE: dict[str, tuple[str, str, float | None]] = {
+    "ur10": ("ur10/ur10_exciting_trajectory_first_half.csv", "ur10_unisa", None),
+    "panda": ("panda", "panda_interleaved", 125.0),
+    "kr300": ("kr300/traj_A_data.mat", "kr300_mat", None),
+    "tx40": ("tx40", "tx40_motors", 500.0),
+}
+"""Robots recorded once: file, map, and the rate [Hz] to which 1 kHz and 5 kHz are thinned out."""
 
 
 def folder() -> Path:
@@ -65,31 +69,30 @@ def ur10e_loaded() -> Dataset:
 
 def ur10() -> tuple[Dataset, Dataset]:
     """The UR10's run, torques by its authors' gains: to fit on, to judge on."""
-    return cut(imported("ur10/ur10_exciting_trajectory_first_half.csv", "ur10_unisa"))
+    return cut(whole("ur10"))
 
 
 def panda() -> tuple[Dataset, Dataset]:
     """The Panda's run, thinned out: to fit on, to judge on."""
-    return cut(thinned(imported("panda", "panda_interleaved"), PANDA_HZ))
+    return cut(whole("panda"))
 
 
 def kr300() -> tuple[Dataset, Dataset]:
     """The KR300's run, all six axes: to fit on, to judge on."""
-    return cut(imported("kr300/traj_A_data.mat", "kr300_mat"))
+    return cut(whole("kr300"))
 
 
 def tx40() -> tuple[Dataset, Dataset]:
     """The TX40's run in its motors' coordinates, thinned out: to fit on, to judge on."""
-    return cut(thinned(imported("tx40", "tx40_motors"), TX40_HZ))
+    return cut(whole("tx40"))
 
 
-SPLIT: dict[str, Callable[[], tuple[Dataset, Dataset]]] = {
-    "ur10": ur10,
-    "panda": panda,
-    "kr300": kr300,
-    "tx40": tx40,
-}
-"""Robots that were recorded once; the datasets say which arm is theirs."""
+@cache
+def whole(robot: str) -> Dataset:
+    """All of a robot that was recorded once; the dataset says which arm is its."""
+    path, map_name, rate_hz = ONCE[robot]
+    data = imported(path, map_name)
+    return data if rate_hz is None else thinned(data, rate_hz)
 
 
 @cache
