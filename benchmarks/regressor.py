@@ -1,9 +1,9 @@
 """Joint-torque regressors of 60,000 samples against plain per-sample loops over Pinocchio.
 
 Two peers compute the same 60 columns: `vstack` gathers a matrix per sample in a list and stacks
-them, `loop` writes them into an array that was there before. A third, `reduced`, picks the columns
-of the base parameters from what `loop` made, which is what a fit needs; ours does not compute the
-others. What is measured includes memory for the result, except for `loop`, which is given its.
+them, `loop` writes them into one array made beforehand. A third, `reduced`, picks the columns of
+the base parameters from what `loop` made, which is what a fit needs; ours does not compute the
+others. Memory for the result is part of all of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pinocchio as pin
 from hil.arms import load_arm
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
-from hil.dynamics.regressor import compiles
+from hil.dynamics.regressor import COMPILED_FROM, compiles
 from hil.typing import FloatArray
 
 ARM = "ur5"
@@ -30,13 +30,13 @@ FEW = 1, 100
 
 def run(quick: bool = False) -> dict[str, Any]:
     """CPU seconds of ours and of the peers, and how many times less ours is."""
-    samples = SAMPLES // 10 if quick else SAMPLES
+    samples = SAMPLES // 6 if quick else SAMPLES
     random = np.random.default_rng(0)
     motion = tuple(random.uniform(-3.0, 3.0, (3, samples, 6)))
     robot = RobotModel.from_arm(ARM)
     base = base_parameters(robot, rotor=False)
-    robot.regressor(*(rows[:2000] for rows in motion))  # compiled before the clock starts
-    robot.inverse_dynamics(*(rows[:2000] for rows in motion))
+    robot.regressor(*(rows[:COMPILED_FROM] for rows in motion))  # compiled before the clock starts
+    robot.inverse_dynamics(*(rows[:COMPILED_FROM] for rows in motion))
     times = {
         "regressor": _cpu_s(lambda: robot.regressor(*motion, rotor=False)),
         "base_regressor": _cpu_s(lambda: base.regressor(robot, *motion)),
@@ -44,11 +44,8 @@ def run(quick: bool = False) -> dict[str, Any]:
         "pinocchio_vstack": _cpu_s(lambda: _stacked(motion)),
         "pinocchio_rnea": _cpu_s(lambda: _torques(motion)),
     }
-    room = np.empty((samples, 6, 60))
-    times["pinocchio_loop"] = _cpu_s(lambda: _filled(motion, room))
-    times["pinocchio_reduced"] = _cpu_s(
-        lambda: _filled(motion, room).reshape(-1, 60)[:, base.independent]
-    )
+    times["pinocchio_loop"] = _cpu_s(lambda: _filled(motion))
+    times["pinocchio_reduced"] = _cpu_s(lambda: _filled(motion)[:, base.independent])
     _require_equal(robot, motion)
     return {
         "name": "regressor",
@@ -81,13 +78,14 @@ def _stacked(motion: tuple[FloatArray, ...]) -> FloatArray:
     return np.vstack(blocks)
 
 
-def _filled(motion: tuple[FloatArray, ...], out: FloatArray) -> FloatArray:
+def _filled(motion: tuple[FloatArray, ...]) -> FloatArray:
     model = model_from_arm(load_arm(ARM))
     data = model.createData()
     q, qd, qdd = motion
+    out = np.empty((len(q), 6, 60))
     for k in range(len(q)):
         out[k] = pin.computeJointTorqueRegressor(model, data, q[k], qd[k], qdd[k])
-    return out
+    return out.reshape(-1, 60)
 
 
 def _torques(motion: tuple[FloatArray, ...]) -> FloatArray:
@@ -101,7 +99,7 @@ def _torques(motion: tuple[FloatArray, ...]) -> FloatArray:
 
 
 def _require_equal(robot: RobotModel, motion: tuple[FloatArray, ...]) -> None:
-    part = tuple(rows[:2000] for rows in motion)
+    part = tuple(rows[:COMPILED_FROM] for rows in motion)
     ours, torque = robot.regressor(*part, rotor=False), robot.inverse_dynamics(*part)
     if not np.allclose(ours, _stacked(part), rtol=0, atol=1e-10):
         raise AssertionError("the two regressors differ")

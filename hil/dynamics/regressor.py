@@ -31,8 +31,9 @@ from hil.typing import FloatArray, IntArray
 
 BODY = len(PARAMETERS)
 
-COMPILED_FROM = 1000
-"""Samples from which the compiled recursion is worth loading, a quarter of a second."""
+COMPILED_FROM = 8192
+"""Samples from which compiled code is used. Loading it takes as long as a loop over 50,000 samples,
+compiling it, once on a machine, as long as one over a million: not for short recordings."""
 
 
 class Regressor:

@@ -15,6 +15,7 @@ from hil.data.dataset import Conditions, Dataset, SeriesKind
 from hil.data.filters import FilterSettings, downsample, is_prepared, prepare
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
+from hil.dynamics.regressor import COMPILED_FROM
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.parameters import Parametrised, require_known
 from hil.identify.training import Training
@@ -28,6 +29,9 @@ HONEST = "honest"
 
 CHUNK = 4096
 """Samples whose regressor is built at once; bounds memory on long recordings."""
+
+LONG = 65_536
+"""Samples from which it pays to load compiled regressors, which take larger chunks."""
 
 
 class RobotEstimator(Parametrised):
@@ -155,8 +159,9 @@ def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
 
 def chunks(dataset: Dataset) -> Iterator[slice]:
     """Row ranges of bounded length, in order."""
-    for start in range(0, len(dataset), CHUNK):
-        yield slice(start, min(start + CHUNK, len(dataset)))
+    size = CHUNK if len(dataset) < LONG else max(CHUNK, COMPILED_FROM)
+    for start in range(0, len(dataset), size):
+        yield slice(start, min(start + size, len(dataset)))
 
 
 def payload_torque(
