@@ -20,8 +20,11 @@ from hil.typing import FloatArray, IntArray
 NEAR = 0.1
 """Share of a limit below which a row is handed to the solver from the first."""
 
-NEAR_EXCESS = -0.5
-"""The same for the other limits, in their scale."""
+NEAR_EXCESS = -1.0
+"""The same for the other limits, in their scale: peaks in time above it, and in addition"""
+
+TOUCHING = -0.25
+"""everything above this."""
 
 MOST_ELASTIC = 200
 """Rows of the other limits in one program: the worst ones."""
@@ -93,7 +96,8 @@ class StepProgram:
 
     def propose(self, point: Point) -> Proposal | None:
         """The next step, or None where the solver fails."""
-        numbers = np.flatnonzero(point.excess > NEAR_EXCESS)
+        near = np.flatnonzero(point.excess > TOUCHING)
+        numbers = np.union1d(near, peaks(-point.excess, -NEAR_EXCESS))
         worst = np.argsort(-point.excess.ravel()[numbers], kind="stable")[:MOST_ELASTIC]
         numbers = numbers[worst]
         rows = self._others.rows(point.free, numbers) * self._scale
