@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
+from hil.data.filters import FilterSettings, downsample, filter_columns
 from hil.dynamics import BaseParameters
 from hil.errors import FitError
+from hil.identify.base import prepared
 from hil.identify.clustered import interval
 from hil.identify.correlation import correlated_samples
-from hil.identify.filtered_columns import filtered_like_effort
 from hil.identify.jointwise import Solution
 from hil.identify.parameters import choice, flag
 from hil.identify.rigid_linear import RigidLinear
@@ -27,6 +27,9 @@ from hil.typing import FloatArray, IntArray
 
 Covariance = Literal["hac", "clustered"]
 COVARIANCES = ("hac", "clustered")
+
+FILTERED = "filtered "
+"""Columns of a dataset: friction terms, filtered before rows are left out."""
 
 MEANING = {
     "hac": "Newey and West's covariance, over lags up to ten correlation times of the residual and "
@@ -51,6 +54,9 @@ class RigidClassical(RigidLinear):
 
     certain: ClassVar[bool] = True
     """Whether the covariance of least squares is that of the method."""
+
+    bends: ClassVar[bool] = False
+    """Whether the fit changes the form of its friction columns, so that they cannot be kept."""
 
     covariance_: FloatArray
     degrees_: FloatArray
@@ -102,13 +108,21 @@ class RigidClassical(RigidLinear):
             )
         super()._learn(data)
 
+    def _training_rows(self, dataset: Dataset) -> Dataset:
+        data = prepared(dataset, self.filters)
+        if self.filters.thins and self.filter_columns and not self.bends:
+            # Left for later, steps would have folded, and the ends be filtered unlike the effort.
+            terms = self._friction_terms(data)
+            data = data.with_columns(**{FILTERED + name: term for name, term in terms.items()})
+        return downsample(data, self.filters)
+
     def _friction_terms(self, data: Dataset) -> dict[str, FloatArray]:
         terms = super()._friction_terms(data)
         if not self.filter_columns:
             return terms
-        return {
-            name: filtered_like_effort(data, term, self.filters) for name, term in terms.items()
-        }
+        if FILTERED + next(iter(terms)) in data.columns:
+            return {name: data[FILTERED + name] for name in terms}
+        return {name: filter_columns(term, data, self.filters) for name, term in terms.items()}
 
     def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
         p = len(found.coefficients)

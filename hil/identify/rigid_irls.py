@@ -13,9 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings
+from hil.data.filters import FilterSettings, filter_columns
 from hil.identify.compress import JointwiseQR
-from hil.identify.filtered_columns import filtered_like_effort
 from hil.identify.friction_exponent import best_exponent, power_of_speed
 from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
 from hil.identify.jointwise import Solution, jointwise_least_squares
@@ -58,6 +57,7 @@ class RigidIrls(RigidClassical):
     """
 
     estimator: ClassVar[str] = "rigid-irls"
+    bends: ClassVar[bool] = True
     exponent_: FloatArray
     scale_: FloatArray
     inertial_: FloatArray | None = None
@@ -164,7 +164,7 @@ class RigidIrls(RigidClassical):
         column = power_of_speed(data["qd_f"][:, joint], exponent, width)
         if not self.filter_columns:
             return column
-        return filtered_like_effort(data, column, self.filters)
+        return filter_columns(column, data, self.filters)
 
     def _felt(self) -> BoolArray:
         """(n, p) which joint feels which parameter: no link before its own."""

@@ -79,7 +79,7 @@ class RigidLinear(WlsEstimator):
         self._open()
         require_samples(len(dataset), len(self.parameter_names_), "samples")
         require_motion(dataset)
-        data = training_rows(dataset, self.filters)
+        data = self._training_rows(dataset)
         self.samples_ = len(data)
         self._learn(data)
         return self
@@ -93,6 +93,10 @@ class RigidLinear(WlsEstimator):
         self._require_match(dataset)
         data = prepared(dataset, self.filters)
         return self._predict(data, *(data[name] for name in MOTION))
+
+    def _training_rows(self, dataset: Dataset) -> Dataset:
+        """Prepared data, as many rows of them as the filters ask for."""
+        return training_rows(dataset, self.filters)
 
     def _learn(self, data: Dataset) -> None:
         """Fit to prepared data; sets the fitted attributes."""
