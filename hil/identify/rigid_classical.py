@@ -13,7 +13,9 @@ from hil.dynamics import BaseParameters
 from hil.errors import FitError
 from hil.identify.base import prepared
 from hil.identify.clustered import interval
+from hil.identify.condition_report import condition_report
 from hil.identify.correlation import correlated_samples
+from hil.identify.essential import essential_parameters
 from hil.identify.jointwise import Solution
 from hil.identify.parameters import choice, flag
 from hil.identify.rigid_linear import RigidLinear
@@ -50,6 +52,8 @@ class RigidClassical(RigidLinear):
     Attributes:
         covariance_: (p, p) of the coefficients; NaN where a method tells none.
         degrees_: (p,) degrees of freedom of Student's t for intervals.
+        excitation_: Condition numbers, the worst determined directions and, where the method is
+            least squares, how many parameters are essential.
     """
 
     certain: ClassVar[bool] = True
@@ -60,6 +64,7 @@ class RigidClassical(RigidLinear):
 
     covariance_: FloatArray
     degrees_: FloatArray
+    excitation_: dict[str, Any]
 
     def __init__(
         self,
@@ -93,22 +98,20 @@ class RigidClassical(RigidLinear):
         """Those of every linear model; how the errors were found."""
         facts = super().fitted_facts()
         facts["std_error"]["method"] = MEANING[self.covariance]
-        return facts
+        return facts | {"excitation": self.excitation_}
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
+        self.excitation_ = dict(facts.get("excitation", {}))
 
-    def _learn(self, data: Dataset) -> None:
-        if self.covariance == "clustered" and len(data.conditions) < 2:
+    def _training_rows(self, dataset: Dataset) -> Dataset:
+        if self.covariance == "clustered" and len(dataset.conditions) < 2:
             raise FitError(
                 "standard errors clustered by trajectory need at least two trajectories",
                 hint="record more of them, or choose covariance: hac",
             )
-        super()._learn(data)
-
-    def _training_rows(self, dataset: Dataset) -> Dataset:
         data = prepared(dataset, self.filters)
         if self.filters.thins and self.filter_columns and not self.bends:
             # Left for later, steps would have folded, and the ends be filtered unlike the effort.
@@ -135,7 +138,21 @@ class RigidClassical(RigidLinear):
             told = hac_covariance(found.bread, scores, window)
         self.covariance_ = told.covariance if self.certain else np.full((p, p), np.nan)
         self.degrees_ = told.degrees
+        self.excitation_ = self._told_excitation(found, len(data))
         self.std_error_ = np.sqrt(np.diag(told.covariance))
+
+    def _told_excitation(self, found: Solution, samples: int) -> dict[str, Any]:
+        X, y = found.weighted_system()
+        report = condition_report(X, self.parameter_names_).facts()
+        if not self.certain:
+            return report
+        # Samples that repeat each other count once, for the test to be as strict as it says.
+        times = self.correlated_samples_
+        root = np.sqrt(times)[found.system[2]]
+        independent = float(np.sum(samples / times))
+        names = self.parameter_names_
+        essential = essential_parameters(X / root[:, None], y / root, names, independent)
+        return report | {"essential": essential.facts()}
 
     def _scores(self, data: Dataset, found: Solution) -> tuple[Scores, FloatArray]:
         """Scores of the weighted least squares, and the residual (N, n).
