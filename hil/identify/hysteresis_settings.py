@@ -23,23 +23,19 @@ DEFAULT_FILTERS: dict[str, Any] = {
 trajectories, each left out in turn."""
 
 
-WORDS = ("auto", "search")
-"""Ways to let the training trajectories choose."""
-
-
 def group_names(name: str, given: str | Sequence[str]) -> str | tuple[str, ...]:
-    """`auto`, `search`, or names of groups; the core is always there and need not be named.
+    """`auto`, or names of groups; the core is always there and need not be named.
 
     Raises:
         SpecError: There is no such group.
     """
-    if given in WORDS:
-        return str(given)
+    if given == "auto":
+        return "auto"
     known = groups(ripple=True, temperature=True)
     chosen = (given,) if isinstance(given, str) else tuple(given)
     for group in chosen:
         if group not in known:
-            words = [*WORDS, *known]
+            words = ["auto", *known]
             raise SpecError(
                 f"{name}: there is no group {group!r}",
                 hint=did_you_mean(str(group), words) or f"there are {', '.join(words)}",

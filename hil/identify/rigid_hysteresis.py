@@ -32,7 +32,6 @@ from hil.identify.friction.hysteresis_fit import HysteresisFit
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.memory import path_steps
 from hil.identify.friction.motion import Shapes
-from hil.identify.friction.selection import LEAST_GAIN
 from hil.identify.friction.series import motions, smoothed
 from hil.identify.hysteresis_settings import DEFAULT_FILTERS, group_names, motor_turns
 from hil.identify.parameters import flag, number, settings
@@ -48,9 +47,7 @@ class RigidHysteresis(RobotEstimator):
 
     Args:
         friction: `auto` lets training trajectories that are left out choose among a few nested
-            lists of groups, joint by joint; `search` takes group after group from the whole
-            library; or the groups every joint has.
-        least_gain: With `search`, share by which a group must lower the error left out.
+            lists of groups, joint by joint; or the groups every joint has.
         fit_shapes: Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.
         consistent: Links that can exist; needs the extra `identify`.
         gear_ratio: Motor turns per joint turn, for ripple; by default the arm's, if known.
@@ -76,14 +73,12 @@ class RigidHysteresis(RobotEstimator):
         self,
         *,
         friction: str | Sequence[str] = "auto",
-        least_gain: float = LEAST_GAIN,
         fit_shapes: bool = True,
         consistent: bool = True,
         gear_ratio: float | None = None,
         filters: FilterSettings | dict[str, Any] | None = None,
     ) -> None:
         self.friction = group_names("friction", friction)
-        self.least_gain = number("least_gain", least_gain, at_least=0.0)
         self.fit_shapes = flag("fit_shapes", fit_shapes)
         self.consistent = flag("consistent", consistent)
         self.gear_ratio = None if gear_ratio is None else number("gear_ratio", gear_ratio, above=0)
@@ -111,7 +106,6 @@ class RigidHysteresis(RobotEstimator):
             data,
             self.torque_scale_,
             friction=self.friction,
-            least_gain=self.least_gain,
             fit_shapes=self.fit_shapes,
             consistent=self.consistent,
         )

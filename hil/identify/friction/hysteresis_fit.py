@@ -12,10 +12,10 @@ from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.learning import Training, core_groups, rigid_of
-from hil.identify.friction.library import CORE, Columns, groups, rungs
+from hil.identify.friction.library import Columns, groups, rungs
 from hil.identify.friction.motion import Shapes
 from hil.identify.friction.observed import Observed
-from hil.identify.friction.selection import Selection, climb, select
+from hil.identify.friction.selection import AS_GOOD, Selection, climb
 from hil.identify.friction.series import temperatures_vary
 from hil.identify.friction.shapes import first_shapes, fitted_shapes
 from hil.identify.friction.solve import Solved, consistent, friction_ends, solve
@@ -65,7 +65,6 @@ class HysteresisFit:
         scale: FloatArray,
         *,
         friction: str | Sequence[str],
-        least_gain: float,
         fit_shapes: bool,
         consistent: bool,
     ) -> Learnt:
@@ -75,11 +74,12 @@ class HysteresisFit:
         library = groups(ripple=ripple, temperature=temperatures_vary(data))
         shapes, gear_rigid = self._shaped(training, library, fit_shapes)
         ladder = rungs(ripple=ripple, temperature="temperature" in library)
-        wanted = {"auto": ladder[-1], "search": tuple(library)}.get(str(friction), friction)
+        wanted = ladder[-1] if friction == "auto" else friction
         named = {name: library[name] for name in wanted if name in library}
         observed = training.observed(named, gear_rigid, shapes)
-        found = _chosen(observed, tuple(named), friction, least_gain, ladder)
-        solved = solve(observed, found.chosen)
+        found = _chosen(observed, friction if friction == "auto" else tuple(named), ladder,
+                        training.whole)  # fmt: skip
+        solved = solve(observed, found.chosen, found.penalty)
         self._require_excited(solved)
         if consistent:
             solved = self._consistent(observed, found, solved)
@@ -120,14 +120,11 @@ class HysteresisFit:
 
 def _chosen(
     observed: Observed,
-    names: tuple[str, ...],
     friction: str | Sequence[str],
-    least_gain: float,
     ladder: Sequence[tuple[str, ...]],
+    whole: bool,
 ) -> Selection:
     if friction == "auto":
-        return climb(observed, ladder)
-    if friction == "search":
-        candidates = [name for name in names if name != CORE]
-        return select(observed, [CORE], candidates, least_gain=least_gain)
-    return select(observed, names, [])
+        # Parts of one trajectory are no trajectories: there, richer must be better.
+        return climb(observed, ladder, as_good=AS_GOOD if whole else 0.0)
+    return climb(observed, [tuple(friction)], as_good=0.0)

@@ -30,12 +30,13 @@ LADDER = (
     ("speed p",),
     ("load", "stribeck"),
     ("memory 3", "memory 30", "speed 0.25"),
-    ("speed 1 load", "speed p load", "speed braking", "braking", "drive"),
+    ("speed 1 load", "speed p load", "speed braking", "braking"),
+    ("stribeck narrow", "stribeck wide"),
 )
 """What each step up adds to a joint's friction. Chosen on four UR10e trajectories, each left out in
 turn: broad steps that all joints share predict new trajectories better than column by column."""
 
-ORDERS = (1, 2, 4, 5, 6, 8, 10, 12)
+ORDERS = (1, 2, 4, 8, 10, 12)
 """Ripple periods per motor turn: gear teeth (1, 2) and the poles and slots of servo motors."""
 
 
@@ -58,11 +59,11 @@ def rungs(*, ripple: bool, temperature: bool) -> list[tuple[str, ...]]:
     """Groups from the fewest to the most, each list holding the one before; see `groups`."""
     steps = list(LADDER)
     if ripple:
-        steps.append(tuple(f"ripple {k}{how}" for k in ORDERS for how in ("", " slow")))
+        steps.append(tuple(f"ripple {k}{how}" for k in ORDERS for how in ("", " slow", " sign")))
     if temperature:
         steps.append(("temperature",))
     taken: tuple[str, ...] = (CORE,)
-    return [taken := (*taken, *step) for step in steps]
+    return [taken, *(taken := (*taken, *step) for step in steps)]
 
 
 def column_names(group: str, count: int) -> tuple[str, ...]:

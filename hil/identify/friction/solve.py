@@ -12,9 +12,14 @@ from hil.dynamics import BaseParameters
 from hil.identify.compress import JointwiseQR
 from hil.identify.consistent import consistent_least_squares
 from hil.identify.friction.observed import Observed
+from hil.identify.friction.selection import penalised
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.typing import FloatArray
+
+PRIOR = 1.0
+"""A link that is off its nominal body by 100 % counts like one more sample: felt only where
+short recordings leave directions open."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +41,22 @@ class Solved:
     inertial: FloatArray | None = None
 
 
-def solve(observed: Observed, chosen: Sequence[Sequence[str]]) -> Solved:
-    """Least squares with every joint weighted by its own residual."""
+def solve(
+    observed: Observed, chosen: Sequence[Sequence[str]], penalty: FloatArray | None = None
+) -> Solved:
+    """Least squares with every joint weighted by its own residual.
+
+    Args:
+        observed: Observations.
+        chosen: Groups per joint.
+        penalty: (n,) see `selection.PENALTIES`; none by default.
+    """
     ends = _ends(observed, chosen)
     joints = JointwiseQR(observed.joints)
     for j, names in enumerate(chosen):
         R = observed.pooled(j, observed.indices(names))
+        if penalty is not None:
+            R = np.vstack([R, penalised(observed, j, names, float(penalty[j]))])
         joints.add_joint(j, _spread(R, observed.base, ends[j], ends[-1]), int(observed.rows.sum()))
     found = jointwise_least_squares(joints, weighted=True)
     return _split(found.coefficients, found.sigma, found, observed.base, ends)
@@ -62,7 +77,7 @@ def consistent(
         FitError: The solver found no solution.
     """
     X, y = solved.weighted.weighted_system()
-    found = consistent_least_squares(X, y, base=base, bounds=bounds)
+    found = consistent_least_squares(X, y, base=base, bounds=bounds, prior=PRIOR)
     whole = _split(found.coefficients, solved.sigma, solved.weighted, base.rank, list(ends))
     return Solved(whole.rigid, whole.friction, solved.sigma, solved.weighted, found.inertial)
 
