@@ -1,0 +1,55 @@
+"""How far an optimisation is: one line on a terminal, nothing but notes in a pipe."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from hil.cli.excitation_line import ExcitationLine
+from hil.cli.progress import ProgressLines
+from hil.excite.setting import Advance
+
+BUSY = Advance(3, 12, 2, 3, 17.25, 125.0)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "40")
+    return terminal
+
+
+def test_the_line_says_what_matters_first_and_never_wraps(terminal: Terminal) -> None:
+    with ExcitationLine() as line:
+        line(BUSY)
+        (shown,) = [part for part in terminal.getvalue().split("\r\x1b[K") if part]
+        assert shown.startswith("optimising trajectory 3/12  2 min 5 s")
+        assert len(shown) < 40
+    assert terminal.getvalue().endswith("\r\x1b[K")
+
+
+def test_a_pipe_gets_notes_only(capsys: pytest.CaptureFixture[str]) -> None:
+    with ExcitationLine() as line:
+        line(BUSY)
+        line(Advance(note="the cache is damaged"))
+    told = capsys.readouterr()
+    assert (told.out, told.err) == ("", "note: the cache is damaged\n")
+
+
+def test_a_run_shows_it_until_the_next_stage(terminal: Terminal) -> None:
+    lines = ProgressLines()
+    lines.notify(BUSY.to_event())
+    lines.notify({"kind": "stage", "stage": "running"})
+    assert terminal.getvalue().endswith("\r\x1b[Krunning …\n")
+
+
+def test_an_event_says_all_that_was_told() -> None:
+    assert Advance.from_event(BUSY.to_event()) == BUSY
