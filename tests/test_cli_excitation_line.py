@@ -19,15 +19,15 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.fixture
-def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+def terminal_on(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("COLUMNS", "40")
     return terminal
 
 
-def test_the_line_says_what_matters_first_and_never_wraps(terminal: Terminal) -> None:
+def test_the_line_says_what_matters_first_and_never_wraps(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = terminal_on(monkeypatch)
     with ExcitationLine() as line:
         line(BUSY)
         (shown,) = [part for part in terminal.getvalue().split("\r\x1b[K") if part]
@@ -44,7 +44,8 @@ def test_a_pipe_gets_notes_only(capsys: pytest.CaptureFixture[str]) -> None:
     assert (told.out, told.err) == ("", "note: the cache is damaged\n")
 
 
-def test_a_run_shows_it_until_the_next_stage(terminal: Terminal) -> None:
+def test_a_run_shows_it_until_the_next_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = terminal_on(monkeypatch)
     lines = ProgressLines()
     lines.notify(BUSY.to_event())
     lines.notify({"kind": "stage", "stage": "running"})
