@@ -16,7 +16,8 @@ from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import Friction, estimate_payload
+from hil.identify.payload_fit import estimate_payload
+from hil.identify.payload_problem import Friction
 from hil.validation import require_unseen, serial_notes
 
 

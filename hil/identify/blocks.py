@@ -12,7 +12,7 @@ from hil.typing import FloatArray, IntArray
 TIMES = 4.0
 """A block lasts so many correlation times of the residual: then blocks hardly know of another."""
 
-FEWEST = 20
+FEWEST = 10
 """Blocks that are made even if they have to be shorter for it: fewer tell no variance."""
 
 

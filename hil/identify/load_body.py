@@ -24,6 +24,11 @@ than one."""
 LIGHTEST_KG = 1e-4
 """Nothing has no centre of mass, so a fit does not get to nothing."""
 
+SMALLEST_GAP = 1e-6
+"""How near a sum of squares comes to its minimum, as a share of itself."""
+
+MOST_NEWTON = 30
+
 _LENGTHS = np.array([LENGTH_M, LENGTH_M, LENGTH_M, 1.0])
 _FLOOR = np.diag([THINNEST_KGM2, THINNEST_KGM2, THINNEST_KGM2, LIGHTEST_KG])
 
@@ -83,66 +88,69 @@ def point_masses(mass: float, reach: float) -> FloatArray:
 
 def is_body(parameters: FloatArray) -> bool:
     """Whether positive masses could have these parameters."""
-    return bool(np.linalg.eigvalsh(_scaled(pseudo_inertia(parameters) - _FLOOR))[0] >= 0.0)
+    return bool(np.linalg.eigvalsh(_above_floor(parameters))[0] >= 0.0)
 
 
 def nearest_body(X: FloatArray, y: FloatArray) -> FloatArray:
-    """(10,) parameters of the body that minimises ‖X·parameters − y‖², X (m, 10).
+    """(10,) parameters of the body that minimises ‖X·parameters − y‖², X (m, 10) of full rank.
 
-    The pseudo-inertia is floor + L·Lᵀ. With L (4, 4) this has no other minimum than the convex
-    problem in the pseudo-inertia (Burer & Monteiro, Math. Program. 2005).
+    Newton's method with a barrier −μ·log det of what the pseudo-inertia is above its floor; the
+    sum of squares is within 4μ of its minimum (Boyd & Vandenberghe, Convex Optimization, §11.2).
     """
-    from scipy.optimize import least_squares
-
     free = np.asarray(np.linalg.lstsq(X, y, rcond=None)[0])
     if is_body(free):
         return free
-    rows, columns = np.tril_indices(4)
-    map_ = np.array([_parameters_of_pair(i, j) for i in range(4) for j in range(4)]).T
-    offset = from_pseudo_inertia(_FLOOR)
-    A, b = X @ map_, y - X @ offset
-
-    def unpacked(entries: FloatArray) -> FloatArray:
-        L = np.zeros((4, 4))
-        L[rows, columns] = entries
-        return L
-
-    def residual(entries: FloatArray) -> FloatArray:
-        L = unpacked(entries)
-        error: FloatArray = A @ (L @ L.T).ravel() - b
-        return error
-
-    def jacobian(entries: FloatArray) -> FloatArray:
-        L = unpacked(entries)
-        G = A.reshape(-1, 4, 4)
-        full = np.einsum("kij,jl->kil", G + G.transpose(0, 2, 1), L)
-        picked: FloatArray = full[:, rows, columns]
-        return picked
-
-    start = _interior(free)
-    solved = least_squares(
-        residual, start[rows, columns], jacobian, method="lm", xtol=1e-12, ftol=1e-12, gtol=1e-14
-    )
-    L = unpacked(solved.x)
-    return map_ @ (L @ L.T).ravel() + offset
+    gram, phi = X.T @ X, _inside(free)
+    least = float(np.sum((X @ free - y) ** 2))
+    excess = float((phi - free) @ gram @ (phi - free))
+    mu = excess / 4
+    while mu > SMALLEST_GAP * max(excess, least) / 4:
+        for _ in range(MOST_NEWTON):
+            step, decrement = _newton(phi, free, gram, mu)
+            phi = phi + _longest(phi, step) * step
+            if decrement < 1e-6 * mu:
+                break
+        mu *= 0.1
+    return phi
 
 
-def _parameters_of_pair(i: int, j: int) -> FloatArray:
-    """Parameters of half the symmetric unit matrix at (i, j), lengths in `LENGTH_M`."""
-    unit = np.zeros((4, 4))
-    unit[i, j] += 0.5
-    unit[j, i] += 0.5
-    return from_pseudo_inertia(unit * np.outer(_LENGTHS, _LENGTHS))
+def _newton(
+    phi: FloatArray, free: FloatArray, gram: FloatArray, mu: float
+) -> tuple[FloatArray, float]:
+    """The step, and half its decrement squared, of (φ − free)ᵀ·gram·(φ − free) − μ·log det."""
+    inverse = np.linalg.inv(_above_floor(phi))
+    slopes = np.einsum("ij,kjl->kil", inverse, _UNITS)
+    gradient = 2.0 * gram @ (phi - free) - mu * np.einsum("kii->k", slopes)
+    hessian = 2.0 * gram + mu * np.einsum("kij,lji->kl", slopes, slopes)
+    scale = 1.0 / np.sqrt(np.diag(hessian))
+    # Parameters of a load differ by powers of ten.
+    step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+    return step, float(-gradient @ step) / 2.0
 
 
-def _interior(parameters: FloatArray) -> FloatArray:
-    """(4, 4) Cholesky factor of a body near the parameters, well inside."""
+def _longest(phi: FloatArray, step: FloatArray) -> float:
+    """Share of a step, 1 at most, that stays well inside."""
+    L = np.linalg.cholesky(_above_floor(phi))
+    change = np.linalg.solve(L, np.linalg.solve(L, _scaled(pseudo_inertia(step))).T)
+    lowest = float(np.linalg.eigvalsh(change)[0])
+    return 1.0 if lowest > -0.9 else -0.9 / lowest
+
+
+def _inside(parameters: FloatArray) -> FloatArray:
+    """(10,) a body near the parameters, well inside what can be."""
     values, vectors = np.linalg.eigh(_scaled(pseudo_inertia(parameters)))
     least = max(1e-2 * float(values[-1]), 1e-3)
     near = (vectors * np.maximum(values, least)) @ vectors.T
-    return np.asarray(np.linalg.cholesky(near))
+    return from_pseudo_inertia(near * np.outer(_LENGTHS, _LENGTHS))
+
+
+def _above_floor(parameters: FloatArray) -> FloatArray:
+    return _scaled(pseudo_inertia(parameters) - _FLOOR)
 
 
 def _scaled(pseudo: FloatArray) -> FloatArray:
     scaled: FloatArray = pseudo / np.outer(_LENGTHS, _LENGTHS)
     return scaled
+
+
+_UNITS = np.stack([_scaled(pseudo_inertia(unit)) for unit in np.eye(10)])

@@ -55,7 +55,7 @@ class PayloadEstimate:
     Attributes:
         payload: The load: always one that positive masses can make.
         values: (10,) the same as numbers.
-        std_error: (10,) standard errors, given the model and its drive gains.
+        std_error: (10,) standard errors, given the form of the model and its drive gains.
         interval: (10, 2) 95 % intervals of Student's t by blocks of time.
         residual: (n,) RMS of the filtered effort less the prediction with the load.
         without: (n,) the same with nothing at the flange.

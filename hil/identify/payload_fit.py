@@ -2,65 +2,47 @@
 
 A model predicts efforts from the motion and from each series' load (`payload_identified`). The load
 is what makes that prediction fit: weighted least squares over its ten inertial parameters φ in the
-flange frame, by Gauss–Newton. A rigid load alone is linear in φ, with the columns of
-`RobotModel.payload_regressor`; what the model adds to that, such as friction that grows with the
-torque, is not, and its part of the Jacobian comes from predictions with small point masses added,
-which leave a load a load. Every solution is a body that positive masses can make.
+flange frame, by Gauss–Newton, since friction may depend on the load. Every solution is a body that
+positive masses can make.
 
 Standard errors are those of the sandwich over blocks of time (see `hil.identify.clustered`): what
-the model does not know about the arm repeats for a while and then changes.
+the model does not know about the arm repeats for a while and then changes. The load is the
+difference to an arm that was itself identified, so its variance grows by the share of samples in
+which that was done; this is right for alike motions and too little for a model of poorer ones.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
-from hil.data.dataset import Dataset, rows_of
-from hil.data.filters import FilterSettings, is_prepared
-from hil.data.prediction import Prediction
-from hil.dynamics import joint_columns, payload_parameters
+from hil.data.dataset import Dataset
+from hil.dynamics import payload_parameters
 from hil.errors import FitError, SpecError
-from hil.identify.base import RobotEstimator, prepared
+from hil.identify.base import RobotEstimator
 from hil.identify.blocks import time_blocks
 from hil.identify.checks import require_clean, require_motion
-from hil.identify.clustered import ClusterSums, clustered_covariance, interval
+from hil.identify.clustered import Clustered, ClusterSums, clustered_covariance, interval
 from hil.identify.compress import upper_triangle
-from hil.identify.load_body import (
-    LENGTH_M,
-    central,
-    central_jacobian,
-    is_body,
-    nearest_body,
-    payload_of,
-    point_masses,
-)
+from hil.identify.load_body import central, central_jacobian, is_body, nearest_body, payload_of
 from hil.identify.payload_estimate import Correction, PayloadEstimate
+from hil.identify.payload_problem import Friction, Linearised, LoadProblem
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray
-
-Friction = Literal["model", "offset", "scale"]
+from hil.typing import BoolArray, FloatArray, IntArray
 
 LOAD = 10
 """Inertial parameters of a load."""
 
-MOST_STEPS = 12
+MOST_STEPS = 16
+
+FRESH = 5
+"""Steps between Jacobians: they hardly change once the load is roughly known."""
+
 SMALL_STEP = 1e-3
 """Settled when no prediction changes by more than this share of its joint's residual."""
 
-PROBE = 1e-3
-"""Point masses of the differences, as a share of the load's mass."""
-
-LEAST_ROWS = 200
 LEVEL = 0.95
-
-
-def with_identified(dataset: Dataset, payload: Payload) -> Dataset:
-    """The same samples, with this load instead of the declared one."""
-    conditions = tuple(replace(c, payload_identified=payload) for c in dataset.conditions)
-    return replace(dataset, conditions=conditions)
 
 
 def estimate_payload(
@@ -91,105 +73,8 @@ def estimate_payload(
         )
     require_clean(dataset, ("t", "q", "effort"))
     require_motion(dataset)
-    problem = _Problem.of(model, _filtered(model, dataset), friction, rows)
-    return _estimate(problem, *_settled(problem))
-
-
-def _filtered(model: RobotEstimator, dataset: Dataset) -> Dataset:
-    if is_prepared(dataset):
-        return dataset
-    given = getattr(model, "filters", None)
-    return prepared(dataset, given if isinstance(given, FilterSettings) else FilterSettings())
-
-
-class _Linearised(NamedTuple):
-    """A prediction and its derivatives at the rows that count.
-
-    Attributes:
-        effort: (M, n) predicted.
-        load: (M·n, 10) derivative by the load's parameters.
-        friction: (M·n, k) columns of the correction.
-    """
-
-    effort: FloatArray
-    load: FloatArray
-    friction: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
-    """What does not change from step to step.
-
-    Attributes:
-        model: The model of the arm.
-        data: Filtered, every row.
-        keep: (N,) rows that count.
-        rigid: (M·n, 10) derivative of the effort by a rigid load alone.
-        kept: The rows that count.
-        friction: See `estimate_payload`.
-    """
-
-    model: RobotEstimator
-    data: Dataset
-    keep: BoolArray
-    rigid: FloatArray
-    kept: Dataset
-    friction: Friction
-
-    @staticmethod
-    def of(
-        model: RobotEstimator, data: Dataset, friction: Friction, rows: BoolArray | None
-    ) -> _Problem:
-        keep = np.ones(len(data), dtype=bool) if rows is None else np.asarray(rows, dtype=bool)
-        keep = keep & np.all(model.predict(with_identified(data, Payload())).valid, axis=1)
-        kept = rows_of(data, keep)
-        if len(kept) < LEAST_ROWS:
-            raise FitError(
-                f"{len(kept)} rows are too few to tell a load: at least {LEAST_ROWS} are needed",
-                hint="record the arm with the load on a motion of some seconds",
-            )
-        W = model.robot_.payload_regressor(*(kept[name] for name in ("q_f", "qd_f", "qdd_f")))
-        scale = np.tile(model.torque_scale_, len(kept))
-        return _Problem(model, data, keep, W / scale[:, None], kept, friction)
-
-    @property
-    def target(self) -> FloatArray:
-        """(M, n) measured effort, filtered."""
-        return self.kept["effort_f"]
-
-    def predict(self, parameters: FloatArray | None) -> Prediction:
-        """Of the rows that count, under a load; None for nothing."""
-        load = Payload() if parameters is None else payload_of(parameters)
-        return _only(self.model.predict(with_identified(self.data, load)), self.keep)
-
-    def columns(self, prediction: Prediction) -> FloatArray:
-        """(M·n, k) of the correction of friction."""
-        terms = {"offset": np.ones_like(prediction.effort)}
-        if self.friction == "scale" and "friction" in prediction.components:
-            terms["scale"] = prediction.components["friction"]
-        if self.friction == "model":
-            return np.empty((prediction.effort.size, 0))
-        return joint_columns(terms)
-
-    def linearise(self, parameters: FloatArray) -> _Linearised:
-        """At a load; the part that is not rigid by differences, if there is any."""
-        here = self.predict(parameters)
-        probes = point_masses(PROBE * float(parameters[0]), LENGTH_M)
-        J = self.rigid
-        all_at_once = parameters + probes.sum(axis=0)
-        if np.max(np.abs(self._beyond_rigid(here, parameters, all_at_once))) > 1e-7 * PROBE:
-            beyond = [self._beyond_rigid(here, parameters, parameters + probe) for probe in probes]
-            # Row by row: beyond = probes · ∂/∂φ.
-            J = J + np.linalg.solve(probes, np.array(beyond)).T
-        return _Linearised(here.effort, J, self.columns(here))
-
-    def _beyond_rigid(
-        self, here: Prediction, parameters: FloatArray, other: FloatArray
-    ) -> FloatArray:
-        """(M·n,) by how much a prediction changes more than the torque of a rigid load."""
-        change = self.predict(other).effort - here.effort
-        left: FloatArray = change.ravel() - self.rigid @ (other - parameters)
-        return left
+    problem = LoadProblem.of(model, dataset, friction, rows)
+    return _told(problem, _settled(problem))
 
 
 class _Solution(NamedTuple):
@@ -198,62 +83,53 @@ class _Solution(NamedTuple):
     Attributes:
         parameters: (10,) of the load.
         extra: (k,) coefficients of the correction.
-        sigma: (n,) RMS of the residual.
         at: The linearised prediction there.
         bounded: Whether least squares alone would leave what bodies can be.
     """
 
     parameters: FloatArray
     extra: FloatArray
-    sigma: FloatArray
-    at: _Linearised
+    at: Linearised
     bounded: bool
 
 
-def _settled(problem: _Problem) -> tuple[_Solution, FloatArray]:
-    """The solution and the (n,) RMS without any load."""
-    bare = problem.predict(None)
-    without = _rms(problem.target - bare.effort)
-    start = _Linearised(bare.effort, problem.rigid, problem.columns(bare))
-    sigma = np.maximum(problem.model.sigma_, 1e-9)
-    parameters, extra, bounded = _step(problem, start, np.zeros(LOAD), sigma)
-    for _ in range(MOST_STEPS):
-        at = problem.linearise(parameters)
-        error = _rms(_residual(problem, at, extra))
-        sigma = np.maximum(error, 1e-9 + 1e-9 * float(np.max(np.abs(problem.target))))
-        moved, extra, bounded = _step(problem, at, parameters, sigma)
-        change = (at.load @ (moved - parameters)).reshape(problem.target.shape)
-        parameters = moved
-        if np.all(_rms(change) <= SMALL_STEP * sigma):
-            break
-    else:
-        raise FitError(
-            "the load did not settle: the recording hardly tells it",
-            hint="record a motion that turns the wrist as well as the arm",
-        )
-    at = at._replace(effort=at.effort + change)
-    return _Solution(parameters, extra, _rms(_residual(problem, at, extra)), at, bounded), without
+def _settled(problem: LoadProblem) -> _Solution:
+    at = Linearised(problem.bare.effort, problem.rigid, problem.columns(problem.bare))
+    now = _step(problem, at, np.zeros(LOAD), np.maximum(problem.model.sigma_, 1e-9))
+    for count in range(MOST_STEPS):
+        here = problem.predict(now.parameters)
+        fresh = count % FRESH == 0
+        J = problem.jacobian(now.parameters, here) if fresh else now.at.load
+        at = Linearised(here.effort, J, problem.columns(here))
+        sigma = _rms(_residual(problem, at, now.extra))
+        least = 1e-9 + 1e-9 * float(np.max(np.abs(problem.target)))
+        before, now = now, _step(problem, at, now.parameters, np.maximum(sigma, least))
+        change = (J @ (now.parameters - before.parameters)).reshape(here.effort.shape)
+        if np.all(_rms(change) <= SMALL_STEP * np.maximum(sigma, least)):
+            return now._replace(at=at._replace(effort=at.effort + change))
+    raise FitError(
+        "the load did not settle: the recording hardly tells it",
+        hint="record a motion that turns the wrist as well as the arm",
+    )
 
 
 def _step(
-    problem: _Problem, at: _Linearised, parameters: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray, bool]:
-    """Load and correction that fit the linearised prediction best; whether a bound held them."""
+    problem: LoadProblem, at: Linearised, parameters: FloatArray, sigma: FloatArray
+) -> _Solution:
+    """Load and correction that fit the linearised prediction best."""
     weight = np.tile(1.0 / sigma, len(problem.target))
     target = (problem.target - at.effort).ravel() + at.load @ parameters
     k = at.friction.shape[1]
-    stacked = np.column_stack([at.friction, at.load, target]) * weight[:, None]
-    R = upper_triangle(stacked)
-    lower = R[k : k + LOAD, k : k + LOAD]
-    wanted = R[k : k + LOAD, -1]
-    _require_told(lower)
-    found = nearest_body(lower, wanted)
-    free = np.asarray(np.linalg.solve(lower, wanted))
+    R = upper_triangle(np.column_stack([at.friction, at.load, target]) * weight[:, None])
+    factor, wanted = R[k : k + LOAD, k : k + LOAD], R[k : k + LOAD, -1]
+    _require_shown(factor)
+    found = nearest_body(factor, wanted)
+    free = np.asarray(np.linalg.solve(factor, wanted))
     extra = np.asarray(np.linalg.solve(R[:k, :k], R[:k, -1] - R[:k, k : k + LOAD] @ found))
-    return found, extra, not is_body(free)
+    return _Solution(found, extra, at, not is_body(free))
 
 
-def _require_told(factor: FloatArray) -> None:
+def _require_shown(factor: FloatArray) -> None:
     length = np.linalg.norm(factor, axis=0)
     if np.any(length == 0) or np.linalg.cond(factor / np.where(length > 0, length, 1.0)) > 1e7:
         raise FitError(
@@ -262,41 +138,49 @@ def _require_told(factor: FloatArray) -> None:
         )
 
 
-def _estimate(problem: _Problem, found: _Solution, without: FloatArray) -> PayloadEstimate:
-    n, k = len(without), len(found.extra)
+def _told(problem: LoadProblem, found: _Solution) -> PayloadEstimate:
     residual = _residual(problem, found.at, found.extra)
-    X = np.hstack([found.at.load, found.at.friction])
-    weight = np.tile(1.0 / found.sigma**2, len(residual))
     blocks = time_blocks(residual, problem.kept.offsets)
-    sums = ClusterSums.of(X, residual.ravel(), weight, np.repeat(blocks, n))
-    # Parameters of a load differ by powers of ten; scaled, the inverse is safe.
-    length = np.sqrt(np.einsum("ij,i,ij->j", X, weight, X))
-    gram = (X * weight[:, None]).T @ X / np.outer(length, length)
-    bread = np.linalg.inv(gram) / np.outer(length, length)
-    told = clustered_covariance(bread, sums, "CR1")
+    spread = _covariance(found.at, residual, blocks)
+    # A load is a difference: the arm without it was measured with errors of the same kind.
+    both = 1.0 + len(residual) / max(problem.model.samples_, 1)
     G = central_jacobian(found.parameters)
-    error = np.sqrt(np.diag(G @ told.covariance[:LOAD, :LOAD] @ G.T))
-    mass, com, inertia = central(found.parameters)
-    values = np.concatenate([[mass], com, inertia])
-    offset = found.extra.reshape(n, -1)[:, 0] if k else np.zeros(n)
-    scale = found.extra.reshape(n, -1)[:, 1] if k == 2 * n else np.zeros(n)
+    error = np.sqrt(both * np.diag(G @ spread.covariance[:LOAD, :LOAD] @ G.T))
+    values = _values(found.parameters)
     return PayloadEstimate(
         payload=payload_of(found.parameters),
         values=values,
         std_error=error,
-        interval=interval(values, error, told.degrees[:LOAD], LEVEL),
-        residual=found.sigma,
-        without=without,
+        interval=interval(values, error, spread.degrees[:LOAD], LEVEL),
+        residual=_rms(residual),
+        without=_rms(problem.target - problem.bare.effort),
         unit=problem.data.effort_unit,
         joint_names=problem.data.joint_names,
-        correction=Correction(offset, scale),
+        correction=_correction(found.extra, residual.shape[1]),
         samples=len(residual),
-        blocks=len(sums.score),
+        blocks=len(np.unique(blocks)),
         bounded=found.bounded,
     )
 
 
-def _residual(problem: _Problem, at: _Linearised, extra: FloatArray) -> FloatArray:
+def _covariance(at: Linearised, residual: FloatArray, blocks: IntArray) -> Clustered:
+    """Of the load's parameters, then of the correction's coefficients."""
+    X = np.hstack([at.load, at.friction])
+    weight = np.tile(1.0 / np.maximum(_rms(residual), 1e-12) ** 2, len(residual))
+    sums = ClusterSums.of(X, residual.ravel(), weight, np.repeat(blocks, residual.shape[1]))
+    gram = sums.gram.sum(axis=0)
+    # Parameters of a load differ by powers of ten; scaled, the inverse is safe.
+    length = np.sqrt(np.diag(gram))
+    scale = np.outer(length, length)
+    return clustered_covariance(np.linalg.inv(gram / scale) / scale, sums, "CR2")
+
+
+def _correction(extra: FloatArray, n: int) -> Correction:
+    terms = extra.reshape(n, -1) if len(extra) else np.zeros((n, 1))
+    return Correction(terms[:, 0], terms[:, 1] if terms.shape[1] > 1 else np.zeros(n))
+
+
+def _residual(problem: LoadProblem, at: Linearised, extra: FloatArray) -> FloatArray:
     return problem.target - at.effort - (at.friction @ extra).reshape(at.effort.shape)
 
 
@@ -304,16 +188,11 @@ def _rms(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def _only(prediction: Prediction, keep: BoolArray) -> Prediction:
-    return Prediction(
-        prediction.effort[keep],
-        prediction.std[keep],
-        prediction.valid[keep],
-        {name: part[keep] for name, part in prediction.components.items()},
-    )
+def _values(parameters: FloatArray) -> FloatArray:
+    mass, com, inertia = central(parameters)
+    return np.concatenate([[mass], com, inertia])
 
 
 def true_values(payload: Payload) -> FloatArray:
     """(10,) of a known load, in the order of `PayloadEstimate.values`."""
-    mass, com, inertia = central(payload_parameters(payload))
-    return np.concatenate([[mass], com, inertia])
+    return _values(payload_parameters(payload))

@@ -10,7 +10,8 @@ from hil.data.dataset import Dataset
 from hil.data.filters import sample_rate
 from hil.identify.base import RobotEstimator
 from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import Friction, estimate_payload, with_identified
+from hil.identify.payload_fit import estimate_payload
+from hil.identify.payload_problem import Friction, with_identified
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray
 
