@@ -33,7 +33,7 @@ LEAST = 1e-3
 FAINT = 1e-6
 """Prior that is always there, so that the solution is unique."""
 
-LONGEST = 1e5
+LONGEST = 1e4
 """The target is scaled down to this length at most: noise-free data weigh 1e12."""
 
 
@@ -99,12 +99,11 @@ def consistent_least_squares(
     factor, target = triangle[:, :-1], triangle[:, -1]
     A = np.hstack([factor[:, :b] @ full @ space.to_parameters, factor[:, b:]])
     shrink = 1.0 / max(1.0, float(np.linalg.norm(target)) / LONGEST)
-    length = np.maximum(np.linalg.norm(A, axis=0), 1e-12 * np.linalg.norm(A))
-    length[: space.bodies] = 1.0  # S is of order 1 as it is, and its cone must stay the same
+    length = _lengths(A, space.bodies)
     pull = np.zeros((space.bodies, A.shape[1]))
-    pull[:, : space.bodies] = np.sqrt(prior or FAINT) * np.eye(space.bodies)
-    rows = shrink * np.vstack([A / length, pull])
-    wanted = shrink * np.concatenate([target, pull[:, : space.bodies] @ space.reference])
+    pull[:, : space.bodies] = np.sqrt(max((prior or 0.0) * shrink**2, FAINT)) * np.eye(space.bodies)
+    rows = np.vstack([shrink * A / length, pull])
+    wanted = np.concatenate([shrink * target, pull[:, : space.bodies] @ space.reference])
     positive = [*range(space.bodies, space.size), *(space.size + i for i in nonnegative)]
     z = _minimum(rows, wanted, space, positive) / length
     z[positive] = np.maximum(z[positive], 0.0)
@@ -118,6 +117,18 @@ def consistent_least_squares(
         least_eigenvalue=space.least_eigenvalue(z[: space.bodies]),
         repaired=repaired,
     )
+
+
+def _lengths(A: FloatArray, bodies: int) -> FloatArray:
+    """Divisors of the columns that make rotors and friction count like bodies.
+
+    Bodies stay as they are: their coordinates are of order 1, and their cone must keep its form.
+    """
+    norms = np.linalg.norm(A, axis=0)
+    like = float(norms[:bodies].max())
+    divisors = np.where(norms > 0, norms, like) / like
+    divisors[:bodies] = 1.0
+    return np.asarray(divisors)
 
 
 def _minimum(

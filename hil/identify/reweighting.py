@@ -13,10 +13,10 @@ from hil.identify.robust_loss import Loss, influence_slope, robust_scale, robust
 from hil.identify.robust_rows import RobustRows
 from hil.typing import FloatArray
 
-MOST, MOST_CONSTRAINED = 50, 10
+MOST, MOST_CONSTRAINED = 100, 10
 """Rounds of least squares, and of least squares under constraints behind them."""
 
-SETTLED = 1e-4
+SETTLED, SETTLED_CONSTRAINED = 1e-5, 1e-3
 """Change of the prediction, as a share of the residual, at which the rounds end."""
 
 Constrain = Callable[[Solution], FloatArray]
@@ -71,12 +71,13 @@ class Reweighting:
         self, fit: Reweighted, loss: Loss, constrain: Constrain | None, most: int
     ) -> Reweighted:
         rest = self._rows.residual(fit.solution.coefficients)
+        enough = SETTLED if constrain is None else SETTLED_CONSTRAINED
         for _ in range(most):
             scale = self._floor(robust_scale(rest))
             weight = robust_weights(rest / scale, loss)
             fit = self._solved(scale, weight, constrain, fit.iterations + 1)
             before, rest = rest, self._rows.residual(fit.solution.coefficients)
-            if np.all(np.std(rest - before, axis=0) <= SETTLED * scale):
+            if np.all(np.std(rest - before, axis=0) <= enough * scale):
                 break
         return fit
 
