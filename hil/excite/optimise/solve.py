@@ -39,8 +39,8 @@ def optimise(
         starts: Number of random starts.
         seed: Of the starts; the same seed gives the same series.
         progress: Told now and then how far it is; may raise to stop the search.
-        cpu_s: CPU time for all starts; none begins after it is spent. The result depends on the
-            computer when it is reached.
+        cpu_s: CPU time for all starts. When it is spent the search ends with what it has, which
+            then depends on the computer.
         iterations: Of one start at most.
 
     Raises:
@@ -71,10 +71,13 @@ def _optimise(
         tale.ended(done[-1][0].value)
     best, free = min(done, key=lambda pair: pair[0].value)
     if not np.isfinite(best.value):
+        spent = time.process_time() > begun + cpu_s
         raise PlanError(
-            f"no Fourier series was found within all limits, from {len(done)} random starts: "
-            + MotionLimits(problem).complaint(free),
-            hint="give it more room: wider limits, less clearance, more starts or another seed",
+            f"no Fourier series was found within all limits, from {len(done)} random starts"
+            + (f" in {cpu_s:g} s of CPU time: " if spent else ": ")
+            + (MotionLimits(problem).complaint(free) or "limits are exceeded between the points"),
+            hint=("give it more time, or " if spent else "give it ")
+            + "more room: wider limits, less clearance, more starts or another seed",
         )
     return _result(problem, free, tuple(start for start, _ in done), time.process_time() - begun)
 
