@@ -43,12 +43,6 @@ def test_what_the_controller_believes_is_found_whatever_the_motor_does() -> None
     assert found.determined.all()
 
 
-def test_standard_errors_know_that_control_errors_last() -> None:
-    shoulder = [controller_gains(logged(seed, noise=0.1)) for seed in range(20, 28)]
-    deviations = np.array([(one.gain - BELIEVED)[1:3] / one.gain_error[1:3] for one in shoulder])
-    assert 0.7 < np.std(deviations) < 1.4
-
-
 def test_joints_without_torque_are_not_determined_and_keep_what_is_declared() -> None:
     data = logged(1, 2)
     torque = data["torque_target"].copy()

@@ -117,12 +117,14 @@ def _found(raw: bytes) -> tuple[dict[str, Element], dict[str, Element]]:
 
     def end(tag: str) -> None:
         _, start = path.pop()
-        last = parser.CurrentByteIndex
+        inside = _tag_end(raw, start)
+        empty = raw[inside - 2 : inside] == b"/>"
+        # Of a tag that ends itself, expat says the end is behind it.
+        last = start if empty else parser.CurrentByteIndex
         if len(path) == 2 and tag in ("inertial", "dynamics") and path[1][0] in found:
             current[-1].parts[tag] = (start, _tag_end(raw, last))
         elif len(path) == 1 and tag in found:
-            element = current[-1]
-            element.last, element.empty = last, raw[element.inside - 2 : element.inside] == b"/>"
+            current[-1].last, current[-1].empty = last, empty
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.Parse(raw, True)
