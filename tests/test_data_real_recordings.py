@@ -84,6 +84,26 @@ def test_ur10e_baselines_are_reproduced(
         )
 
 
+@pytest.mark.parametrize(
+    ("estimator", "parameters", "raw"),
+    [
+        ("rigid-linear", {"method": "ols"}, 0.1470),
+        ("rigid-linear", {"method": "wls"}, 0.1450),
+        ("rigid-irls", {"exponent": False, "feasible": False}, 0.1451),
+        ("rigid-lmi", {"weighted": True}, 0.1448),
+    ],
+    ids=["ols", "wls", "irls", "lmi"],
+)
+def test_ur10e_classical_methods_are_reproduced(
+    ur10e, tmp_path, estimator, parameters, raw
+) -> None:
+    train, validation = ur10e
+    (entry,) = fit_sources(
+        train, estimator=estimator, robot="ur10e", validate=validation, out=tmp_path, **parameters
+    ).to_dict()["validation"]
+    assert entry["mean_raw"] == pytest.approx(raw, rel=0.01)
+
+
 def test_garbage_rows_are_refused_by_line_and_can_be_left_out(tmp_path) -> None:
     path = DATA / "ur10e" / "ur-19_09_27-11_32_02.csv"
     with pytest.raises(DataError, match="20 of 1139 rows") as caught:
