@@ -163,7 +163,12 @@ def test_ridge_needs_trajectories_to_leave_out_or_a_penalty() -> None:
         made("rigid-linear", method="ridge").fit(moving(1), nominal())
     model = made("rigid-linear", method="ridge", alpha=1e-6).fit(moving(1), nominal())
     assert model.alpha_ == 1e-6
-    assert np.all(np.isnan(model.covariance_))
+
+
+def test_a_penalty_and_noise_in_columns_tell_no_intervals(fitted) -> None:
+    assert np.all(np.isnan(fitted[2].interval()))
+    assert np.all(np.isnan(fitted[3].interval()))
+    assert np.all(np.isfinite(fitted[1].interval()))
 
 
 @pytest.mark.parametrize(

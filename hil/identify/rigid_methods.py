@@ -45,6 +45,7 @@ class RigidLeastSquares(RigidClassical):
         filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
 
     Attributes:
+        covariance_, std_error_: NaN for `ridge` and `tls`.
         alpha_: Penalty of `ridge`; 0 for the others.
         gap_: How far `tls` is from ill-posed, see `hil.identify.total_least_squares`; else inf.
     """
@@ -89,6 +90,11 @@ class RigidLeastSquares(RigidClassical):
         super().restore(arrays, facts)
         self.alpha_ = float(facts.get("alpha", 0.0))
         self.gap_ = float(facts.get("gap") or np.inf)
+
+    def _tell_uncertainty(self, data: Dataset, found: Solution) -> None:
+        super()._tell_uncertainty(data, found)
+        if not self.certain:
+            self.std_error_ = np.full_like(self.std_error_, np.nan)
 
     def _learn(self, data: Dataset) -> None:
         self.alpha_, self.gap_ = 0.0, float("inf")
