@@ -46,7 +46,7 @@ def linear() -> RigidDiffnea:
 def quiet() -> tuple[RigidDiffnea, RigidWls]:
     """Both estimators on data so good that hardly a bound is touched."""
     data = moving(*SEEDS, noise_a=0.002)
-    ours = RigidDiffnea(friction="coulomb-viscous", prior=1e-7).fit(data, nominal())
+    ours = RigidDiffnea(friction="coulomb-viscous", prior=1e-3).fit(data, nominal())
     return ours, RigidWls().fit(data, nominal())
 
 
@@ -74,7 +74,7 @@ def stribeck(data: Dataset, speed: float, exponent: float) -> Dataset:
 
 
 def test_exact_data_give_the_true_base_parameters() -> None:
-    found = RigidDiffnea(friction="coulomb-viscous", prior=1e-9).fit(moving(*SEEDS), nominal())
+    found = RigidDiffnea(friction="coulomb-viscous", prior=1e-5).fit(moving(*SEEDS), nominal())
     base = base_parameters(nominal(), rotor=True)
     truth = base.combine(plant().parameters(rotor=True))
     friction = np.stack([COULOMB, VISCOUS, OFFSET], axis=1).ravel()
@@ -92,7 +92,7 @@ def test_the_semidefinite_program_finds_the_same_torques() -> None:
     pytest.importorskip("cvxpy")
     lmi = estimator("rigid-lmi", weighted=True).fit(noisy(), nominal())
     theirs, ours = lmi.predict(noisy()).effort, linear().predict(noisy()).effort
-    assert np.sqrt(np.mean((theirs - ours) ** 2)) < 0.1 * 0.05
+    assert np.sqrt(np.mean((theirs - ours) ** 2)) < 0.15 * 0.05
 
 
 def test_standard_errors_are_those_of_least_squares_where_no_bound_is_touched() -> None:
@@ -132,6 +132,16 @@ def test_poor_excitation_leaves_links_that_can_exist_and_a_note() -> None:
     assert np.all(is_consistent(links(found)))
     assert np.all(links(found)[:, 0] < 10 * mass)
     assert "directions of the parameters" in found.notes_[-1]
+
+
+def test_no_link_gets_heavier_than_allowed_whatever_the_data_say() -> None:
+    carried = moving(*SEEDS, noise_a=0.05, load=replace(LOAD, mass=15.0))
+    undeclared = tuple(replace(c, payload=type(LOAD)()) for c in carried.conditions)
+    found = RigidDiffnea(friction="coulomb-viscous", mass_factor=1.5).fit(
+        replace(carried, conditions=undeclared), nominal()
+    )
+    mass = nominal().parameters(rotor=False).reshape(6, 10)[:, 0]
+    assert np.all(links(found)[:, 0] <= 1.5 * np.maximum(mass, 0.1 * mass.sum()))
 
 
 def test_a_load_nobody_declared_makes_the_last_link_heavier_not_impossible() -> None:

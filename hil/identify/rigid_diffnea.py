@@ -20,7 +20,7 @@ from hil.data.filters import FilterSettings
 from hil.data.prediction import Stream
 from hil.identify.compress import JointwiseQR
 from hil.identify.diffnea.arm import DiffneaArm
-from hil.identify.diffnea.bodies import Bodies
+from hil.identify.diffnea.bodies import MASS_FACTOR, Bodies
 from hil.identify.diffnea.carried import DiffneaStream
 from hil.identify.diffnea.fit import DiffneaFit
 from hil.identify.diffnea.forms import FORMS
@@ -41,8 +41,10 @@ class RigidDiffnea(RigidLinear):
     Args:
         friction: `coulomb-viscous`, `stribeck`, `stribeck-power` or `memory`, see
             `hil.identify.diffnea.forms`.
-        prior: Weight of the pull towards the nominal arm: one unit of Bregman divergence counts as
-            this share of all samples.
+        prior: Pull towards the nominal arm: how many samples one unit of Bregman divergence
+            counts for.
+        mass_factor: Links weigh at most this many times what the robot model says (small ones: a
+            tenth of the arm); above 1.
         sign_width: Width of the tanh that stands for sign(qd) [rad/s]; 0 for the hard sign.
         filters: Preprocessing of training and prediction alike, a `FilterSettings` or its dict.
 
@@ -63,13 +65,15 @@ class RigidDiffnea(RigidLinear):
         self,
         *,
         friction: str = "stribeck",
-        prior: float = 1e-5,
+        prior: float = 1.0,
+        mass_factor: float = MASS_FACTOR,
         sign_width: float = 0.01,
         filters: FilterSettings | dict[str, Any] | None = None,
     ) -> None:
         super().__init__(sign_width=sign_width, filters=filters)
         self.friction = choice("friction", friction, tuple(FORMS))
         self.prior = number("prior", prior, above=0.0)
+        self.mass_factor = number("mass_factor", mass_factor, above=1.0)
 
     def stream(self, payload: Payload | None = None) -> Stream:
         """A predictor for one sample at a time that carries friction states, if there are any."""
@@ -100,7 +104,7 @@ class RigidDiffnea(RigidLinear):
     def _learn(self, data: Dataset) -> None:
         """Shapes where they start, then fitted to rows of bounded number, then all rows."""
         scale = np.ones((data.n_joints, len(self._arm.form.terms)))
-        bodies, fold = Bodies.nominal(self.robot_), folding(self._base)
+        bodies, fold = Bodies.nominal(self.robot_, self.mass_factor), folding(self._base)
         unknowns = Unknowns(bodies, fold, self._arm.form, scale)
         self._start_from(unknowns.at(unknowns.start())[0])
         observed = self._compressed(data)

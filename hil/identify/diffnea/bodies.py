@@ -33,6 +33,13 @@ LEAST_SHARE = 1e-6
 ROTOR_SHARE = 0.3
 """Start of a rotor nobody told: this share of what its joint accelerates on average."""
 
+LIGHT = 0.1
+"""Share of the arm's mass below which a link counts as that heavy when its mass is bounded."""
+
+MASS_FACTOR = 5.0
+"""A link weighs at most this many times what the model says, or times a tenth of the arm where the
+link is lighter than that: tools are mounted on small flanges and not always declared."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bodies:
@@ -41,19 +48,22 @@ class Bodies:
     Attributes:
         theta: (n, 10) log-Cholesky coordinates of the nominal links.
         rotor: (n,) nominal or guessed rotor inertias [kg·m²].
+        mass_factor: Above 1; bounds masses, because α = α₀ + h·tanh((u − α₀)/h) with h half the
+            logarithm of how much heavier than nominal a link may be.
     """
 
     theta: FloatArray
     rotor: FloatArray
+    mass_factor: float = MASS_FACTOR
 
     @classmethod
-    def nominal(cls, robot: RobotModel) -> Bodies:
+    def nominal(cls, robot: RobotModel, mass_factor: float = MASS_FACTOR) -> Bodies:
         """Those of a robot model, mended where its links cannot exist."""
         links = robot.parameters(rotor=False).reshape(robot.n, -1)
         links = np.where(links[:, :1] > 0, links, _unknown_link())
         known = np.asarray(robot.rotor_inertia)
         rotor = np.where(known > 0, known, ROTOR_SHARE * _driven_inertia(robot))
-        return cls(to_coordinates(nearest_consistent(links, LEAST_SHARE)), rotor)
+        return cls(to_coordinates(nearest_consistent(links, LEAST_SHARE)), rotor, mass_factor)
 
     @property
     def start(self) -> FloatArray:
@@ -62,18 +72,18 @@ class Bodies:
 
     def parameters(self, u: FloatArray) -> FloatArray:
         """(11n,) inertial parameters in the order of `RobotModel.parameters(rotor=True)`."""
-        theta, log_rotor = self._split(u)
+        theta, log_rotor, _ = self._split(u)
         return np.concatenate([from_coordinates(theta).ravel(), self.rotor * np.exp(log_rotor)])
 
     def jacobian(self, u: FloatArray) -> FloatArray:
         """(11n, 11n) ∂parameters/∂u."""
-        theta, log_rotor = self._split(u)
-        return _blocks(coordinate_jacobian(theta), self.rotor * np.exp(log_rotor))
+        theta, log_rotor, bent = self._split(u)
+        return _blocks(coordinate_jacobian(theta) * bent[:, None], self.rotor * np.exp(log_rotor))
 
     def divergence(self, u: FloatArray) -> Local:
         """Divergence from nominal, by the coordinates (11n,)."""
-        theta, log_rotor = self._split(u)
-        U, slope = triangle(theta), triangle_jacobian(theta)
+        theta, log_rotor, bent = self._split(u)
+        U, slope = triangle(theta), triangle_jacobian(theta) * bent[..., None, None]
         links, links_gradient = self._links(U, slope)
         inner = np.linalg.inv(U)[:, None] @ slope
         rows = (inner + np.swapaxes(inner, -1, -2)).reshape(len(U), 10, 16)
@@ -94,9 +104,16 @@ class Bodies:
         gradient = 2.0 * np.einsum("lij,lkij->lk", W, dW) - 2.0 * np.sum(bent, axis=-1)
         return float(value), gradient
 
-    def _split(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        n = len(self.rotor)
-        return u[: 10 * n].reshape(n, 10), u[10 * n : 11 * n]
+    def _split(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """θ (n, 10), the rotors' logarithms (n,) and ∂θ/∂u (n, 10), which is diagonal."""
+        n, middle = len(self.rotor), self.theta[:, 0]
+        mass = np.exp(2.0 * middle)
+        half = 0.5 * np.log(self.mass_factor * np.maximum(1.0, LIGHT * mass.sum() / mass))
+        theta = u[: 10 * n].reshape(n, 10).copy()
+        share = np.tanh((theta[:, 0] - middle) / half)
+        bent = np.ones_like(theta)
+        theta[:, 0], bent[:, 0] = middle + half * share, 1.0 - share**2
+        return theta, u[10 * n : 11 * n], bent
 
 
 def _blocks(links: FloatArray, rotors: FloatArray) -> FloatArray:

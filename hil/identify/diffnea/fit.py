@@ -49,7 +49,7 @@ class DiffneaFit:
         unknowns = replace(unknowns, scale=_usual_scale(unknowns, observed, torque))
         plain = jointwise_least_squares(observed, weighted=False)
         floor = np.maximum(LEAST_NOISE * torque, 1e-12)
-        problem = Problem(unknowns, int(observed.rows.sum()), np.maximum(plain.sigma, floor), prior)
+        problem = Problem(unknowns, np.maximum(plain.sigma, floor), prior)
         return cls(problem, unknowns.start(), floor).finished(observed)
 
     def bent(self, rows: BendingRows) -> DiffneaFit:

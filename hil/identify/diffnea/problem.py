@@ -22,17 +22,15 @@ BENT_ENOUGH = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Σⱼ |rⱼ|²/σⱼ² + prior · (number of samples) · divergence from nominal.
+    """Σⱼ |rⱼ|²/σⱼ² + prior · divergence from nominal.
 
     Attributes:
         unknowns: What is sought.
-        samples: Rows times joints behind the observations.
         sigma: (n,) deviation each joint is given [N·m].
-        prior: Weight of the divergence: the share of a sample it counts, per sample.
+        prior: How many samples a unit of divergence counts for.
     """
 
     unknowns: Unknowns
-    samples: int
     sigma: FloatArray
     prior: float
 
@@ -91,7 +89,7 @@ class Problem:
         return Solution(values, sigma, weight, to @ inverse @ to.T, rank, condition, system)
 
     def _local(self, u: FloatArray, r: FloatArray, J: FloatArray) -> Local:
-        away, pull = self.unknowns.divergence(u), self.prior * self.samples
+        away, pull = self.unknowns.divergence(u), self.prior
         return Local(
             float(r @ r) + pull * away.cost,
             2.0 * J.T @ r + pull * away.gradient,
