@@ -218,7 +218,7 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
 
 
 def estimate_payload(
-    model: AnyPath, sources: AnyPath | Iterable[AnyPath], *, friction: str = "model"
+    model: AnyPath, sources: AnyPath | Iterable[AnyPath], *, friction: str = "auto"
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a saved model of the arm.
 
@@ -226,7 +226,8 @@ def estimate_payload(
         model: Its folder.
         sources: Run directories or MCAP files recorded with that load, or just one.
         friction: What of the model's friction may differ on that day: nothing (`model`), an
-            `offset` per joint, or an offset and a factor (`scale`).
+            `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
+            choose, by stretches that are left out in turn.
 
     Raises:
         DataError: A source cannot be read, is of another robot, or was fitted to.

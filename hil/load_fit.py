@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -22,7 +23,7 @@ from hil.validation import require_unseen, serial_notes
 
 
 def payload_of_sources(
-    model: Path, sources: Sequence[Path], friction: Friction = "model"
+    model: Path, sources: Sequence[Path], friction: Friction | Literal["auto"] = "auto"
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a stored model of the arm.
 

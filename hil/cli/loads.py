@@ -24,9 +24,9 @@ def payload(
         typer.Option(
             "--friction",
             help="What of the model's friction may differ on that day: model (nothing), offset, "
-            "or scale (offset and factor).",
+            "scale (offset and factor), or auto, which lets the recording choose.",
         ),
-    ] = "model",
+    ] = "auto",
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
@@ -38,6 +38,7 @@ def payload(
         print_json({"model": str(model), **told})
         return
     typer.echo(f"load in {told['samples']} samples, {told['blocks']} independent blocks of time")
+    typer.echo(f"friction: {FREED[told['friction']]}")
     print_table(
         ("parameter", "value", "± std", "95 % interval", "well determined"),
         [_row(each) for each in told["parameters"]],
@@ -56,6 +57,13 @@ def payload(
     typer.echo("\nfor a spec, a map, or --payload:")
     for line in _lines(told["payload"]):
         typer.echo(line)
+
+
+FREED = {
+    "model": "as the model has it",
+    "offset": "the model's and an offset per joint",
+    "scale": "the model's times a factor and an offset per joint",
+}
 
 
 def _row(told: dict[str, Any]) -> tuple[str, ...]:

@@ -61,7 +61,8 @@ class PayloadEstimate:
         without: (n,) the same with nothing at the flange.
         unit: `A` or `N·m`, of the residuals.
         joint_names: Length n.
-        correction: Of the model's friction; zeros unless asked for.
+        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`.
+        correction: By how much, zeros where it was not.
         samples: Rows used.
         blocks: Blocks of time that counted as independent.
         bounded: Whether the recording alone would have had a body that cannot be; the errors are
@@ -77,6 +78,7 @@ class PayloadEstimate:
     without: FloatArray
     unit: str
     joint_names: tuple[str, ...]
+    friction: str
     correction: Correction
     samples: int
     blocks: int
@@ -114,6 +116,7 @@ class PayloadEstimate:
             "unit": self.unit,
             "residual": [float(value) for value in self.residual],
             "residual_without_load": [float(value) for value in self.without],
+            "friction": self.friction,
             "correction": {
                 "offset": [float(value) for value in self.correction.offset],
                 "scale": [float(value) for value in self.correction.scale],

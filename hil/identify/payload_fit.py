@@ -13,7 +13,8 @@ which that was done; this is right for alike motions and too little for a model 
 
 from __future__ import annotations
 
-from typing import NamedTuple, get_args
+from dataclasses import replace
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -24,15 +25,12 @@ from hil.identify.base import RobotEstimator
 from hil.identify.blocks import time_blocks
 from hil.identify.checks import require_clean, require_motion
 from hil.identify.clustered import Clustered, ClusterSums, clustered_covariance, interval
-from hil.identify.compress import upper_triangle
-from hil.identify.load_body import central, central_jacobian, is_body, nearest_body, payload_of
+from hil.identify.load_body import central, central_jacobian, payload_of
 from hil.identify.payload_estimate import Correction, PayloadEstimate
 from hil.identify.payload_problem import Friction, Linearised, LoadProblem
+from hil.identify.payload_step import LOAD, Step, best_friction, step
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray, IntArray
-
-LOAD = 10
-"""Inertial parameters of a load."""
 
 MOST_STEPS = 16
 
@@ -49,7 +47,7 @@ def estimate_payload(
     model: RobotEstimator,
     dataset: Dataset,
     *,
-    friction: Friction = "model",
+    friction: Friction | Literal["auto"] = "auto",
     rows: BoolArray | None = None,
 ) -> PayloadEstimate:
     """The load under which a recording was made.
@@ -59,7 +57,8 @@ def estimate_payload(
             gains that are 5 % too large make a load 5 % too heavy.
         dataset: Motion with one load, which need not be declared.
         friction: What of the model's friction may be another on that day: nothing (`model`), an
-            offset per joint (`offset`), or an offset and a factor (`scale`).
+            offset per joint (`offset`), or an offset and a factor (`scale`); `auto` takes what
+            errs least on stretches of the rows that are left out in turn.
         rows: (N,) rows to fit to, all by default. The model sees all of the motion.
 
     Raises:
@@ -67,88 +66,74 @@ def estimate_payload(
         DataError: It is of another robot or unit than the model.
         SpecError: There is no such way to treat friction.
     """
-    if friction not in get_args(Friction):
-        raise SpecError(
-            f"friction is {friction!r}, but must be one of {', '.join(get_args(Friction))}"
-        )
+    known = ("auto", *get_args(Friction))
+    if friction not in known:
+        raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
     require_clean(dataset, ("t", "q", "effort"))
     require_motion(dataset)
+    if friction == "auto":
+        return _told(*_chosen(LoadProblem.of(model, dataset, "scale", rows)))
     problem = LoadProblem.of(model, dataset, friction, rows)
     return _told(problem, _settled(problem))
 
 
 class _Solution(NamedTuple):
-    """Where the steps ended.
+    """Where the steps ended, and the linearised prediction there."""
 
-    Attributes:
-        parameters: (10,) of the load.
-        extra: (k,) coefficients of the correction.
-        at: The linearised prediction there.
-        bounded: Whether least squares alone would leave what bodies can be.
-    """
-
-    parameters: FloatArray
-    extra: FloatArray
+    step: Step
     at: Linearised
-    bounded: bool
 
 
-def _settled(problem: LoadProblem) -> _Solution:
-    at = Linearised(problem.bare.effort, problem.rigid, problem.columns(problem.bare))
-    now = _step(problem, at, np.zeros(LOAD), np.maximum(problem.model.sigma_, 1e-9))
+def _settled(problem: LoadProblem, start: FloatArray | None = None) -> _Solution:
+    """Step by step from a load (10,), or from nothing."""
+    least = 1e-9 + 1e-9 * float(np.max(np.abs(problem.target)))
+    columns, J = problem.columns(problem.bare), problem.rigid
+    if start is None:
+        at = Linearised(problem.bare.effort, J, columns)
+        sigma = np.maximum(problem.model.sigma_, least)
+        now = step(at, np.zeros(LOAD), problem.target, sigma)
+    else:
+        now = Step(start, np.zeros(columns.shape[1]), False)
     for count in range(MOST_STEPS):
         here = problem.predict(now.parameters)
-        fresh = count % FRESH == 0
-        J = problem.jacobian(now.parameters, here) if fresh else now.at.load
+        if count % FRESH == 0:
+            J = problem.jacobian(now.parameters, here)
         at = Linearised(here.effort, J, problem.columns(here))
-        sigma = _rms(_residual(problem, at, now.extra))
-        least = 1e-9 + 1e-9 * float(np.max(np.abs(problem.target)))
-        before, now = now, _step(problem, at, now.parameters, np.maximum(sigma, least))
+        sigma = np.maximum(_rms(_residual(problem, at, now.extra)), least)
+        before, now = now, step(at, now.parameters, problem.target, sigma)
         change = (J @ (now.parameters - before.parameters)).reshape(here.effort.shape)
-        if np.all(_rms(change) <= SMALL_STEP * np.maximum(sigma, least)):
-            return now._replace(at=at._replace(effort=at.effort + change))
+        if np.all(_rms(change) <= SMALL_STEP * sigma) and count:
+            return _Solution(now, at._replace(effort=at.effort + change))
     raise FitError(
         "the load did not settle: the recording hardly tells it",
         hint="record a motion that turns the wrist as well as the arm",
     )
 
 
-def _step(
-    problem: LoadProblem, at: Linearised, parameters: FloatArray, sigma: FloatArray
-) -> _Solution:
-    """Load and correction that fit the linearised prediction best."""
-    weight = np.tile(1.0 / sigma, len(problem.target))
-    target = (problem.target - at.effort).ravel() + at.load @ parameters
-    k = at.friction.shape[1]
-    R = upper_triangle(np.column_stack([at.friction, at.load, target]) * weight[:, None])
-    factor, wanted = R[k : k + LOAD, k : k + LOAD], R[k : k + LOAD, -1]
-    _require_shown(factor)
-    found = nearest_body(factor, wanted)
-    free = np.asarray(np.linalg.solve(factor, wanted))
-    extra = np.asarray(np.linalg.solve(R[:k, :k], R[:k, -1] - R[:k, k : k + LOAD] @ found))
-    return _Solution(found, extra, at, not is_body(free))
-
-
-def _require_shown(factor: FloatArray) -> None:
-    length = np.linalg.norm(factor, axis=0)
-    if np.any(length == 0) or np.linalg.cond(factor / np.where(length > 0, length, 1.0)) > 1e7:
-        raise FitError(
-            "the motion does not tell all ten parameters of a load",
-            hint="record a motion in which every joint turns, the wrist's too",
-        )
+def _chosen(problem: LoadProblem) -> tuple[LoadProblem, _Solution]:
+    """The problem with what of the friction is best freed, and its solution."""
+    widest = replace(problem, friction="scale")
+    found = _settled(widest)
+    sigma = np.maximum(_rms(_residual(widest, found.at, found.step.extra)), 1e-9)
+    offsets, parameters = problem.kept.offsets, found.step.parameters
+    best = best_friction(found.at, parameters, problem.target, sigma, offsets)
+    if best == "scale":
+        return widest, found
+    narrower = replace(problem, friction=best)
+    return narrower, _settled(narrower, parameters)
 
 
 def _told(problem: LoadProblem, found: _Solution) -> PayloadEstimate:
-    residual = _residual(problem, found.at, found.extra)
+    residual = _residual(problem, found.at, found.step.extra)
     blocks = time_blocks(residual, problem.kept.offsets)
     spread = _covariance(found.at, residual, blocks)
     # A load is a difference: the arm without it was measured with errors of the same kind.
     both = 1.0 + len(residual) / max(problem.model.samples_, 1)
-    G = central_jacobian(found.parameters)
+    G = central_jacobian(found.step.parameters)
     error = np.sqrt(both * np.diag(G @ spread.covariance[:LOAD, :LOAD] @ G.T))
-    values = _values(found.parameters)
+    values = _values(found.step.parameters)
     return PayloadEstimate(
-        payload=payload_of(found.parameters),
+        payload=payload_of(found.step.parameters),
         values=values,
         std_error=error,
         interval=interval(values, error, spread.degrees[:LOAD], LEVEL),
@@ -156,10 +141,11 @@ def _told(problem: LoadProblem, found: _Solution) -> PayloadEstimate:
         without=_rms(problem.target - problem.bare.effort),
         unit=problem.data.effort_unit,
         joint_names=problem.data.joint_names,
-        correction=_correction(found.extra, residual.shape[1]),
+        friction=problem.friction,
+        correction=_correction(found.step.extra, residual.shape[1]),
         samples=len(residual),
         blocks=len(np.unique(blocks)),
-        bounded=found.bounded,
+        bounded=found.step.bounded,
     )
 
 

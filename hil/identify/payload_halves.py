@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class HalfTested:
 
 
 def payload_halves(
-    model: RobotEstimator, dataset: Dataset, *, friction: Friction = "model"
+    model: RobotEstimator, dataset: Dataset, *, friction: Friction | Literal["auto"] = "auto"
 ) -> tuple[HalfTested, HalfTested]:
     """Fit the load to each half of every series, test it on the other.
 
@@ -78,7 +79,7 @@ def _tested(
     dataset: Dataset,
     train: BoolArray,
     test: BoolArray,
-    friction: Friction,
+    friction: Friction | Literal["auto"],
 ) -> HalfTested:
     estimate = estimate_payload(model, dataset, friction=friction, rows=train)
     bare = model.predict(with_identified(dataset, Payload()))
