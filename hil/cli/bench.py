@@ -30,7 +30,11 @@ def bench(
     ] = False,
     seed: Annotated[
         list[int] | None,
-        typer.Option("--seed", min=0, help="static: robots; lm: rows and start; excite: starts. May be repeated."),
+        typer.Option(
+            "--seed",
+            min=0,
+            help="static: robots; lm: rows and start; excite: starts. May be repeated.",
+        ),
     ] = None,
     json: JsonFlag = False,
 ) -> None:
