@@ -131,7 +131,7 @@ def _newton(
 def _longest(phi: FloatArray, step: FloatArray) -> float:
     """Share of a step, 1 at most, that stays well inside."""
     L = np.linalg.cholesky(_above_floor(phi))
-    change = np.linalg.solve(L, np.linalg.solve(L, _scaled(pseudo_inertia(step))).T)
+    change = np.linalg.solve(L, np.linalg.solve(L, np.tensordot(step, _UNITS, 1)).T)
     lowest = float(np.linalg.eigvalsh(change)[0])
     return 1.0 if lowest > -0.9 else -0.9 / lowest
 
@@ -145,7 +145,9 @@ def _inside(parameters: FloatArray) -> FloatArray:
 
 
 def _above_floor(parameters: FloatArray) -> FloatArray:
-    return _scaled(pseudo_inertia(parameters) - _FLOOR)
+    """(4, 4) what has to be positive definite, lengths in `LENGTH_M`."""
+    above: FloatArray = np.tensordot(parameters, _UNITS, 1) - _SCALED_FLOOR
+    return above
 
 
 def _scaled(pseudo: FloatArray) -> FloatArray:
@@ -154,3 +156,4 @@ def _scaled(pseudo: FloatArray) -> FloatArray:
 
 
 _UNITS = np.stack([_scaled(pseudo_inertia(unit)) for unit in np.eye(10)])
+_SCALED_FLOOR = _scaled(_FLOOR)
