@@ -3,24 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from hil.data.dataset import Dataset
+from hil.data.filters import AT_REST, FilterSettings, derivative, sample_rate
 from hil.dynamics import RobotModel
 from hil.errors import SpecError
 from hil.identify.friction.library import CORE, groups
 from hil.suggest import did_you_mean
 from hil.typing import FloatArray
 
-DEFAULT_FILTERS: dict[str, Any] = {
-    "unit": "hz",
-    "velocity": 10.0,
-    "acceleration": 10.0,
-    "effort": 12.0,
-}
-"""An arm's motion has the same frequencies however often it is sampled. Chosen on four UR10e
-trajectories, each left out in turn."""
+MOTION_HZ, EFFORT_RATIO = 10.0, 1.2
+"""Lowest cut-off for velocity and acceleration, and that of the effort over it. An arm's motion has
+the same frequencies however often it is sampled; chosen on four UR10e trajectories, each left out
+in turn."""
+
+BANDWIDTHS = 5.0
+"""A cut-off is at least so many times the bandwidth of the motion, for arms that are quicker."""
+
+ENERGY = 0.999
+"""Share of the velocity's energy within its bandwidth."""
+
+MOST_OF_NYQUIST = 0.75
+
+
+def filters_for(dataset: Dataset) -> FilterSettings:
+    """Filters by the bandwidth of the motion that is learnt from.
+
+    Raises:
+        DataError: Time does not increase.
+    """
+    bandwidth, nyquist = 0.0, np.inf
+    for condition, rows in dataset.slices():
+        if condition.kind not in AT_REST and rows.stop - rows.start > 2:
+            t = dataset["t"][rows]
+            nyquist = min(nyquist, 0.5 * sample_rate(t))
+            bandwidth = max(bandwidth, _bandwidth(derivative(dataset["q"][rows], t), t))
+    most = MOST_OF_NYQUIST * nyquist / EFFORT_RATIO
+    motion = round(float(min(max(MOTION_HZ, BANDWIDTHS * bandwidth), most)), 2)
+    effort = round(EFFORT_RATIO * motion, 2)
+    return FilterSettings(unit="hz", velocity=motion, acceleration=motion, effort=effort)
+
+
+def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
+    """Frequency below which nearly all of the median joint's velocity (N, n) lies [Hz]."""
+    from scipy.signal import welch
+
+    rate = sample_rate(t)
+    length = min(len(t), int(4.0 * rate))
+    frequency, power = welch(velocity, rate, nperseg=length, axis=0)
+    share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
+    return float(np.median(frequency[np.argmax(share >= ENERGY, axis=0)]))
 
 
 def group_names(name: str, given: str | Sequence[str]) -> str | tuple[str, ...]:

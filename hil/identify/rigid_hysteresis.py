@@ -33,7 +33,7 @@ from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.memory import path_steps
 from hil.identify.friction.motion import Shapes
 from hil.identify.friction.series import motions, smoothed
-from hil.identify.hysteresis_settings import DEFAULT_FILTERS, group_names, motor_turns
+from hil.identify.hysteresis_settings import filters_for, group_names, motor_turns
 from hil.identify.parameters import flag, number, settings
 from hil.identify.plausible import require_plausible
 from hil.payload import Payload
@@ -52,12 +52,13 @@ class RigidHysteresis(RobotEstimator):
         consistent: Links that can exist; needs the extra `identify`.
         gear_ratio: Motor turns per joint turn, for ripple; by default the arm's, if known.
         filters: Preprocessing of training and prediction alike; by default 10 Hz for motion and
-            12 Hz for effort, whatever the sample rate.
+            12 Hz for effort, whatever the sample rate, and more for arms that move quicker.
 
     Attributes:
         rigid_: (b,) base parameters.
         inertial_: (11n,) of a robot that can exist; absent without `consistent`.
         law_: Friction, ripple and drive.
+        filters_: Those that were used.
         gear_rigid_: (b,) base parameters the torque through the gears was computed with.
         held_out_: (n,) error on left-out trajectories, filtered, in effort units; the same
             trajectories chose the groups.
@@ -82,7 +83,7 @@ class RigidHysteresis(RobotEstimator):
         self.fit_shapes = flag("fit_shapes", fit_shapes)
         self.consistent = flag("consistent", consistent)
         self.gear_ratio = None if gear_ratio is None else number("gear_ratio", gear_ratio, above=0)
-        self.filters = settings("filters", filters or DEFAULT_FILTERS, FilterSettings)
+        self.filters = None if filters is None else settings("filters", filters, FilterSettings)
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are part of what the gears transmit.
@@ -100,9 +101,10 @@ class RigidHysteresis(RobotEstimator):
         self._base = base_parameters(robot, rotor=True)
         require_samples(len(dataset), self._base.rank + 10 * robot.n, "samples")
         require_motion(dataset)
-        data = prepared(dataset, self.filters)
+        self.filters_ = self.filters or filters_for(dataset)
+        data = prepared(dataset, self.filters_)
         turns = motor_turns(robot, self.gear_ratio)
-        learnt = HysteresisFit(self._base, robot, self.filters, turns).learn(
+        learnt = HysteresisFit(self._base, robot, self.filters_, turns).learn(
             data,
             self.torque_scale_,
             friction=self.friction,
@@ -128,7 +130,7 @@ class RigidHysteresis(RobotEstimator):
             DataError: The data are of another robot or unit, or cannot be filtered.
         """
         self._require_match(dataset)
-        data = prepared(dataset, self.filters)
+        data = prepared(dataset, self.filters_)
         motion = tuple(data[name] for name in MOTION)
         load = payload_torque(self.robot_, data, *motion)
         torque, gravity, transmitted = self._rigid_torques(data, load)
@@ -179,7 +181,7 @@ class RigidHysteresis(RobotEstimator):
         for condition, rows, motion in motions(data, steps, transmitted, self.law_.shapes):
             for name, torque in self.law_.torques(motion).items():
                 whole = out.setdefault(name, np.zeros_like(transmitted))
-                whole[rows] = smoothed(torque, condition, data["t"][rows], self.filters)
+                whole[rows] = smoothed(torque, condition, data["t"][rows], self.filters_)
         return out
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
@@ -201,6 +203,7 @@ class RigidHysteresis(RobotEstimator):
         return super().fitted_facts() | {
             "parameter_names": list(self.parameter_names_),
             "friction": [list(names) for names in self.law_.chosen],
+            "filters": self.filters_.model_dump(),
         }
 
     def restore(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
@@ -209,6 +212,7 @@ class RigidHysteresis(RobotEstimator):
         self._base = base_parameters(self.robot_, rotor=True)
         self.rigid_, self.gear_rigid_ = arrays["rigid"], arrays["gear_rigid"]
         self.held_out_ = arrays["held_out"]
+        self.filters_ = FilterSettings.model_validate(facts["filters"])
         if "inertial" in arrays:
             self.inertial_ = arrays["inertial"]
         chosen = tuple(tuple(map(str, names)) for names in facts["friction"])

@@ -12,7 +12,7 @@ from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.learning import Training, core_groups, rigid_of
-from hil.identify.friction.library import Columns, groups, rungs
+from hil.identify.friction.library import LEAST_LOAD, LOADED, Columns, groups, rungs
 from hil.identify.friction.motion import Shapes
 from hil.identify.friction.observed import Observed
 from hil.identify.friction.selection import AS_GOOD, Selection, climb
@@ -73,12 +73,10 @@ class HysteresisFit:
         ripple = bool(np.any(np.isfinite(self.turns)))
         library = groups(ripple=ripple, temperature=temperatures_vary(data))
         shapes, gear_rigid = self._shaped(training, library, fit_shapes)
-        ladder = rungs(ripple=ripple, temperature="temperature" in library)
-        wanted = ladder[-1] if friction == "auto" else friction
-        named = {name: library[name] for name in wanted if name in library}
+        named, ladders = self._offered(training, library, friction, gear_rigid)
         observed = training.observed(named, gear_rigid, shapes)
-        found = _chosen(observed, friction if friction == "auto" else tuple(named), ladder,
-                        training.whole)  # fmt: skip
+        # Parts of one trajectory are no trajectories: there, richer must be better.
+        found = climb(observed, ladders, as_good=AS_GOOD if training.whole else 0.0)
         solved = solve(observed, found.chosen, found.penalty)
         self._require_excited(solved)
         if consistent:
@@ -92,6 +90,25 @@ class HysteresisFit:
             int(training.kept.sum()),
             () if training.whole else (NO_TRAJECTORIES,),
         )
+
+    def _offered(
+        self,
+        training: Training,
+        library: Mapping[str, Columns],
+        friction: str | Sequence[str],
+        gear_rigid: FloatArray,
+    ) -> tuple[dict[str, Columns], list[list[tuple[str, ...]]]]:
+        """Groups that are computed, and the lists every joint may choose from."""
+        if friction != "auto":
+            names = tuple(name for name in friction if name in library)
+            return {name: library[name] for name in names}, [[names]] * self.robot.n
+        ripple = bool(np.any(np.isfinite(self.turns)))
+        ladder = rungs(ripple=ripple, temperature="temperature" in library)
+        ladders = [
+            ladder if share >= LEAST_LOAD else [_unloaded(names) for names in ladder]
+            for share in training.load_share(gear_rigid)
+        ]
+        return {name: library[name] for name in ladder[-1]}, ladders
 
     def _shaped(
         self, training: Training, library: Mapping[str, Columns], fit_shapes: bool
@@ -118,13 +135,6 @@ class HysteresisFit:
         require_rank(weighted.rank, weighted.condition, names, X, highest=1e8)
 
 
-def _chosen(
-    observed: Observed,
-    friction: str | Sequence[str],
-    ladder: Sequence[tuple[str, ...]],
-    whole: bool,
-) -> Selection:
-    if friction == "auto":
-        # Parts of one trajectory are no trajectories: there, richer must be better.
-        return climb(observed, ladder, as_good=AS_GOOD if whole else 0.0)
-    return climb(observed, [tuple(friction)], as_good=0.0)
+def _unloaded(names: Sequence[str]) -> tuple[str, ...]:
+    """The groups that do not grow with the torque through the gear."""
+    return tuple(name for name in names if name not in LOADED)

@@ -91,6 +91,12 @@ class Training:
         """(N, n) torque through the gears [N·m]."""
         return self.load if rigid is None else self.Y @ rigid + self.load
 
+    def load_share(self, rigid: FloatArray) -> FloatArray:
+        """(n,) torque through each gear over what the rigid body leaves, root mean squares."""
+        transmitted = np.mean((self.Y @ rigid + self.load) ** 2, axis=0)
+        left = np.mean((self.target - self.Y @ rigid) ** 2, axis=0)
+        return np.asarray(np.sqrt(transmitted / np.maximum(left, 1e-300)))
+
     def rest(self, rigid: FloatArray, shapes: Shapes) -> list[Part]:
         """Per series its motion, what the rigid body leaves on kept rows, and its filter."""
         parts = []

@@ -66,6 +66,19 @@ def rungs(*, ripple: bool, temperature: bool) -> list[tuple[str, ...]]:
     return [taken, *(taken := (*taken, *step) for step in steps)]
 
 
+LOADED = frozenset(
+    {"load", "stribeck load", "stribeck wide load", "braking", "drive", "speed p load",
+     "speed 1 load", "speed 2 load", "speed braking"}
+    | {f"memory {k:g} load" for k in MULTIPLES[1:]}
+)  # fmt: skip
+"""Groups whose columns grow with the torque through the gear."""
+
+LEAST_LOAD = 0.2
+"""Torque through a gear, as a share of what is left to friction (root mean squares), below which
+the joint gets none of `LOADED`: fitted to next to no load, they would be anything under a real
+one. A UR10e's wrist 2 and 3 transmit a tenth and less."""
+
+
 def column_names(group: str, count: int) -> tuple[str, ...]:
     """Names of a group's columns."""
     if group == CORE:

@@ -47,24 +47,30 @@ class Selection:
     error: FloatArray
 
 
-def climb(observed: Observed, rungs: Sequence[Sequence[str]], *, as_good: float) -> Selection:
+def climb(
+    observed: Observed, ladders: Sequence[Sequence[Sequence[str]]], *, as_good: float
+) -> Selection:
     """Choose one of a few nested lists of groups, and a penalty, for every joint.
 
     A joint takes the richest list whose error on held-out folds is the lowest, or as good.
 
     Args:
         observed: At least two folds.
-        rungs: Lists of groups, from the poorest to the richest.
+        ladders: Per joint its lists, from the poorest to the richest; equally many for all.
         as_good: Share by which the error may be above the lowest; see `AS_GOOD`.
     """
-    folds = _Folds(observed)
-    errors = np.array([[folds.error(names, p) for p in PENALTIES] for names in rungs])
+    folds, n, rungs = _Folds(observed), observed.joints, range(len(ladders[0]))
+    errors = np.array(
+        [
+            [folds.judged([own[i] for own in ladders], np.full(n, p)) for p in PENALTIES]
+            for i in rungs
+        ]
+    )
     lowest = errors.min(axis=1)
     good = lowest <= (1.0 + as_good) * lowest.min(axis=0)
     richest = len(rungs) - 1 - np.argmax(good[::-1], axis=0)
-    joints = np.arange(observed.joints)
-    penalty = np.array(PENALTIES)[np.argmin(errors[richest, :, joints], axis=1)]
-    chosen = tuple(tuple(rungs[i]) for i in richest)
+    penalty = np.array(PENALTIES)[np.argmin(errors[richest, :, np.arange(n)], axis=1)]
+    chosen = tuple(tuple(own[i]) for own, i in zip(ladders, richest, strict=True))
     return Selection(chosen, penalty, folds.judged(chosen, penalty))
 
 
@@ -101,11 +107,6 @@ class _Folds:
         self.train = self.grams.sum(axis=0) - self.grams
         self.held = 1.0 - _is_free(observed)
         self.weight = 1.0 / np.maximum(diagonal[:, -1], 1e-24 * float(diagonal[:, -1].max()) or 1.0)
-
-    def error(self, names: Sequence[str], penalty: float) -> FloatArray:
-        """(n,) error on held-out folds with the same groups and penalty in every joint [N·m]."""
-        n = self.observed.joints
-        return self.judged([names] * n, np.full(n, penalty))
 
     def judged(self, chosen: Sequence[Sequence[str]], penalty: FloatArray) -> FloatArray:
         """(n,) error on held-out folds [N·m]; joints weighted by the error of a first round."""
