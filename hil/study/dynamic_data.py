@@ -1,4 +1,4 @@
-"""What a study of dynamic identification takes from a run: filtered, down-sampled trajectories."""
+"""What a study of dynamic identification takes from a run: filtered trajectories."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.data.dataset import Dataset, rows_of
-from hil.data.filters import FilterSettings, prepare, sample_rate
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings, downsample, prepare, sample_rate
 from hil.data.splits import groups, paper_sample_split, split
 from hil.dynamics import RobotModel
 from hil.errors import FitError
@@ -39,13 +39,17 @@ class Trajectories:
     """A run as a study of dynamics sees it.
 
     Attributes:
-        data: Filtered and down-sampled, with the columns `MOVING` and `REVERSAL`.
+        data: Filtered, with the columns `MOVING` and `REVERSAL`.
+        thinned: Its rows that are kept.
+        filters: As it was filtered and thinned, for estimators.
         scale: (n,) torque per unit of effort.
         recorded_hz, kept_hz: Sample rates before and after.
         notes: What is not as in the paper.
     """
 
     data: Dataset
+    thinned: Dataset
+    filters: FilterSettings
     scale: FloatArray
     recorded_hz: float
     kept_hz: float
@@ -74,7 +78,7 @@ def trajectories_of(
 
     Raises:
         FitError: There are too few trajectories, or the robot is another.
-        DataError: The cut-off is too high for the recorded rate.
+        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
     """
     require_robot(whole, robot)
     data = whole.of_kind("trajectory")
@@ -84,24 +88,27 @@ def trajectories_of(
             f"{found} trajectories are too few: the study needs at least {FEWEST}",
             hint="record some twelve (excitation: {kind: fourier, trajectories: 12})",
         )
-    cut = dict.fromkeys(("velocity", "acceleration", "effort"), cutoff_hz)
-    filtered = marked(prepare(data, FilterSettings.model_validate({"unit": "hz", **cut})))
     recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
     every = max(1, round(recorded / rate_hz))
-    kept = rows_of(filtered, every_nth(filtered, every))
+    cut = dict.fromkeys(("velocity", "acceleration", "effort"), cutoff_hz)
+    filters = FilterSettings.model_validate({"unit": "hz", "every": every, **cut})
+    filtered = marked(prepare(data, filters))
+    thinned = downsample(filtered, filters)
     notes = [] if found == sum(OF_TWELVE) else [f"{found} trajectories; the paper has twelve"]
     if recorded < 0.99e3:
         notes.append(f"recorded at {recorded:.0f} Hz; the paper at 1000 Hz")
-    return Trajectories(kept, torque_scale(data), recorded, recorded / every, tuple(notes))
+    rates = (recorded, recorded / every)
+    return Trajectories(filtered, thinned, filters, torque_scale(data), *rates, tuple(notes))
 
 
-def paper_parts(data: Dataset, seed: int) -> Parts:
-    """60/20/20 % of the samples, drawn one by one: neighbours in time land on all sides."""
-    return Parts(*paper_sample_split(data, SHARES, seed))
+def paper_parts(of: Trajectories, seed: int) -> Parts:
+    """60/20/20 % of the samples kept, drawn one by one: neighbours in time land on all sides."""
+    return Parts(*paper_sample_split(of.thinned, SHARES, seed))
 
 
-def honest_parts(data: Dataset, seed: int) -> Parts:
-    """The same shares of whole trajectories: 7, 2 and 3 of twelve."""
+def honest_parts(of: Trajectories, seed: int) -> Parts:
+    """The same shares of whole trajectories: 7, 2 and 3 of twelve; fits leave rows out."""
+    data = of.data
     count, twelve = len(groups(data, "trajectory")), sum(OF_TWELVE)
     tested = max(1, round(OF_TWELVE[2] * count / twelve))
     chosen_by = max(1, round(OF_TWELVE[1] * count / twelve))
@@ -137,9 +144,3 @@ def near_reversals(t: FloatArray, qd: FloatArray) -> BoolArray:
             gap = np.minimum(np.abs(t - turns[before]), np.abs(t - turns[behind]))
             found[:, j] = gap <= REVERSAL_S
     return found
-
-
-def every_nth(data: Dataset, every: int) -> BoolArray:
-    """(N,) the first and then every `every`-th row of each series."""
-    within = np.arange(len(data)) - np.repeat(data.offsets[:-1], np.diff(data.offsets))
-    return np.asarray(within % every == 0)

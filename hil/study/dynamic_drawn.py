@@ -15,9 +15,9 @@ MOST_LINES = 4
 """Models beside the measured torque; more hide each other."""
 
 
-def torques(found: Found, key: str, step_s: float) -> Figure:
-    """Measured and predicted torque over the beginning of the first test trajectory."""
-    t = tuple(float(k * step_s) for k in range(len(found.measured)))
+def torques(found: Found, key: str) -> Figure:
+    """Measured and predicted torque over the first test trajectory."""
+    t = _floats(found.t - found.t[0])
     chosen = list(found.scores)[-MOST_LINES:]
     panels = []
     for j, title in enumerate(joint_titles(found.measured.shape[1])):

@@ -18,7 +18,7 @@ from hil.identify.lm.settings import whole
 from hil.identify.parameters import flag, number
 from hil.study import dynamic_tables as tables
 from hil.study.base import Progress, Study, silent
-from hil.study.dynamic_data import Trajectories, trajectories_of
+from hil.study.dynamic_data import trajectories_of
 from hil.study.dynamic_drawn import by_protocol, torques
 from hil.study.dynamic_methods import METHOD_KEYS, METHODS, missing
 from hil.study.dynamic_protocols import PROTOCOLS, Found, Protocol
@@ -36,7 +36,7 @@ class DynamicIdentification(Study):
         methods: Keys of `hil.study.dynamic_methods.METHODS`.
         splits: How often each protocol's split is drawn.
         cutoff_hz: Of the zero-phase Butterworth filter of order 5.
-        rate_hz: Samples kept per second after filtering.
+        rate_hz: Samples a fit keeps per second after filtering.
         sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
         figures: Whether to draw any.
         seed: Of the first split; the others follow.
@@ -53,7 +53,7 @@ class DynamicIdentification(Study):
         methods: Sequence[str] = METHOD_KEYS,
         splits: int = 3,
         cutoff_hz: float = 50.0,
-        rate_hz: float = 100.0,
+        rate_hz: float = 125.0,
         sign_width: float = 0.01,
         figures: bool = True,
         seed: int = 0,
@@ -94,17 +94,17 @@ class DynamicIdentification(Study):
             self.study,
             "Dynamic identification, as printed and honestly",
             tuple(summary(found)),
-            self._parts(found, trajectories),
+            self._parts(found),
             self.get_params(),
             warnings=tuple(notes),
         )
 
-    def _parts(self, found: Sequence[Found], of: Trajectories) -> tuple[Part, ...]:
+    def _parts(self, found: Sequence[Found]) -> tuple[Part, ...]:
         compared = (Part("Side by side", "", (), (tables.both(found),),
                          (by_protocol(found),) if self.figures else ()),)  # fmt: skip
-        return (*(self._part(one, of) for one in found), *(compared if len(found) > 1 else ()))
+        return (*(self._part(one) for one in found), *(compared if len(found) > 1 else ()))
 
-    def _part(self, found: Found, of: Trajectories) -> Part:
+    def _part(self, found: Found) -> Part:
         name, honest = found.protocol, found.protocol == "honest"
         shown = [
             tables.errors(found, f"table-{name}", TITLES[name].lower()),
@@ -124,7 +124,7 @@ class DynamicIdentification(Study):
                 ),
                 tables.fits(found, "table-fits"),
             ]
-            drawn = (torques(found, "fig-torques", 1.0 / of.kept_hz),) if self.figures else ()
+            drawn = (torques(found, "fig-torques"),) if self.figures else ()
         return Part(TITLES[name], LABELS[name], TEXTS[name], tuple(shown), drawn)
 
 

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from hil import plugins
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings
 from hil.dynamics import RobotModel
 from hil.errors import HilError
 from hil.evaluate.metrics import mep, rmse
 from hil.identify.base import GROUP, RobotEstimator, estimator
 from hil.study.dynamic_data import MOVING, REVERSAL, Parts
-from hil.typing import BoolArray, FloatArray
+from hil.typing import BoolArray, FloatArray, IntArray
 
 SHOWN = 250
-"""Samples of a test trajectory that a figure shows."""
+"""Samples a figure shows of the first test trajectory, spread evenly over it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,30 +32,36 @@ class Method:
         words: In tables.
         estimator: Name it is registered under.
         params: Of the estimator, beside those all share.
-        smooth_sign: Whether it takes `sign_width`.
+        memory: Whether its friction follows the path: it needs whole motions and no smooth sign.
     """
 
     key: str
     words: str
     estimator: str
     params: Mapping[str, Any] = field(default_factory=dict)
-    smooth_sign: bool = True
+    memory: bool = False
 
+
+AS_PUBLISHED: Mapping[str, Any] = {"filter_columns": False}
+"""Friction columns are those of the filtered velocity."""
 
 METHODS = {
     method.key: method
     for method in (
         Method("ols", "least squares", "rigid-wls", {"weighted": False}),
         Method("wls", "Method 1: WLS", "rigid-wls"),
-        Method("lmi", "Method 2: OLS, physical constraints", "rigid-lmi", {"weighted": False}),
-        Method("lmi-weighted", "WLS, physical constraints", "rigid-lmi", {"weighted": True}),
-        Method("irls", "Method 3: three loops of IRLS", "rigid-irls"),
-        Method("ridge", "ridge", "rigid-linear", {"method": "ridge"}),
-        Method("tls", "total least squares", "rigid-linear", {"method": "tls"}),
+        Method("lmi", "Method 2: OLS, physical constraints", "rigid-lmi", AS_PUBLISHED),
+        Method(
+            "lmi-weighted", "WLS, physical constraints", "rigid-lmi",
+            {**AS_PUBLISHED, "weighted": True},
+        ),
+        Method("irls", "Method 3: three loops of IRLS", "rigid-irls", AS_PUBLISHED),
+        Method("ridge", "ridge", "rigid-linear", {**AS_PUBLISHED, "method": "ridge"}),
+        Method("tls", "total least squares", "rigid-linear", {**AS_PUBLISHED, "method": "tls"}),
         Method("diffnea", "differentiable Newton–Euler", "rigid-diffnea"),
-        Method("hysteresis", "ours: friction with memory", "rigid-hysteresis", {}, False),
+        Method("hysteresis", "ours: friction with memory", "rigid-hysteresis", memory=True),
     )
-}
+}  # fmt: skip
 METHOD_KEYS = tuple(METHODS)
 
 
@@ -70,7 +78,7 @@ class Score:
         condition: Of the column-scaled regressor; NaN where the method has none.
         parameters: How many it fits, 0 where it does not say.
         uncertain: Share of parameters not told from 0 by two standard errors; NaN without errors.
-        shown: (SHOWN, n) predicted torque of the first test samples, for a figure.
+        shown: (·, n) predicted torque at `shown_rows`, for a figure.
         failed: Why there is nothing; empty when there is.
     """
 
@@ -88,18 +96,25 @@ class Score:
     failed: str = ""
 
 
+def shown_rows(test: Dataset) -> IntArray:
+    """Numbers of the rows that a figure shows."""
+    end = int(test.offsets[1])
+    return np.unique(np.linspace(0, end - 1, min(SHOWN, end)).astype(np.int64))
+
+
 def missing(method: Method) -> bool:
     """Whether no distribution installed here has the estimator."""
     return method.estimator not in plugins.names(GROUP)
 
 
-def fit_and_score(method: Method, parts: Parts, robot: RobotModel, sign_width: float) -> Score:
+def fit_and_score(
+    method: Method, parts: Parts, robot: RobotModel, sign_width: float, filters: FilterSettings
+) -> Score:
     """Fit to the training part and judge on the test part; a failure is told, not raised."""
-    shared = {"sign_width": sign_width} if method.smooth_sign else {}
     begin = time.process_time()
     try:
-        model = estimator(method.estimator, **method.params, **shared).fit(parts.train, robot)
-        return _scored(model, parts, time.process_time() - begin)
+        model = unfitted(method, sign_width, filters).fit(parts.train, robot)
+        return score(model, parts, time.process_time() - begin)
     except HilError as error:
         return _nothing(robot.n, error.message)
     # Estimators are plug-ins: one that breaks down must not cost what the others took.
@@ -107,7 +122,26 @@ def fit_and_score(method: Method, parts: Parts, robot: RobotModel, sign_width: f
         return _nothing(robot.n, f"it broke down: {type(error).__name__}: {error}")
 
 
-def _scored(model: RobotEstimator, parts: Parts, seconds: float) -> Score:
+def unfitted(method: Method, sign_width: float, filters: FilterSettings) -> RobotEstimator:
+    """The method's estimator with the parameters all share.
+
+    Raises:
+        PluginError, SpecError: There is no such estimator, or it takes other parameters.
+    """
+    shared: dict[str, Any] = {"filters": filters}
+    if not method.memory:
+        shared["sign_width"] = sign_width
+    return estimator(method.estimator, **method.params, **shared)
+
+
+def score(model: RobotEstimator, parts: Parts, seconds: float = 0.0) -> Score:
+    """How a fitted model does on the test part.
+
+    Args:
+        model: Fitted to the training part.
+        parts: With the columns `MOVING` and `REVERSAL`.
+        seconds: CPU time the fit took.
+    """
     test, scale = parts.test, model.torque_scale_
     predicted = model.predict(test)
     torque = np.where(predicted.valid, predicted.effort, np.nan) * scale
@@ -123,9 +157,9 @@ def _scored(model: RobotEstimator, parts: Parts, seconds: float) -> Score:
         training=rmse(parts.train["effort_f"] * scale, trained),
         seconds=seconds,
         condition=float(getattr(model, "condition_", np.nan)),
-        parameters=len(getattr(model, "coefficients_", ())),
+        parameters=len(getattr(model, "parameter_names_", ())),
         uncertain=_uncertain(model),
-        shown=torque[:SHOWN],
+        shown=torque[shown_rows(test)],
     )
 
 

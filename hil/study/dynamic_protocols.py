@@ -11,11 +11,11 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.study.dynamic_data import Parts, Trajectories, honest_parts, paper_parts
-from hil.study.dynamic_methods import SHOWN, Method, Score, fit_and_score
+from hil.study.dynamic_methods import Method, Score, fit_and_score, shown_rows
 from hil.study.separation_tasks import Task
 from hil.typing import FloatArray
 
-PROTOCOLS: Mapping[str, Callable[[Dataset, int], Parts]] = {
+PROTOCOLS: Mapping[str, Callable[[Trajectories, int], Parts]] = {
     "paper": paper_parts,
     "honest": honest_parts,
 }
@@ -35,13 +35,14 @@ class Found:
         protocol: Its name.
         scores: By key of the method, one per split; methods that failed in any are left out.
         failed: By key of the method, why.
-        measured: (rows, n) torque that `Score.shown` predicts, first split.
+        t, measured: (rows,), (rows, n) time and torque that `Score.shown` predicts, first split.
         noise: (n,) RMS of what the filter took out of the measured effort, in N·m.
     """
 
     protocol: str
     scores: Mapping[str, Sequence[Score]]
     failed: Mapping[str, str]
+    t: FloatArray
     measured: FloatArray
     noise: FloatArray
 
@@ -84,15 +85,24 @@ class Protocol:
         sign_width: float,
     ) -> None:
         self.name = name
-        self._trajectories, self._robot = trajectories, robot
-        self._methods, self._sign_width = tuple(methods), sign_width
-        data = _light(trajectories.data)
-        self._splits = [PROTOCOLS[name](data, seed) for seed in seeds]
+        self._robot, self._sign_width = robot, sign_width
+        self._scale = trajectories.scale
+        torn = name == "paper"
+        self._methods = tuple(method for method in methods if not (torn and method.memory))
+        # Torn samples cannot be thinned again: no filter knows how far apart they are.
+        once = {"every": 1} if torn else {}
+        self._filters = trajectories.filters.model_copy(update=once)
+        lighter = replace(
+            trajectories, data=_light(trajectories.data), thinned=_light(trajectories.thinned)
+        )
+        self._splits = [PROTOCOLS[name](lighter, seed) for seed in seeds]
 
     def tasks(self) -> list[Task]:
         """Every fit, in the order `gather` wants their results."""
         return [
-            Task(partial(fit_and_score, method, parts, self._robot, self._sign_width))
+            Task(
+                partial(fit_and_score, method, parts, self._robot, self._sign_width, self._filters)
+            )
             for method in self._methods
             for parts in self._splits
         ]
@@ -108,9 +118,11 @@ class Protocol:
                 failed[method.key] = reason
             else:
                 scores[method.key] = found
-        test, scale = self._splits[0].test, self._trajectories.scale
+        test, scale = self._splits[0].test, self._scale
         noise = np.sqrt(np.mean((test["effort"] - test["effort_f"]) ** 2, axis=0)) * scale
-        return Found(self.name, scores, failed, test["effort_f"][:SHOWN] * scale, noise)
+        rows = shown_rows(test)
+        shown = test["effort_f"][rows] * scale
+        return Found(self.name, scores, failed, test["t"][rows], shown, noise)
 
 
 def _light(data: Dataset) -> Dataset:
