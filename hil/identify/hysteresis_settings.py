@@ -39,7 +39,10 @@ def filters_for(dataset: Dataset) -> FilterSettings:
         if condition.kind not in AT_REST and rows.stop - rows.start > 2:
             t = dataset["t"][rows]
             nyquist = min(nyquist, 0.5 * sample_rate(t))
-            bandwidth = max(bandwidth, _bandwidth(derivative(dataset["q"][rows], t), t))
+            # Measured velocity says it best: differences of positions are mostly noise.
+            measured = dataset["qd"][rows] if "qd" in dataset.columns else None
+            velocity = derivative(dataset["q"][rows], t) if measured is None else measured
+            bandwidth = max(bandwidth, _bandwidth(velocity, t))
     most = MOST_OF_NYQUIST * nyquist / EFFORT_RATIO
     motion = round(float(min(max(MOTION_HZ, BANDWIDTHS * bandwidth), most)), 2)
     effort = round(EFFORT_RATIO * motion, 2)
