@@ -39,7 +39,8 @@ def bodies(count: int, seed: int = 0) -> FloatArray:
 def test_pseudo_inertia_is_the_second_moment_of_the_mass_density() -> None:
     random = np.random.default_rng(3)
     mass, place = random.uniform(0.1, 2.0, 6), random.normal(size=(6, 3))
-    phi = sum(body_parameters(m, p, np.zeros((3, 3))) for m, p in zip(mass, place, strict=True))
+    parts = [body_parameters(m, p, np.zeros((3, 3))) for m, p in zip(mass, place, strict=True)]
+    phi = np.sum(parts, axis=0)
     points = np.column_stack([place, np.ones(6)])
     np.testing.assert_allclose(pseudo_inertia(phi), points.T @ (mass[:, None] * points), atol=1e-12)
 

@@ -73,6 +73,21 @@ def stribeck(data: Dataset, speed: float, exponent: float) -> Dataset:
     return data.with_columns(effort=effort, effort_f=effort)
 
 
+def with_dahl(data: Dataset, length: float = 5e-3) -> Dataset:
+    """The same motion with Coulomb friction that comes round over `length` [rad], by a loop."""
+    state, friction = np.zeros(6), np.zeros_like(data["q"])
+    for _, rows in data.slices():
+        state = np.zeros(6)
+        for k in range(rows.start + 1, rows.stop):
+            step = data["q"][k] - data["q"][k - 1]
+            sign = np.sign(step)
+            state = sign + (state - sign) * np.exp(-np.abs(step) / length)
+            friction[k] = state
+    memoryless = np.tanh(data["qd_f"] / 0.01)
+    effort = data["effort"] + COULOMB * (friction - memoryless) / GAINS
+    return data.with_columns(effort=effort, effort_f=effort)
+
+
 def test_exact_data_give_the_true_base_parameters() -> None:
     found = RigidDiffnea(friction="coulomb-viscous", prior=1e-5).fit(moving(*SEEDS), nominal())
     base = base_parameters(nominal(), rotor=True)
@@ -210,6 +225,37 @@ def test_one_sample_at_a_time_is_predicted_alike() -> None:
     motion = (data["q_f"], data["qd_f"], data["qdd_f"])
     for k in range(0, 50, 7):
         np.testing.assert_allclose(stream.step(*(m[k] for m in motion)), whole[k], atol=1e-9)
+
+
+@cache
+def remembering() -> tuple[RigidDiffnea, Dataset]:
+    """Friction that comes round over 5 mrad, fitted."""
+    data = with_dahl(moving(1, 2, noise_a=0.02))
+    return RigidDiffnea(friction="memory").fit(data, nominal()), data
+
+
+def test_friction_memory_is_carried_from_sample_to_sample() -> None:
+    found, data = remembering()
+    first = data.take([0])
+    whole, stream = found.predict(first).effort, found.stream()
+    motion = [first[name] for name in ("q_f", "qd_f", "qdd_f")]
+    told = np.array([stream.step(*(m[k] for m in motion)) for k in range(len(first))])
+    # The path is the integral of the velocity for the one, differences of positions for the other.
+    assert np.sqrt(np.mean((told - whole) ** 2)) < 0.02
+
+
+def test_friction_with_memory_survives_a_model_file(tmp_path) -> None:
+    found, data = remembering()
+    again = load_model_file(found.save(tmp_path / "model"))
+    np.testing.assert_array_equal(again.predict(data).effort, found.predict(data).effort)
+
+
+def test_reversals_with_memory_are_predicted_better_than_without() -> None:
+    found, data = remembering()
+    fresh = with_dahl(moving(4))
+    without = RigidDiffnea(friction="stribeck").fit(data, nominal())
+    errors = [np.mean((m.predict(fresh).effort - fresh["effort"]) ** 2) for m in (found, without)]
+    assert errors[0] < 0.2 * errors[1]
 
 
 def test_a_model_file_gives_back_predictions_and_inertial_parameters(tmp_path) -> None:
