@@ -16,6 +16,7 @@ FILES = (
     "pyproject.toml",
     "constraints.txt",
     "tests/test_proof.py",
+    "tests/test_proof_identification.py",
     "tests/test_proof_loads.py",
     "tests/test_proof_recording.py",
     "tests/test_proof_separation.py",

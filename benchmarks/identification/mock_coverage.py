@@ -87,7 +87,7 @@ def estimated(
     simulation = Simulation(truth, Setting(RATE_HZ, SUBSTEP_HZ), series[0].q_start)
     found = recorded(truth, simulation, series, noise=noise)
     data, robot = advanced(found.data, delay_s(simulation)), load_model(arm)
-    covered = {}
+    covered: dict[str, FloatArray] = {}
     with threadpool_limits(1):
         for covariance in COVARIANCES:
             model = _model(sign_widths(truth), covariance).fit(data, robot)

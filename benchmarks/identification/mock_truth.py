@@ -46,9 +46,9 @@ def true_gains(truth: Truth) -> FloatArray:
     return np.array([joint.drive.gain_nm_a for joint in truth.joints])
 
 
-def sign_widths(truth: Truth) -> FloatArray:
-    """(n,) width [rad/s] of an ideal robot's smooth sign."""
-    return np.array([joint.friction.smooth_rad_s for joint in truth.joints])
+def sign_widths(truth: Truth, otherwise: float = 0.01) -> FloatArray:
+    """(n,) width [rad/s] of an ideal robot's smooth sign; `otherwise` where friction has memory."""
+    return np.array([joint.friction.smooth_rad_s or otherwise for joint in truth.joints])
 
 
 def _in_joint_frame(link: LinkTruth, dh: FloatArray) -> FloatArray:

@@ -137,7 +137,9 @@ def near_reversals(t: FloatArray, qd: FloatArray) -> BoolArray:
     """
     found = np.zeros(qd.shape, dtype=bool)
     for j in range(qd.shape[1]):
-        turns = t[1:][qd[1:, j] * qd[:-1, j] < 0]
+        moves = np.flatnonzero(qd[:, j])  # a standstill on the way is part of the reversal
+        turned = np.diff(np.sign(qd[moves, j])) != 0
+        turns = t[moves[1:][turned]]
         if len(turns):
             after = np.searchsorted(turns, t)
             before, behind = np.clip([after - 1, after], 0, len(turns) - 1)
