@@ -51,8 +51,8 @@ class RigidHysteresis(RobotEstimator):
         fit_shapes: Fit lengths, Stribeck speeds and exponents; False keeps the usual ones.
         consistent: Links that can exist; needs the extra `identify`.
         gear_ratio: Motor turns per joint turn, for ripple; by default the arm's, if known.
-        filters: Preprocessing of training and prediction alike; by default 10 Hz for motion and
-            12 Hz for effort, whatever the sample rate, and more for arms that move quicker.
+        filters: Preprocessing of training and prediction alike; by default 11 Hz for motion and
+            17.6 Hz for effort, whatever the sample rate, and more for arms that move quicker.
 
     Attributes:
         rigid_: (b,) base parameters.
@@ -124,7 +124,7 @@ class RigidHysteresis(RobotEstimator):
     def predict(self, dataset: Dataset) -> Prediction:
         """Effort per row: `gravity`, `inertia`, `friction`, `ripple`, `drive`, `payload`.
 
-        Friction is what the effort's filter lets through, as the model was fitted.
+        Friction is filtered like the motion it follows from.
 
         Raises:
             DataError: The data are of another robot or unit, or cannot be filtered.
@@ -175,13 +175,19 @@ class RigidHysteresis(RobotEstimator):
         return torque, gravity, transmitted
 
     def _frictions(self, data: Dataset, transmitted: FloatArray) -> dict[str, FloatArray]:
-        """Parts of the friction law, filtered series by series, each (N, n) [N·m]."""
+        """Parts of the friction law, each (N, n) [N·m], as far as the filtered motion goes."""
         out: dict[str, FloatArray] = {}
         steps = path_steps(data)
         for condition, rows, motion in motions(data, steps, transmitted, self.law_.shapes):
             for name, torque in self.law_.torques(motion).items():
                 whole = out.setdefault(name, np.zeros_like(transmitted))
-                whole[rows] = smoothed(torque, condition, data["t"][rows], self.filters_)
+                whole[rows] = smoothed(
+                    torque,
+                    condition,
+                    data["t"][rows],
+                    self.filters_,
+                    cutoff=self.filters_.velocity,
+                )
         return out
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
@@ -211,6 +217,8 @@ class RigidHysteresis(RobotEstimator):
         self._restore_common(arrays, facts)
         self._base = base_parameters(self.robot_, rotor=True)
         self.rigid_, self.gear_rigid_ = arrays["rigid"], arrays["gear_rigid"]
+        if not self.rigid_.shape == self.gear_rigid_.shape == (self._base.rank,):
+            raise ValueError(f"rigid: {self.rigid_.size} values for {self._base.rank} parameters")
         self.held_out_ = arrays["held_out"]
         self.filters_ = FilterSettings.model_validate(facts["filters"])
         if "inertial" in arrays:

@@ -34,9 +34,19 @@ class FrictionLaw:
     def from_flat(
         cls, chosen: tuple[tuple[str, ...], ...], flat: FloatArray, shapes: Shapes
     ) -> FrictionLaw:
-        """From all coefficients behind each other, joint by joint."""
-        law = cls(chosen, (), shapes)
+        """From all coefficients behind each other, joint by joint.
+
+        Raises:
+            KeyError: There is no such group.
+            ValueError: There are more or fewer coefficients or joints than the groups have.
+        """
+        law, n = cls(chosen, (), shapes), len(chosen)
         counts = [sum(law._count(name) for name in names) for names in chosen]
+        if flat.shape != (sum(counts),) or shapes.length.shape != (n,):
+            raise ValueError(
+                f"friction: {flat.size} coefficients and shapes of {shapes.length.size} joints "
+                f"for {sum(counts)} columns and {n} joints"
+            )
         return cls(chosen, tuple(np.split(flat, np.cumsum(counts)[:-1])), shapes)
 
     def torques(self, motion: FrictionMotion) -> dict[str, FloatArray]:

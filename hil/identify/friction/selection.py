@@ -20,7 +20,7 @@ PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Share of a column's own sum of squares that is added to it: what a column explains only here and
 there is held near 0, which is what other trajectories and loads ask for."""
 
-FREE = (CORE, "load", "speed p")
+FREE = (CORE, "load")
 """Groups without penalty: no joint is without them."""
 
 AS_GOOD = 0.04

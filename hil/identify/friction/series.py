@@ -49,10 +49,24 @@ def temperatures_vary(dataset: Dataset, least_k: float = 1.0) -> bool:
 
 
 def smoothed(
-    values: FloatArray, condition: Conditions, t: FloatArray, settings: FilterSettings
+    values: FloatArray,
+    condition: Conditions,
+    t: FloatArray,
+    settings: FilterSettings,
+    *,
+    cutoff: float | None = None,
 ) -> FloatArray:
-    """Columns (N, …) of one series through the filter of its effort; at rest as they are."""
+    """Columns (N, …) of one series through a low-pass filter; at rest as they are.
+
+    Args:
+        values: A row per sample.
+        condition: Of the series.
+        t: (N,) [s].
+        settings: Order and unit of the filter.
+        cutoff: By default that of the effort the columns are to explain.
+    """
     if condition.kind in AT_REST:
         return values
-    fraction = nyquist_fraction(settings.effort, settings.unit, sample_rate(t))
+    chosen = settings.effort if cutoff is None else cutoff
+    fraction = nyquist_fraction(chosen, settings.unit, sample_rate(t))
     return zero_phase(values, fraction, settings.order)
