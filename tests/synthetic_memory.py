@@ -16,13 +16,14 @@ EFFICIENCY = 0.15
 """Dry friction per torque through the gear: twice a UR's, so that little motion shows it."""
 
 
-def dahl_loop(q: FloatArray, length: float) -> FloatArray:
+def dahl_loop(q: FloatArray, length: FloatArray | float) -> FloatArray:
     """Dahl's equation along a path q (N, n), exactly for every straight piece, one by one."""
     states, z = np.zeros_like(q), np.zeros(q.shape[1])
+    lengths = np.broadcast_to(length, z.shape)
     for k in range(1, len(q)):
         way = q[k] - q[k - 1]
         for j, step in enumerate(way):
-            kept = np.exp(-abs(step) / length)
+            kept = np.exp(-abs(step) / lengths[j])
             z[j] = z[j] * kept + np.sign(step) * (1.0 - kept)
         states[k] = z
     return states
