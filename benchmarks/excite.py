@@ -5,8 +5,9 @@ coefficients. |qd| ≤ 2 rad/s, |qdd| ≤ 6 rad/s²; the position box is the arm
 joint, and `box_deg` gives another.
 
 The condition number of unscaled columns depends on which columns stand for those that depend on
-them. Judged are the ones a pivoted QR of a random regressor keeps, the usual choice and the harder
-one; `leftmost` are those of `hil.dynamics.base_parameters`, whose names depend on nothing random.
+them. `ours` are the ones a pivoted QR of a random regressor keeps, the usual choice; what it keeps
+depends on the random samples, so two more of its choices are shown. `leftmost` are those of
+`hil.dynamics.base_parameters`, which depend on nothing random.
 
 SciPy's SLSQP minimises the logarithm of the same condition number on the same samples from the same
 starts, with its finite differences and with our exact gradient, so that method and gradient can be
@@ -34,8 +35,9 @@ from hil.excite.optimise.margins import margins_of
 ARM = "ur5"
 SPEED, ACCELERATION = 2.0, 6.0
 STARTS, QUICK_STARTS = 10, 2
-ITERATIONS, QUICK_ITERATIONS = 120, 20
+ITERATIONS, QUICK_ITERATIONS = 200, 20
 PEER_ITERATIONS, QUICK_PEER_ITERATIONS = 200, 3
+OTHER_PIVOTS = (1, 2)
 CLEARANCE_M = 0.03
 DENSER_POINTS = 1000
 """Ten times the objective's samples."""
@@ -85,6 +87,9 @@ def run(
         told = {"ours": _ours("ours", problem, chosen, ours)}
         told["leftmost"] = _ours("leftmost", _problem(robot, box_deg), chosen, ours)
         if not quick:
+            for other in OTHER_PIVOTS:
+                another = _problem(robot, box_deg, base=pivoted_base(robot, other))
+                told[f"pivoted_{other}"] = _ours(f"pivoted_{other}", another, chosen, ours)
             clear = _problem(robot, box_deg, base=base, **_surroundings(robot))
             told["with_collisions"] = _ours("with_collisions", clear, chosen, ours)
         for name, exact in (PEERS if peers else {}).items():

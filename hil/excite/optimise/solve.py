@@ -20,7 +20,7 @@ from hil.typing import FloatArray
 ROUNDS = 5
 """More of the last stage, while what it finds exceeds limits between the points."""
 
-ITERATIONS = 120
+ITERATIONS = 200
 
 
 def optimise(

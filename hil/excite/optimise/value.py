@@ -42,7 +42,7 @@ class ValueOf:
         self._maps = problem.basis.grid(problem.points)[:3]
         self._earlier = 0.0 if problem.earlier is None else problem.earlier.T @ problem.earlier
         self.evaluations = 0
-        self.stages = (4.0, 16.0, 64.0) if problem.objective == "condition" else (1.0,)
+        self.stages = (2.0, 8.0, 32.0, 128.0) if problem.objective == "condition" else (1.0,)
 
     def __call__(self, free: FloatArray, sharpness: float) -> Value:
         """At free coefficients (n, f)."""
