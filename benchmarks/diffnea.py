@@ -80,7 +80,7 @@ def _observed(samples: int) -> tuple[Unknowns, FloatArray, FloatArray]:
     nominal, plant = (RobotModel.from_arm("ur5", rotor_inertia=r) for r in (None, ROTORS))
     q, qd, qdd = _motion(samples)
     base, form = base_parameters(nominal, rotor=True), FORMS["coulomb-viscous"]
-    motion = ArmMotion(qd, sign_of(qd, 0.01), np.zeros_like(qd), np.zeros_like(qd))
+    motion = ArmMotion(qd, sign_of(qd, 0.01), np.zeros_like(qd), np.zeros_like(qd), given={})
     C, _ = form.evaluate(motion, np.zeros((6, 0)))
     noise = NOISE_NM * np.random.default_rng(1).normal(size=qd.shape)
     torque = plant.inverse_dynamics(q, qd, qdd) + np.einsum("Njk,jk->Nj", C, FRICTION) + noise

@@ -14,9 +14,11 @@ from hil.identify.diffnea.bodies import Bodies
 from hil.identify.diffnea.forms import FORMS, spread
 from hil.identify.diffnea.minimise import Local, minimise
 from hil.identify.diffnea.motion import ArmMotion, sign_of
+from hil.identify.diffnea.path import Pieces
 from hil.identify.diffnea.problem import Problem
 from hil.identify.diffnea.rows import BendingRows
 from hil.identify.diffnea.unknowns import Unknowns, folding
+from hil.identify.friction.memory import dahl_slopes, dahl_states
 from hil.typing import FloatArray
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]
@@ -141,6 +143,21 @@ def test_bending_rows_are_the_rows_themselves_compressed() -> None:
     np.testing.assert_allclose(rows.deviation(values) * np.sqrt(degrees), sigma, rtol=1e-6)
 
 
+@pytest.mark.parametrize("length", [3e-5, 1e-3, 1.0])
+def test_state_piece_by_piece_is_the_state_sample_by_sample(length: float) -> None:
+    random = np.random.default_rng(8)
+    steps = 1e-3 * random.normal(size=400).cumsum() * (random.random(400) < 0.7)
+    pieces = Pieces.of(steps, (slice(0, 150), slice(150, 400)))
+    state, slope = pieces.state(length)
+    whole = np.array([length])
+    for rows in (slice(0, 150), slice(150, 400)):
+        theirs = dahl_states(steps[rows, None], whole)
+        np.testing.assert_allclose(state[rows], theirs[:, 0], atol=1e-12)
+        by_log = dahl_slopes(steps[rows, None], whole, theirs)
+        np.testing.assert_allclose(slope[rows], by_log[:, 0], atol=1e-12)
+    np.testing.assert_array_equal(pieces.every(3).state(length)[0], state[::3])
+
+
 def test_memory_starts_afresh_with_every_series() -> None:
     whole = arm_motion()
     half = slice(100, 200)
@@ -150,7 +167,7 @@ def test_memory_starts_afresh_with_every_series() -> None:
     )  # fmt: skip
     shapes = np.tile([2e-4, 0.1, 0.4], (6, 1))
     together, apart = (FORMS["memory"].evaluate(m, shapes)[0] for m in (whole, alone))
-    np.testing.assert_array_equal(together[half], apart)
+    np.testing.assert_allclose(together[half], apart, atol=1e-9)
 
 
 def test_any_coordinates_are_links_that_can_exist_and_rotors_that_turn() -> None:

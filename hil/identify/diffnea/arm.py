@@ -70,7 +70,7 @@ class DiffneaArm:
         """What friction sees of samples (N, n) that stand alone, or whose states are carried."""
         still = np.zeros_like(qd)
         load = still if transmitted is None else transmitted
-        return ArmMotion(qd, sign_of(qd, self.width), load, still, (), states)
+        return ArmMotion(qd, sign_of(qd, self.width), load, still, (), states or {})
 
     def observations(
         self, data: Dataset, target: FloatArray, values: FloatArray, gear: FloatArray

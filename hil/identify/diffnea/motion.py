@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.identify.friction.memory import dahl_slopes, dahl_states, path_steps
+from hil.identify.diffnea.path import Pieces
+from hil.identify.friction.memory import path_steps
 from hil.typing import FloatArray
 
 
@@ -20,35 +21,39 @@ class JointMotion:
         qd: Velocity [rad/s].
         sign: Its smoothed sign.
         transmitted: Torque through the gear: rigid body and load, without friction [N·m].
-        steps: Way since the sample before [rad]; empty for friction without memory.
-        series: Rows of every series.
+        pieces: The way between reversals; None where states are given, or nobody needs any.
         given: States by multiple of the shortest length, where they are carried, as in a stream.
     """
 
     qd: FloatArray
     sign: FloatArray
     transmitted: FloatArray
-    steps: FloatArray
-    series: tuple[slice, ...] = ()
+    pieces: Pieces | None = None
     given: Mapping[float, FloatArray] | None = None
+
+    def every(self, k: int) -> JointMotion:
+        """Every k-th sample, with the memory of all."""
+        columns = (self.qd, self.sign, self.transmitted)
+        qd, sign, transmitted = (np.ascontiguousarray(column[::k]) for column in columns)
+        return JointMotion(qd, sign, transmitted, self.pieces and self.pieces.every(k))
 
     def state(self, length: float, multiple: float) -> tuple[FloatArray, FloatArray]:
         """Dahl's state with `multiple` times the length [rad], and its slope by the length."""
         if self.given is not None:
             return self.given[multiple], np.zeros_like(self.qd)
-        state, slope = np.empty_like(self.qd), np.empty_like(self.qd)
-        whole = np.array([multiple * length])
-        for rows in self.series:
-            steps = self.steps[rows, None]
-            found = dahl_states(steps, whole)
-            state[rows] = found[:, 0]
-            slope[rows] = dahl_slopes(steps, whole, found)[:, 0] / length
-        return state, slope
+        assert self.pieces is not None
+        state, by_log = self.pieces.state(multiple * length)
+        return state, by_log / length
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmMotion:
-    """The motion of all joints; arrays are (N, n), as in `JointMotion`."""
+    """The motion of all joints; arrays are (N, n), as in `JointMotion`.
+
+    Attributes:
+        steps: Way since the sample before [rad].
+        series: Rows of every series.
+    """
 
     qd: FloatArray
     sign: FloatArray
@@ -66,17 +71,12 @@ class ArmMotion:
 
     def joint(self, j: int) -> JointMotion:
         """Joint j alone."""
-        given = self.given
         columns = (self.qd, self.sign, self.transmitted, self.steps)
         qd, sign, transmitted, steps = (np.ascontiguousarray(column[:, j]) for column in columns)
-        return JointMotion(
-            qd,
-            sign,
-            transmitted,
-            steps,
-            self.series,
-            None if given is None else {k: state[:, j] for k, state in given.items()},
-        )
+        if self.given is not None:
+            given = {k: state[:, j] for k, state in self.given.items()}
+            return JointMotion(qd, sign, transmitted, None, given)
+        return JointMotion(qd, sign, transmitted, Pieces.of(steps, self.series))
 
 
 def sign_of(qd: FloatArray, width: float) -> FloatArray:

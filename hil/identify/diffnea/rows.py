@@ -32,12 +32,12 @@ class BendingRows:
     def __init__(
         self, base: FloatArray, target: FloatArray, motion: ArmMotion, form: Form, every: int = 1
     ) -> None:
-        self._form, self._every = form, every
+        self._form = form
         self._n, self._b = target.shape[1], base.shape[2]
         fixed = [np.column_stack([base[:, j], target[:, j]]) for j in range(self._n)]
         self._fixed = fixed
         self._fixed_gram = [block.T @ block for block in fixed]
-        self._motion = [motion.joint(j) for j in range(self._n)]
+        self._motion = [motion.joint(j).every(every) for j in range(self._n)]
 
     def __call__(self, values: FloatArray) -> System:
         """The system at values (b + nk + ns,): its columns are those of the values."""
@@ -66,7 +66,7 @@ class BendingRows:
     def _joint(self, j: int, c: FloatArray, shape: FloatArray) -> FloatArray:
         """(m, m) triangle of [Y | τ | C | ∂C/∂s·c] of a joint."""
         C, slope = self._form.columns(self._motion[j], shape)
-        bent = np.column_stack([C, np.einsum("Nks,k->Ns", slope, c)])[:: self._every]
+        bent = np.column_stack([C, np.einsum("Nks,k->Ns", slope, c)])
         across = self._fixed[j].T @ bent
         gram = np.block([[self._fixed_gram[j], across], [across.T, bent.T @ bent]])
         length = np.sqrt(np.diag(gram))
