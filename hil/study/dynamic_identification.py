@@ -135,7 +135,7 @@ def _failures(found: Sequence[Found]) -> list[str]:
         FitError: None is left.
     """
     notes = dict.fromkeys(
-        f"{METHODS[key].words} ({METHODS[key].estimator}) is left out: {reason}"
+        f"{METHODS[key].words} ({METHODS[key].estimator}), {one.protocol}: left out, {reason}"
         for one in found
         for key, reason in one.failed.items()
     )
