@@ -88,7 +88,7 @@ class HysteresisFit:
             FrictionLaw(found.chosen, solved.friction, shapes),
             found.error,
             int(training.kept.sum()),
-            () if training.whole else (NO_TRAJECTORIES,),
+            _notes(training, library, friction),
         )
 
     def _offered(
@@ -138,3 +138,15 @@ class HysteresisFit:
 def _unloaded(names: Sequence[str]) -> tuple[str, ...]:
     """The groups that do not grow with the torque through the gear."""
     return tuple(name for name in names if name not in LOADED)
+
+
+def _notes(
+    training: Training, library: Mapping[str, Columns], friction: str | Sequence[str]
+) -> tuple[str, ...]:
+    """What people should know about the choice of groups."""
+    notes = [] if training.whole else [NO_TRAJECTORIES]
+    missing = [] if friction == "auto" else [name for name in friction if name not in library]
+    if missing:
+        told = ", ".join(missing)
+        notes.append(f"without motor turns or varying temperatures left out: {told}")
+    return tuple(notes)

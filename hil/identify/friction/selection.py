@@ -21,7 +21,7 @@ PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 there is held near 0, which is what other trajectories and loads ask for."""
 
 FREE = (CORE, "load")
-"""Groups without penalty: no joint is without them."""
+"""Groups without penalty."""
 
 AS_GOOD = 0.04
 """Share by which a richer list may be worse than the best and still be taken. Two or three
@@ -110,12 +110,14 @@ class _Folds:
 
     def judged(self, chosen: Sequence[Sequence[str]], penalty: FloatArray) -> FloatArray:
         """(n,) error on held-out folds [N·m]; joints weighted by the error of a first round."""
-        squares = self._squares(chosen, penalty)
-        floor = 1e-24 * float(squares.max()) or 1.0
-        self.weight = 1.0 / np.maximum(squares, floor)
-        return np.sqrt(self._squares(chosen, penalty) / float(np.sum(self.observed.rows)))
+        squares = self._squares(chosen, penalty, self.weight)
+        weight = 1.0 / np.maximum(squares, 1e-24 * float(squares.max()) or 1.0)
+        squares = self._squares(chosen, penalty, weight)
+        return np.sqrt(squares / float(np.sum(self.observed.rows)))
 
-    def _squares(self, chosen: Sequence[Sequence[str]], penalty: FloatArray) -> FloatArray:
+    def _squares(
+        self, chosen: Sequence[Sequence[str]], penalty: FloatArray, weight: FloatArray
+    ) -> FloatArray:
         """(n,) sums of squares on each fold, fitted to the others, over all folds."""
         out, m = np.zeros(self.observed.joints), self.observed.columns
         indices = [self.observed.indices(names) for names in chosen]
@@ -126,8 +128,8 @@ class _Folds:
                 held = np.diag(penalty[j] * self.held[s] + FAINT * max(len(s), 1))
                 A = np.linalg.solve(gram[np.ix_(s, s)] + held, gram[s, m:])
                 rest = gram[m:, m:] - gram[m:, s] @ A
-                normal = normal + self.weight[j] * rest[:-1, :-1]
-                right = right + self.weight[j] * rest[:-1, -1]
+                normal = normal + weight[j] * rest[:-1, :-1]
+                right = right + weight[j] * rest[:-1, -1]
                 solved.append(A)
             rigid = _scaled_solve(np.asarray(normal), np.asarray(right))
             tail = np.append(-rigid, 1.0)
@@ -140,7 +142,7 @@ class _Folds:
 
 def _scaled_solve(normal: FloatArray, right: FloatArray) -> FloatArray:
     """Least-squares solution of normal equations, directions that are not excited left out."""
-    length = np.sqrt(np.diag(normal))
+    length = np.sqrt(np.maximum(np.diag(normal), 0.0))
     length[length == 0] = 1.0
     scaled = normal / np.outer(length, length)
     return np.asarray(np.linalg.lstsq(scaled, right / length, rcond=1e-10)[0] / length)
