@@ -19,14 +19,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.linalg
 from threadpoolctl import threadpool_limits
 
-from hil.dynamics import BaseParameters, CollisionModel, Environment, RobotModel, conditioning
+from benchmarks.excite_peers.pivoted import pivoted_base
+from benchmarks.excite_peers.slsqp import Slsqp
+from hil.dynamics import CollisionModel, Environment, RobotModel, conditioning
 from hil.excite.optimise import ExcitationProblem, optimise
 from hil.excite.optimise.draw import within_linear_limits
 from hil.excite.optimise.linear_limits import LinearLimits
@@ -100,19 +100,6 @@ def run(
     return {"name": "excite", "figures": figures, "ratios": _ratios(told)}
 
 
-def pivoted_base(robot: RobotModel, seed: int = 0) -> BaseParameters:
-    """The base parameters whose columns a pivoted QR of random samples keeps."""
-    samples = np.random.default_rng(seed).uniform(-np.pi, np.pi, (3, 500, robot.n))
-    W = robot.regressor(*samples, rotor=False)
-    _, R, order = scipy.linalg.qr(W, mode="economic", pivoting=True)
-    size = np.abs(np.diag(R))
-    rank = int(np.sum(size > 1e-9 * size[0]))
-    kept, left = np.sort(order[:rank]), np.sort(order[rank:])
-    K = np.asarray(np.linalg.lstsq(W[:, kept], W[:, left], rcond=None)[0], dtype=np.float64)
-    names = robot.parameter_names(rotor=False)
-    return BaseParameters(kept, left, K, tuple(names[i] for i in kept))
-
-
 def _problem(robot: RobotModel, box_deg: float, **more: Any) -> ExcitationProblem:
     box = float(np.radians(box_deg))
     return ExcitationProblem(robot, -box, box, SPEED, ACCELERATION, scaled=False, **more)
@@ -156,10 +143,7 @@ def _theirs(
     return outcomes
 
 
-def _peer(problem: ExcitationProblem) -> Any:
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-    from benchmarks.excite_peers.slsqp import Slsqp
-
+def _peer(problem: ExcitationProblem) -> Slsqp:
     assert problem.base is not None
     return Slsqp(
         problem.robot,

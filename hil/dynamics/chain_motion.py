@@ -64,6 +64,16 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return out
 
 
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """A · b along the first axis, (3, …)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def power(twist: FloatArray, wrench: FloatArray) -> FloatArray:
+    """What a wrench does along a twist, (2, 3, …) each."""
+    return dot(twist[0], wrench[0]) + dot(twist[1], wrench[1])
+
+
 def twist_cross(x: FloatArray, y: FloatArray) -> FloatArray:
     """X × y of two twists (2, 3, …)."""
     return np.stack([cross(x[1], y[0]) + cross(x[0], y[1]), cross(x[1], y[1])])

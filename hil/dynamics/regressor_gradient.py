@@ -20,6 +20,8 @@ from hil.dynamics.chain_motion import (
     ChainMotion,
     chain_motion,
     cross,
+    dot,
+    power,
     rotate,
     rotate_back,
     wrench_cross,
@@ -82,7 +84,7 @@ class RegressorSweep:
         out = np.zeros((n, len(PARAMETERS), n, N))
         d, alpha, omega = (x[:, self.link] for x in (s.d, s.alpha, s.omega))
         block = np.empty((len(PARAMETERS), len(self.link), N))
-        block[0] = _dot(u, d)
+        block[0] = dot(u, d)
         block[1:4] = cross(u, alpha) + cross(omega, cross(omega, u)) + cross(d, z)
         block[4:] = _symmetric(z, alpha) + _symmetric(cross(z, omega), omega)
         out[self.link, :, self.joint] = block.transpose(1, 0, 2)
@@ -103,9 +105,9 @@ class RegressorSweep:
         by_d = mass * u + cross(z, moment)
         by_alpha = cross(moment, u) + rotate(inertia, z)
         turned = rotate(inertia, omega)
-        by_omega = moment * _dot(omega, u) + u * _dot(moment, omega)
+        by_omega = moment * dot(omega, u) + u * dot(moment, omega)
         by_omega += rotate(inertia, cross(z, omega)) + cross(turned, z)
-        by_omega -= 2.0 * omega * _dot(moment, u)
+        by_omega -= 2.0 * omega * dot(moment, u)
         force = mass * d + cross(alpha, moment) + cross(omega, cross(omega, moment))
         torque = cross(moment, d) + rotate(inertia, alpha) + cross(omega, turned)
 
@@ -135,10 +137,10 @@ class RegressorSweep:
         k = np.arange(m.p.shape[1])[:, None]
         between = ((self.joint <= k) & (k <= self.link)).astype(float)
         turning = np.matmul(between, by_pairs)
-        by_q = _power(m.J_dot, on_v) - _power(m.J, turning + wrench_cross(m.a, on_a))
-        by_q -= _power(m.J_dot, wrench_cross(m.v, on_a))
-        by_qd = _power(m.J, on_v) + 2.0 * _power(m.J_dot, on_a)
-        return MotionGradient(by_q.T, by_qd.T, _power(m.J, on_a).T)
+        by_q = power(m.J_dot, on_v) - power(m.J, turning + wrench_cross(m.a, on_a))
+        by_q -= power(m.J_dot, wrench_cross(m.v, on_a))
+        by_qd = power(m.J, on_v) + 2.0 * power(m.J_dot, on_a)
+        return MotionGradient(by_q.T, by_qd.T, power(m.J, on_a).T)
 
     @cached_property
     def _twist(self) -> tuple[FloatArray, FloatArray]:
@@ -169,14 +171,6 @@ class _LinkMotion(NamedTuple):
     alpha: FloatArray
     omega: FloatArray
     speed: FloatArray
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def _power(twist: FloatArray, wrench: FloatArray) -> FloatArray:
-    return _dot(twist[0], wrench[0]) + _dot(twist[1], wrench[1])
 
 
 def _outwards(wrench: FloatArray) -> FloatArray:
