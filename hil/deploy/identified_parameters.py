@@ -34,7 +34,7 @@ REACH_RAD = np.pi
 SMALLEST_SHARE = 1e-3
 """Torques are matched to this share of a joint's largest one; exactly where links allow."""
 
-FRICTION_S, FRICTION_HZ = 60.0, 100.0
+FRICTION_S, FRICTION_HZ = 60.0, 1000.0
 SIGN_WIDTH = 0.01
 
 

@@ -169,3 +169,19 @@ def require_rank(
         hint="record motions that excite more: larger amplitudes, more joints at once, "
         "more trajectories or poses",
     )
+
+
+def require_sizes(model: object, **sizes: int) -> None:
+    """Refuse fitted arrays of another size than the model needs; for reading model files.
+
+    Args:
+        model: Has an attribute with a `_` behind each name.
+        **sizes: Name → values there must be.
+
+    Raises:
+        ValueError: An array has another size; the message names it.
+    """
+    for name, size in sizes.items():
+        have = np.size(getattr(model, f"{name}_"))
+        if have != size:
+            raise ValueError(f"{name}: {have} values where the robot needs {size}")

@@ -19,6 +19,13 @@ from hil.typing import BoolArray, FloatArray
 MASS_FACTOR = 1.3
 """A link is at most so many times as heavy as its nominal model: cables, covers, drive gains."""
 
+LIGHT = 0.1
+"""Share of the arm's mass below which a link counts as that heavy when its mass is bounded: tools
+hang on small flanges and are not always declared."""
+
+AT_BOUND = 0.999
+"""Share of its greatest mass from which a link counts as being at the bound."""
+
 MARGIN_SHARE = 0.1
 """Share of the arm's reach by which a link may stick out beyond its joints and nominal body."""
 
@@ -61,7 +68,8 @@ class InertialBounds:
 
         Args:
             robot: The nominal model.
-            mass_factor: Most mass of a link as a multiple of its nominal one, above 1.
+            mass_factor: Most mass of a link as a multiple of its nominal one, or of a tenth of
+                the arm's where it is lighter; above 1.
             margin_m: Width of the margin [m]; by default a tenth of the arm's reach.
         """
         bodies = robot.parameters(rotor=False).reshape(robot.n, len(PARAMETERS))
@@ -73,11 +81,24 @@ class InertialBounds:
             [_box(body, end, margin) for body, end in zip(bodies, next_joint, strict=True)]
         )
         unknown_max = _mass_from_torque(robot, reach)
-        mass_max = np.where(known, mass_factor * bodies[:, 0], unknown_max)
+        heavy = np.maximum(bodies[:, 0], LIGHT * float(np.sum(bodies[:, 0])))
+        mass_max = np.where(known, mass_factor * heavy, unknown_max)
         reference = np.stack(
             [_body(b, m, x) for b, m, x in zip(bodies, mass_max, box, strict=True)]
         )
         return cls(reference, mass_max, box, _notes(robot, known, unknown_max))
+
+    def reached(self, inertial: FloatArray, joint_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Notes on links of full parameters (11n,) that are as heavy as they may be."""
+        masses = inertial[: self.reference.size].reshape(self.reference.shape)[:, 0]
+        heavy = masses >= AT_BOUND * self.mass_max
+        if not np.any(heavy):
+            return ()
+        told = ", ".join(name for name, at in zip(joint_names, heavy, strict=True) if at)
+        return (
+            f"the links behind {told} are as heavy as they may be: was a load mounted that is not "
+            "declared, or is the robot's nominal model of another arm?",
+        )
 
 
 def _next_joints(robot: RobotModel) -> FloatArray:

@@ -93,6 +93,9 @@ def load_model_file(folder: Path) -> RobotEstimator:
     return model
 
 
+PREDICTING = frozenset({"coefficients", "rigid", "gear_rigid", "friction", "inertial", "exponent"})
+"""Arrays of models that predictions come from: never without a number."""
+
 _GARBLED = (
     KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, SpecError,
 )  # fmt: skip
@@ -110,6 +113,11 @@ def _require_sound(model: RobotEstimator) -> None:
     names = [_text(name) for name in model.joint_names_]
     if not len(names) == len(model.sigma_) == len(model.torque_scale_):
         raise ValueError(f"joint_names: {len(names)} for {len(model.sigma_)} joints")
+    if not (np.all(np.isfinite(model.torque_scale_)) and np.all(model.torque_scale_ > 0)):
+        raise ValueError(f"torque_scale: {model.torque_scale_.tolist()!s:.60}")
+    for name, values in model.fitted_arrays().items():
+        if name in PREDICTING and not np.all(np.isfinite(values)):
+            raise ValueError(f"{name}: it holds values that are not finite")
     if model.effort_kind_ not in ("current", "torque"):
         raise ValueError(f"effort_kind: {model.effort_kind_!r:.60}")
 

@@ -144,7 +144,7 @@ class LoadProblem:
 def _filtered(model: RobotEstimator, dataset: Dataset) -> Dataset:
     if is_prepared(dataset):
         return dataset
-    given = getattr(model, "filters", None)
+    given = getattr(model, "filters_", None) or getattr(model, "filters", None)
     return prepared(dataset, given if isinstance(given, FilterSettings) else FilterSettings())
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Stream
+from hil.identify.checks import require_sizes
 from hil.identify.compress import JointwiseQR
 from hil.identify.diffnea.arm import DiffneaArm
 from hil.identify.diffnea.bodies import MASS_FACTOR, Bodies
@@ -92,6 +93,7 @@ class RigidDiffnea(RigidLinear):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         self.inertial_, self.gear_rigid_ = arrays["inertial"], arrays["gear_rigid"]
+        require_sizes(self, gear_rigid=self._base.rank, inertial=11 * self.robot_.n)
 
     def _open(self) -> None:
         super()._open()

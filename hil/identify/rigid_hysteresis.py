@@ -25,6 +25,7 @@ from hil.identify.checks import (
     require_motion,
     require_robot,
     require_samples,
+    require_sizes,
     torque_scale,
 )
 from hil.identify.friction.carried import RememberingStream
@@ -178,7 +179,9 @@ class RigidHysteresis(RobotEstimator):
         """Parts of the friction law, each (N, n) [N·m], as far as the filtered motion goes."""
         out: dict[str, FloatArray] = {}
         steps = path_steps(data)
-        for condition, rows, motion in motions(data, steps, transmitted, self.law_.shapes):
+        for condition, rows, motion in motions(
+            data, steps, transmitted, self.law_.shapes, self.law_.celsius
+        ):
             for name, torque in self.law_.torques(motion).items():
                 whole = out.setdefault(name, np.zeros_like(transmitted))
                 whole[rows] = smoothed(
@@ -201,6 +204,8 @@ class RigidHysteresis(RobotEstimator):
             "torque_scale": self.torque_scale_,
             "sigma": self.sigma_,
         }
+        if self.law_.celsius is not None:
+            arrays["celsius"] = self.law_.celsius
         inertial = getattr(self, "inertial_", None)
         return arrays if inertial is None else arrays | {"inertial": inertial}
 
@@ -223,9 +228,13 @@ class RigidHysteresis(RobotEstimator):
         self.filters_ = FilterSettings.model_validate(facts["filters"])
         if "inertial" in arrays:
             self.inertial_ = arrays["inertial"]
+            require_sizes(self, inertial=11 * self.robot_.n)
         chosen = tuple(tuple(map(str, names)) for names in facts["friction"])
         self.law_ = FrictionLaw.from_flat(
-            chosen, arrays["friction"], Shapes.from_array(arrays["shapes"])
+            chosen,
+            arrays["friction"],
+            Shapes.from_array(arrays["shapes"]),
+            arrays.get("celsius"),
         )
         self._name_parameters()
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, filter_columns
+from hil.identify.checks import require_sizes
 from hil.identify.compress import JointwiseQR
 from hil.identify.friction_exponent import best_exponent, power_of_speed
 from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
@@ -108,6 +109,9 @@ class RigidIrls(RigidClassical):
         super().restore(arrays, facts)
         self.exponent_, self.scale_ = arrays["exponent"], arrays["scale"]
         self.inertial_ = arrays.get("inertial")
+        require_sizes(self, exponent=self.robot_.n)
+        if self.inertial_ is not None:
+            require_sizes(self, inertial=11 * self.robot_.n)
         self.iterations_ = int(facts["iterations"])
 
     def _learn(self, data: Dataset) -> None:
@@ -133,7 +137,9 @@ class RigidIrls(RigidClassical):
         """The inner loop: coefficients (p,) of a robot that can exist."""
         bounds = InertialBounds.nominal(self.robot_, mass_factor=self.mass_factor)
         consistent = feasible(found, self._base, bounds, self.prior)
-        self.notes_, self.inertial_ = bounds.notes, consistent.inertial
+        self.inertial_ = consistent.inertial
+        reached = bounds.reached(self.inertial_, self.joint_names_)
+        self.notes_ = (*bounds.notes, *reached)
         return consistent.coefficients
 
     def _bend(self, data: Dataset, rows: RobustRows, fit: Reweighted) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters
+from hil.identify.checks import require_sizes
 from hil.identify.compress import JointwiseQR
 from hil.identify.consistent import Consistent, consistent_least_squares
 from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
@@ -116,13 +117,16 @@ class RigidLmi(RigidClassical):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         self.inertial_ = arrays["inertial"]
+        require_sizes(self, inertial=11 * self.robot_.n)
         self.least_eigenvalue_ = float(facts["least_eigenvalue"])
 
     def _estimate(self, observed: JointwiseQR) -> Solution:
         plain = jointwise_least_squares(observed, weighted=self.weighted)
         bounds = InertialBounds.nominal(self.robot_, mass_factor=self.mass_factor)
         consistent = feasible(plain, self._base, bounds, self.prior)
-        self.notes_, self.inertial_ = bounds.notes, consistent.inertial
+        self.inertial_ = consistent.inertial
+        reached = bounds.reached(self.inertial_, self.joint_names_)
+        self.notes_ = (*bounds.notes, *reached)
         self.least_eigenvalue_ = consistent.least_eigenvalue
         coefficients = consistent.coefficients
         return replace(plain, coefficients=coefficients, sigma=observed.residual_std(coefficients))

@@ -91,6 +91,10 @@ class WlsEstimator(RobotEstimator):
         self._open()
         self.coefficients_, self.std_error_ = arrays["coefficients"], arrays["std_error"]
         self.parameter_names_ = tuple(facts["parameter_names"])
+        if not len(self.coefficients_) == len(self.std_error_) == len(self.parameter_names_):
+            raise ValueError(
+                f"coefficients: {len(self.coefficients_)} for {len(self.parameter_names_)} names"
+            )
         self.condition_ = float(facts["condition"])
         # Older model files took every sample for independent.
         counted = facts.get("std_error", {}).get("correlated_samples", [1.0] * len(self.sigma_))

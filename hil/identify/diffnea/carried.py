@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.identify.diffnea.arm import DiffneaArm
-from hil.identify.friction.memory import advanced
+from hil.identify.friction.memory import advanced, carried_step
 from hil.payload import Payload
 from hil.typing import FloatArray
 
@@ -38,9 +38,8 @@ class DiffneaStream:
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds."""
         motion = tuple(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd))
-        way = np.zeros_like(motion[0]) if self._last is None else motion[0] - self._last
+        way = carried_step(motion[0], self._last, motion[1])
         self._last = motion[0]
-        way = np.where(motion[1] == 0.0, 0.0, way)
         self._states = {
             k: advanced(state, way, k * self._length) for k, state in self._states.items()
         }

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.identify.friction.law import FrictionLaw
-from hil.identify.friction.memory import advanced
+from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.friction.motion import FrictionMotion
 from hil.typing import FloatArray
 
@@ -33,14 +33,18 @@ class RememberingStream:
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
         """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds."""
         motion = tuple(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd))
-        step = np.zeros_like(motion[0]) if self._last is None else motion[0] - self._last
+        step = carried_step(motion[0], self._last, motion[1])
         self._last = motion[0]
-        step = np.where(motion[1] == 0.0, 0.0, step)
         length = self._law.shapes.length
         self._states = {k: advanced(state, step, k * length) for k, state in self._states.items()}
         rigid, transmitted = self._torque(*motion)
         here = FrictionMotion(
-            motion[0], motion[1], transmitted, self._law.shapes, given=self._states
+            motion[0],
+            motion[1],
+            transmitted,
+            self._law.shapes,
+            celsius=None if self._law.celsius is None else self._law.celsius[None],
+            given=self._states,
         )
         torque = rigid + sum(self._law.torques(here).values())
         sample: FloatArray = (torque / self._scale)[0]

@@ -16,7 +16,7 @@ from hil.identify.friction.library import LEAST_LOAD, LOADED, Columns, groups, r
 from hil.identify.friction.motion import Shapes
 from hil.identify.friction.observed import Observed
 from hil.identify.friction.selection import AS_GOOD, Selection, climb
-from hil.identify.friction.series import temperatures_vary
+from hil.identify.friction.series import temperatures_vary, usual_temperatures
 from hil.identify.friction.shapes import first_shapes, fitted_shapes
 from hil.identify.friction.solve import Solved, consistent, friction_ends, solve
 from hil.identify.inertial_bounds import InertialBounds
@@ -26,6 +26,9 @@ NO_TRAJECTORIES = (
     "one trajectory only: friction columns were chosen on parts of it left out, which is less "
     "than a trajectory of its own"
 )
+WORSE = 1.2
+"""Growth of a joint's error by bounds on links that people are told of."""
+
 BACKBONE = ("load", "stribeck", "speed p")
 """Friction while shapes are looked for."""
 
@@ -85,10 +88,10 @@ class HysteresisFit:
             solved.rigid,
             gear_rigid,
             solved.inertial,
-            FrictionLaw(found.chosen, solved.friction, shapes),
-            found.error,
+            FrictionLaw(found.chosen, solved.friction, shapes, usual_temperatures(data)),
+            found.error * np.maximum(solved.grown, 1.0),
             int(training.kept.sum()),
-            _notes(training, library, friction),
+            _notes(training, library, friction) + self._told(solved),
         )
 
     def _offered(
@@ -125,6 +128,21 @@ class HysteresisFit:
     def _consistent(self, observed: Observed, found: Selection, solved: Solved) -> Solved:
         bounds = InertialBounds.nominal(self.robot)
         return consistent(solved, self.base, bounds, friction_ends(observed, found.chosen))
+
+    def _told(self, solved: Solved) -> tuple[str, ...]:
+        """Notes on links at their bounds, and on what the bounds cost."""
+        if solved.inertial is None:
+            return ()
+        bounds = InertialBounds.nominal(self.robot)
+        notes = bounds.notes + bounds.reached(solved.inertial, self.robot.joint_names)
+        worst = float(np.max(solved.grown))
+        if worst > WORSE:
+            joint = self.robot.joint_names[int(np.argmax(solved.grown))]
+            notes += (
+                f"links that can exist make the error of {joint} {worst:.2g} times larger: if the "
+                "load and the robot's nominal model are right, try consistent: false",
+            )
+        return notes
 
     def _require_excited(self, solved: Solved) -> None:
         from hil.identify.checks import require_rank

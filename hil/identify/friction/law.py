@@ -24,15 +24,21 @@ class FrictionLaw:
         chosen: Groups per joint, in the order of their coefficients.
         coefficients: Per joint, of its groups' columns.
         shapes: The parameters that are not linear.
+        celsius: (n,) usual joint temperature of the training, for where it is not known.
     """
 
     chosen: tuple[tuple[str, ...], ...]
     coefficients: tuple[FloatArray, ...]
     shapes: Shapes
+    celsius: FloatArray | None = None
 
     @classmethod
     def from_flat(
-        cls, chosen: tuple[tuple[str, ...], ...], flat: FloatArray, shapes: Shapes
+        cls,
+        chosen: tuple[tuple[str, ...], ...],
+        flat: FloatArray,
+        shapes: Shapes,
+        celsius: FloatArray | None = None,
     ) -> FrictionLaw:
         """From all coefficients behind each other, joint by joint.
 
@@ -47,7 +53,7 @@ class FrictionLaw:
                 f"friction: {flat.size} coefficients and shapes of {shapes.length.size} joints "
                 f"for {sum(counts)} columns and {n} joints"
             )
-        return cls(chosen, tuple(np.split(flat, np.cumsum(counts)[:-1])), shapes)
+        return cls(chosen, tuple(np.split(flat, np.cumsum(counts)[:-1])), shapes, celsius)
 
     def torques(self, motion: FrictionMotion) -> dict[str, FloatArray]:
         """Parts `friction`, `ripple` and `drive`, each (N, n) [N·m]; only those there are."""

@@ -2,7 +2,8 @@
 
 1. Rigid body with the core of friction; the torque through every gear follows.
 2. Shapes of each joint's friction (lengths, Stribeck speeds, exponents) by variable projection.
-3. The whole library beside the rigid body, compressed per trajectory; groups by forward selection.
+3. The columns of all lists of groups beside the rigid body, compressed per trajectory; a list and a
+   penalty per joint by trajectories left out.
 4. All coefficients at once, then links that can exist.
 """
 

@@ -48,6 +48,18 @@ def advanced(state: FloatArray, step: FloatArray, length: FloatArray) -> FloatAr
     return np.asarray(sign + (state - sign) * kept)
 
 
+def carried_step(q: FloatArray, last: FloatArray | None, qd: FloatArray) -> FloatArray:
+    """Way since the last sample in a stream [rad]; shaped as its inputs.
+
+    Noise of positions would wear the memory away: only what goes with the velocity counts, and
+    nothing while it is exactly 0.
+    """
+    if last is None:
+        return np.zeros_like(q)
+    way = q - last
+    return np.where(way * qd > 0.0, way, 0.0)
+
+
 def path_steps(dataset: Dataset) -> FloatArray:
     """(N, n) way of each joint since the sample before, 0 where a series begins [rad].
 

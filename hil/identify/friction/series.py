@@ -13,7 +13,11 @@ from hil.typing import FloatArray
 
 
 def motions(
-    dataset: Dataset, steps: FloatArray, transmitted: FloatArray, shapes: Shapes
+    dataset: Dataset,
+    steps: FloatArray,
+    transmitted: FloatArray,
+    shapes: Shapes,
+    usual: FloatArray | None = None,
 ) -> Iterator[tuple[Conditions, slice, FrictionMotion]]:
     """Conditions, rows and motion of every series that has rows.
 
@@ -22,8 +26,9 @@ def motions(
         steps: (N, n) from `path_steps` [rad].
         transmitted: (N, n) torque through the gears [N·m].
         shapes: Of the friction.
+        usual: (n,) joint temperatures where none were recorded.
     """
-    celsius = dataset.columns.get("temperature")
+    celsius = temperatures(dataset, usual)
     for condition, rows in dataset.slices():
         if rows.stop > rows.start:
             yield (
@@ -38,6 +43,24 @@ def motions(
                     None if celsius is None else celsius[rows],
                 ),
             )
+
+
+def temperatures(dataset: Dataset, usual: FloatArray | None) -> FloatArray | None:
+    """(N, n) recorded joint temperatures, the usual ones where there are none."""
+    recorded = dataset.columns.get("temperature")
+    if usual is None:
+        return recorded
+    if recorded is None:
+        return np.broadcast_to(usual, dataset["q"].shape)
+    return np.where(np.isfinite(recorded), recorded, usual)
+
+
+def usual_temperatures(dataset: Dataset) -> FloatArray | None:
+    """(n,) median joint temperatures; None where they were not recorded throughout."""
+    recorded = dataset.columns.get("temperature")
+    if recorded is None or not len(recorded) or not np.all(np.isfinite(recorded)):
+        return None
+    return np.asarray(np.median(recorded, axis=0))
 
 
 def temperatures_vary(dataset: Dataset, least_k: float = 1.0) -> bool:

@@ -33,6 +33,7 @@ class Solved:
         sigma: (n,) standard deviation of the residual [N·m].
         weighted: The least-squares solution behind it, unconstrained.
         inertial: (11n,) full parameters of a robot that can exist; None when not asked for.
+        grown: (n,) by what factor that made the residual grow; 1 without it.
     """
 
     rigid: FloatArray
@@ -40,6 +41,7 @@ class Solved:
     sigma: FloatArray
     weighted: Solution
     inertial: FloatArray | None = None
+    grown: FloatArray | float = 1.0
 
 
 def solve(
@@ -80,7 +82,18 @@ def consistent(
     X, y = solved.weighted.weighted_system()
     found = consistent_least_squares(X, y, base=base, bounds=bounds, prior=PRIOR)
     whole = _split(found.coefficients, solved.sigma, solved.weighted, base.rank, list(ends))
-    return Solved(whole.rigid, whole.friction, solved.sigma, solved.weighted, found.inertial)
+    grown = _residual(solved.weighted, found.coefficients) / _residual(
+        solved.weighted, solved.weighted.coefficients
+    )
+    sigma = grown * solved.sigma
+    return Solved(whole.rigid, whole.friction, sigma, solved.weighted, found.inertial, grown)
+
+
+def _residual(solution: Solution, coefficients: FloatArray) -> FloatArray:
+    """(n,) length of each joint's residual, never 0."""
+    X, y, joint = solution.system
+    squares = np.bincount(joint, weights=(X @ coefficients - y) ** 2)
+    return np.sqrt(np.maximum(squares, 1e-24 * float(y @ y) or 1.0))
 
 
 def friction_ends(observed: Observed, chosen: Sequence[Sequence[str]]) -> list[int]:
