@@ -2,8 +2,9 @@
 
 On the UR10e every method learns from four trajectories and is judged on another one; a load is
 found in one half of a recording and tested on the other; on four more robots the default is set
-against the classical methods on the later part of a recording. Filters and the smoothing of signs
-are the same for all methods. Recordings are not part of the project: what is absent is left out.
+against the classical methods on the later part of a recording. The classical methods share filters
+and smoothing of signs; the default chooses filters of its own, and each side is shown with the
+other's on the UR10e. Recordings are not part of the project: what is absent is left out.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ DEFAULT = "default"
 """Title of the model `hil fit` should be given when nobody has reasons for another."""
 
 SMOOTH = {"sign_width": 0.01}
-"""Of every method alike, as in the baselines; so are the filters, which stay at their defaults."""
+"""As in the baselines; so are the filters of all methods but the default, which chooses its own."""
 
 CLASSICAL = SMOOTH | {"filter_columns": False}
 

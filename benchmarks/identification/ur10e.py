@@ -28,10 +28,28 @@ WITHIN = 0.02
 GOAL_FILTERED_A, GOAL_RAW_A, GOAL_CPU_S = 0.060, 0.108, 5.0
 """Of the default model on 14h50."""
 
+DEFAULTS_BAND = {"unit": "hz", "velocity": 11.0, "acceleration": 11.0, "effort": 17.6}
+"""Filters that the default chooses by itself on these recordings; the others have those of the
+anchors, 0.15 and 0.20 of the Nyquist frequency."""
+
 CHOICES: dict[str, tuple[tuple[str, dict[str, object]], ...]] = {
-    "WLS": (("sign_width .005", {"sign_width": 0.005}), ("sign_width .02", {"sign_width": 0.02})),
+    "WLS": (
+        ("sign_width .005", {"sign_width": 0.005}),
+        ("sign_width .02", {"sign_width": 0.02}),
+        ("default's filters", {"filters": DEFAULTS_BAND}),
+    ),
     "IRLS": (("loss tukey", {"loss": "tukey"}),),
-    "LMI, weighted": (("prior 0.1", {"prior": 0.1}), ("prior 10", {"prior": 10.0})),
+    "LMI, weighted": (
+        ("prior 0.1", {"prior": 0.1}),
+        ("prior 10", {"prior": 10.0}),
+        ("default's filters", {"filters": DEFAULTS_BAND}),
+        ("columns filtered too", {"filter_columns": True}),
+    ),
+    DEFAULT: (
+        ("filters of the others", {"filters": {}}),
+        ("shapes not fitted", {"fit_shapes": False}),
+        ("links unconstrained", {"consistent": False}),
+    ),
 }
 """What could have been chosen instead, judged on the training trajectories alone."""
 

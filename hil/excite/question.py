@@ -19,7 +19,7 @@ from hil.spec.optimise import Optimise
 if TYPE_CHECKING:
     from hil.excite.optimise import ExcitationProblem
 
-ANSWERS = 1
+ANSWERS = 2
 """Raised whenever the same question gets another answer than before."""
 
 TOLERANCE_M = 1e-9
