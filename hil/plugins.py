@@ -40,7 +40,6 @@ EXTRA_OF_MODULE = {
     "rosbags": "bags",
     "foxglove": "live",
     "cvxpy": "identify",
-    "clarabel": "identify",
 }
 """The extra of this distribution that brings an optional top-level module."""
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from types import ModuleType
 
 import numpy as np
 
-from hil.errors import PluginError
 from hil.typing import FloatArray
 
 TOLERANCE = 1e-8
@@ -52,9 +49,9 @@ def solve_step(
     Raises:
         PluginError: Clarabel is not installed.
     """
+    import clarabel
     import scipy.sparse
 
-    clarabel = _clarabel()
     (A, b), (C, c) = hard, elastic
     size, soft = len(gradient), int(len(c) > 0)
     H = np.zeros((size + soft, size + soft))
@@ -78,16 +75,6 @@ def solve_step(
     x, multipliers = np.array(found.x), np.array(found.z)
     excess = float(max(x[size], 0.0)) if soft else 0.0
     return Step(x[:size], excess, multipliers[: len(b)], multipliers[len(b) : len(b) + len(c)])
-
-
-def _clarabel() -> ModuleType:
-    try:
-        return import_module("clarabel")
-    except ImportError:
-        raise PluginError(
-            "optimised excitation needs Clarabel, which is not installed",
-            hint="pip install 'hil[identify]'",
-        ) from None
 
 
 def damped_update(hessian: FloatArray, way: FloatArray, turned: FloatArray) -> FloatArray:
