@@ -45,9 +45,6 @@ def solve_step(
 
     Returns:
         None where the solver does not succeed.
-
-    Raises:
-        PluginError: Clarabel is not installed.
     """
     import clarabel
     import scipy.sparse
