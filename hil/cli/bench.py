@@ -33,7 +33,7 @@ def bench(
         typer.Option(
             "--seed",
             min=0,
-            help="static: robots; lm: rows and start; excite: starts. May be repeated.",
+            help="static, mock_identification: robots; lm: rows, start; excite: starts. Repeatable.",
         ),
     ] = None,
     json: JsonFlag = False,
