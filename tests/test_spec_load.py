@@ -64,7 +64,7 @@ def test_the_fourier_experiment_holds_three_of_twelve_trajectories_out() -> None
     assert isinstance(spec.excitation, Fourier)
     assert (spec.excitation.harmonics, spec.excitation.fundamental_hz) == (5, 0.1)
     assert (spec.excitation.trajectories, spec.validation.hold_out.trajectories) == (12, 3)
-    assert [fit.estimator for fit in spec.fit] == ["rigid-wls"]
+    assert [fit.estimator for fit in spec.fit] == ["rigid-wls", "rigid-hysteresis"]
 
 
 def test_the_loaded_experiment_judges_on_the_load_it_did_not_fit() -> None:

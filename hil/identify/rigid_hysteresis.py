@@ -31,9 +31,8 @@ from hil.identify.checks import (
 from hil.identify.friction.carried import RememberingStream
 from hil.identify.friction.hysteresis_fit import HysteresisFit
 from hil.identify.friction.law import FrictionLaw
-from hil.identify.friction.memory import path_steps
 from hil.identify.friction.motion import Shapes
-from hil.identify.friction.series import motions, smoothed
+from hil.identify.friction.predicted import predicted_friction
 from hil.identify.hysteresis_settings import filters_for, group_names, motor_turns
 from hil.identify.parameters import flag, number, settings
 from hil.identify.plausible import require_plausible
@@ -136,7 +135,7 @@ class RigidHysteresis(RobotEstimator):
         load = payload_torque(self.robot_, data, *motion)
         torque, gravity, transmitted = self._rigid_torques(data, load)
         parts = {"gravity": gravity, "inertia": torque - gravity, "payload": load}
-        parts |= self._frictions(data, transmitted)
+        parts |= predicted_friction(self.law_, data, transmitted, self.filters_)
         parts = {name: part / self.torque_scale_ for name, part in parts.items()}
         effort: FloatArray = np.sum(list(parts.values()), axis=0)
         std = np.broadcast_to(self.sigma_, effort.shape)
@@ -174,24 +173,6 @@ class RigidHysteresis(RobotEstimator):
             at_rest = self._base.regressor(self.robot_, q, still, still)
             gravity[rows] = (at_rest @ self.rigid_).reshape(q.shape)
         return torque, gravity, transmitted
-
-    def _frictions(self, data: Dataset, transmitted: FloatArray) -> dict[str, FloatArray]:
-        """Parts of the friction law, each (N, n) [N·m], as far as the filtered motion goes."""
-        out: dict[str, FloatArray] = {}
-        steps = path_steps(data)
-        for condition, rows, motion in motions(
-            data, steps, transmitted, self.law_.shapes, self.law_.celsius
-        ):
-            for name, torque in self.law_.torques(motion).items():
-                whole = out.setdefault(name, np.zeros_like(transmitted))
-                whole[rows] = smoothed(
-                    torque,
-                    condition,
-                    data["t"][rows],
-                    self.filters_,
-                    cutoff=self.filters_.velocity,
-                )
-        return out
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Rigid body, friction and its shapes, gains and deviations."""
