@@ -156,6 +156,14 @@ def test_a_declared_load_does_not_count() -> None:
     )
 
 
+def test_a_recording_of_two_loads_is_refused() -> None:
+    data = under_load(5, 6)
+    first, second = data.conditions
+    mixed = replace(data, conditions=(first, replace(second, load=1, payload=LOAD)))
+    with pytest.raises(DataError, match="2 loads"):
+        estimate_payload(model(), mixed)
+
+
 def test_an_identified_load_is_what_a_model_predicts_with() -> None:
     data = under_load(5)
     found = estimate_payload(model(), data).payload

@@ -54,6 +54,13 @@ def payload(
         typer.echo("  note: the best fit is no body that exists; this is the best one that is")
     for note in told["notes"]:
         typer.echo(f"  note: {note}")
+    mass = told["parameters"][0]
+    if mass["interval_95"][0] <= 0.0:
+        typer.echo(
+            f"\nno load shows: {mass['value']:.3f} kg, and nothing up to "
+            f"{mass['interval_95'][1]:.3f} kg can be told from none"
+        )
+        return
     typer.echo("\nfor a spec, a map, or --payload:")
     for line in _lines(told["payload"]):
         typer.echo(line)

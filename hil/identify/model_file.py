@@ -159,7 +159,8 @@ def _read_document(path: Path) -> dict[str, Any]:
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise DataError(
-            f"{path.parent} is no model folder: cannot read {path.name}: {error.strerror}"
+            f"{path.parent} is no model folder: cannot read {path.name}: {error.strerror}",
+            hint="name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hysteresis-…",
         ) from error
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not valid JSON: {error}") from error

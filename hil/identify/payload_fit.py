@@ -20,7 +20,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.dynamics import payload_parameters
-from hil.errors import FitError, SpecError
+from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.blocks import time_blocks
 from hil.identify.checks import require_clean, require_motion
@@ -63,18 +63,29 @@ def estimate_payload(
 
     Raises:
         FitError: The recording does not tell: too few rows, no motion, or no load.
-        DataError: It is of another robot or unit than the model.
+        DataError: It is of another robot or unit than the model, or of several loads.
         SpecError: There is no such way to treat friction.
     """
     known = ("auto", *get_args(Friction))
     if friction not in known:
         raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
+    _require_one_load(dataset)
     require_clean(dataset, ("t", "q", "effort"))
     require_motion(dataset)
     if friction == "auto":
         return _told(*_chosen(LoadProblem.of(model, dataset, "scale", rows)))
     problem = LoadProblem.of(model, dataset, friction, rows)
     return _told(problem, _settled(problem))
+
+
+def _require_one_load(dataset: Dataset) -> None:
+    loads = {(condition.load, condition.payload) for condition in dataset.conditions}
+    if len(loads) > 1:
+        masses = ", ".join(f"{load.mass:g}" for _, load in sorted(loads, key=lambda one: one[0]))
+        raise DataError(
+            f"the recordings were made with {len(loads)} loads ({masses} kg declared)",
+            hint="give recordings of one load at a time; in Python, a part of the dataset",
+        )
 
 
 class _Solution(NamedTuple):
