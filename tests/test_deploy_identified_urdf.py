@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from dynamics_arms import motion, mujoco_torques, urdf, written
 from scipy.spatial.transform import Rotation
-from synthetic_motion import COULOMB, ROTORS, VISCOUS, fourier, moving, nominal, plant
+from synthetic_motion import COULOMB, LOAD, ROTORS, VISCOUS, fourier, moving, nominal, plant
 from typer.testing import CliRunner
 
 from hil.cli.app import app
@@ -194,13 +194,13 @@ def test_the_command_tells_what_is_in_the_file(
         assert text.splitlines()[-1].startswith(f"{out}: made from the built-in arm")
 
 
-def test_the_command_for_loads_tells_the_load(model, tmp_path: Path) -> None:
+@pytest.mark.parametrize("load", [None, LOAD])
+def test_the_command_for_loads_tells_the_load_or_that_none_shows(model, load, tmp_path) -> None:
     from hil.data.importing import import_file
 
-    load = moving(5, load=None)
-    assert load.conditions[0].payload.is_empty
+    run = moving(5, load=load)
     t, q, qd, _ = fourier(5)
-    np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, qd, load["effort"]]), delimiter=",")
+    np.savetxt(tmp_path / "run.csv", np.column_stack([t, q, qd, run["effort"]]), delimiter=",")
     (tmp_path / "map.yaml").write_text(MAP, "utf-8")
     import_file(tmp_path / "run.csv", tmp_path / "map.yaml", out=tmp_path / "run.mcap")
     folder = model.save(tmp_path / "model")
@@ -209,8 +209,11 @@ def test_the_command_for_loads_tells_the_load(model, tmp_path: Path) -> None:
     )
     lines = done.stdout.splitlines()
     assert lines[0].startswith("load in 600 samples")
-    assert lines[-2].startswith("payload: {mass_kg: 0.0")
-    assert lines[-1].startswith("--payload 0.0")
+    if load is None:
+        assert lines[-1].startswith("no load shows: 0.0")
+    else:
+        told = re.findall(r"(?:mass_kg: |--payload )([0-9.]+)", "\n".join(lines[-2:]))
+        assert np.array(told, dtype=float) == pytest.approx([load.mass] * 2, rel=0.05)
 
 
 MAP = """

@@ -8,7 +8,10 @@ from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
 from hil.data import Dataset
+from hil.data.filters import prepare
 from hil.identify.friction.memory import carried_step, dahl_states
+from hil.identify.inertial_bounds import InertialBounds
+from hil.identify.payload_problem import _filtered
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.payload import Payload
 
@@ -33,6 +36,28 @@ def test_a_tool_that_was_not_declared_is_told_or_does_no_harm() -> None:
         np.sqrt(np.mean((m.predict(test).effort - test["effort"]) ** 2)) for m in (tight, loose)
     )
     assert error < 1.2 * least or any("load" in note for note in tight.notes_)
+
+
+def test_links_that_had_to_be_as_heavy_as_they_may_be_are_told() -> None:
+    tool = Payload(15.0, (0.0, 0.0, 0.1))
+    data = Dataset.concatenate([bare(remembering(i, load=tool)) for i in (1, 2)])
+    model = RigidHysteresis(friction=GROUPS).fit(data, nominal())
+    assert any("as heavy as they may be" in note for note in model.notes_)
+
+
+def test_small_links_may_carry_a_tenth_of_the_arm() -> None:
+    masses = nominal().parameters(rotor=False).reshape(6, 10)[:, 0]
+    bounds = InertialBounds.nominal(nominal(), mass_factor=1.3)
+    assert bounds.mass_max[-1] == pytest.approx(0.13 * masses.sum())
+    assert bounds.mass_max[1] == pytest.approx(1.3 * masses[1])
+
+
+def test_a_load_is_looked_for_through_the_filters_the_model_chose() -> None:
+    model = RigidHysteresis(friction=GROUPS, consistent=False).fit(remembering(1, 2), nominal())
+    test = remembering(9)
+    seen = _filtered(model, test)["qd_f"]
+    assert np.array_equal(seen, prepare(test, model.filters_)["qd_f"])
+    assert not np.array_equal(seen, prepare(test)["qd_f"])
 
 
 def test_noise_of_an_encoder_does_not_wear_a_streams_memory_away() -> None:

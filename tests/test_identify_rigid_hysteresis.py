@@ -172,6 +172,8 @@ def test_model_file_gives_identical_predictions(fitted, held_out, tmp_path) -> N
         lambda facts, arrays: arrays.update(friction=np.append(arrays["friction"], 0.0)),
         lambda facts, arrays: arrays.update(shapes=arrays["shapes"][:, :5]),
         lambda facts, arrays: arrays.update(shapes=arrays["shapes"][:3]),
+        lambda facts, arrays: arrays.update(friction=arrays["friction"] * np.nan),
+        lambda facts, arrays: arrays.update(rigid=arrays["rigid"] * np.inf),
     ],
 )
 def test_a_damaged_model_file_is_refused(quick, tmp_path, damage) -> None:

@@ -25,6 +25,7 @@ from hil.dynamics import friction_terms
 from hil.errors import FitError
 from hil.identify.blocks import time_blocks
 from hil.identify.clustered import ClusteredLeastSquares
+from hil.identify.gain_lines import gain_lines, listed
 from hil.typing import BoolArray, FloatArray
 
 NEEDED = ("torque_target", "effort_target", "qd")
@@ -75,27 +76,20 @@ class ControllerGains:
         return {
             "method": self.method,
             "joint_names": list(self.joint_names),
-            "gain_nm_a": _listed(self.gain),
-            "gain_error_nm_a": _listed(self.gain_error),
-            "residual_share": _listed(self.residual_share),
+            "gain_nm_a": listed(self.gain),
+            "gain_error_nm_a": listed(self.gain_error),
+            "residual_share": listed(self.residual_share),
             "not_determined": {name: reason for name, reason in named if reason},
             "samples": self.samples,
-            "declared_nm_a": None if self.declared is None else _listed(self.declared),
+            "declared_nm_a": None if self.declared is None else listed(self.declared),
             "yaml": self.yaml_lines(),
             "notes": list(self.notes),
         }
 
     def yaml_lines(self) -> list[str]:
         """`drive_gains_nm_a` and its source; undetermined joints keep what is declared, if any."""
-        if self.declared is None and not self.determined.all():
-            return []
-        kept = self.gain if self.declared is None else self.declared
-        values = np.where(self.determined, self.gain, kept)
-        other = [n for n, known in zip(self.joint_names, self.determined, strict=True) if not known]
         source = f"the controller's current per torque over {self.samples} samples"
-        source += f"; {', '.join(other)} as declared before" if other else ""
-        listed = ", ".join(f"{value:.3f}" for value in values)
-        return [f"drive_gains_nm_a: [{listed}]", f'drive_gains_source: "{source}"']
+        return gain_lines(self.joint_names, self.gain, self.reasons, self.declared, source)
 
 
 def shows_controller(dataset: Dataset) -> bool:
@@ -185,7 +179,3 @@ def _spread_notes(data: Dataset, sign_width: float) -> Iterator[str]:
         ]
         if len(found) > 1 and np.ptp(found) > MOST_SPREAD * np.mean(found):
             yield f"{name}: series by series {min(found):.2f} to {max(found):.2f} N·m/A"
-
-
-def _listed(values: FloatArray) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]

@@ -26,6 +26,7 @@ from hil.data.dwells import dwells_of
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.identify.checks import require_clean, require_robot
+from hil.identify.gain_lines import gain_lines, listed
 from hil.identify.gain_pairs import GainPairs, paired
 from hil.identify.instruments import instrumental
 from hil.identify.plausible import require_plausible
@@ -97,12 +98,12 @@ class Gains:
         return {
             "method": self.method,
             "joint_names": list(self.joint_names),
-            "gain_nm_a": _listed(self.gain),
-            "gain_error_nm_a": _listed(self.gain_error),
-            "k1_nm_a": _listed(self.k1),
-            "k1_error_nm_a": _listed(self.k1_error),
-            "k2_nm_a2": _listed(self.k2),
-            "k2_error_nm_a2": _listed(self.k2_error),
+            "gain_nm_a": listed(self.gain),
+            "gain_error_nm_a": listed(self.gain_error),
+            "k1_nm_a": listed(self.k1),
+            "k1_error_nm_a": listed(self.k1_error),
+            "k2_nm_a2": listed(self.k2),
+            "k2_error_nm_a2": listed(self.k2_error),
             "not_determined": {
                 name: reason
                 for name, reason in zip(self.joint_names, self.reasons, strict=True)
@@ -111,7 +112,7 @@ class Gains:
             "masses_kg": list(self.masses),
             "poses": self.poses,
             "both_sides": self.both_sides,
-            "declared_nm_a": None if self.declared is None else _listed(self.declared),
+            "declared_nm_a": None if self.declared is None else listed(self.declared),
             "yaml": self.yaml_lines(),
             "notes": list(self.notes),
         }
@@ -119,21 +120,11 @@ class Gains:
     def yaml_lines(self) -> list[str]:
         """`drive_gains_nm_a` and its source for a station or an import map.
 
-        Joints that were not determined keep the gain the recording declares. Without one there are
-        no lines: a map needs a gain for every joint.
+        Joints that were not determined keep the gain the recording declares.
         """
-        if self.declared is None and not self.determined.all():
-            return []
-        kept = self.gain if self.declared is None else self.declared
-        values = np.where(self.determined, self.gain, kept)
-        before = [
-            n for n, known in zip(self.joint_names, self.determined, strict=True) if not known
-        ]
         masses = ", ".join(f"{mass:g}" for mass in self.masses)
         source = f"calibrated with {masses} kg at {self.poses} poses"
-        source += f"; {', '.join(before)} as declared before" if before else ""
-        listed = ", ".join(f"{value:.3f}" for value in values)
-        return [f"drive_gains_nm_a: [{listed}]", f'drive_gains_source: "{source}"']
+        return gain_lines(self.joint_names, self.gain, self.reasons, self.declared, source)
 
 
 def calibrate_gains(dataset: Dataset, robot: RobotModel) -> Gains:
@@ -212,7 +203,3 @@ def _of_joint(pairs: GainPairs, j: int) -> _Joint:
     if not k2_error * pairs.largest[j] < MOST_BEND_ERROR * gain:
         return _Joint(gain, error)
     return _Joint(gain, error, k1, k1_error, k2, k2_error)
-
-
-def _listed(values: FloatArray) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]
