@@ -1,0 +1,1 @@
+"""Training networks by gradient: stages, early stopping, checkpoints; PyTorch is imported late."""
