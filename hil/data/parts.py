@@ -58,6 +58,13 @@ def learn_and_validate(
     return learn, validate
 
 
+def rows_to_fit(dataset: Dataset) -> BoolArray:
+    """(N,) rows that estimators may learn from which stop by nothing: all that are not judged."""
+    if PART in dataset.columns:
+        return np.asarray(dataset[PART] != JUDGE)
+    return np.ones(len(dataset), dtype=bool)
+
+
 def with_part(dataset: Dataset, part: FloatArray) -> Dataset:
     """The dataset with the column `PART` (N,)."""
     return dataset.with_columns(**{PART: np.asarray(part, dtype=np.float64)})

@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from hil import plugins
-from hil.data.dataset import Conditions, Dataset, SeriesKind
+from hil.data.dataset import Conditions, Dataset, SeriesKind, rows_of
 from hil.data.filters import FilterSettings, downsample, is_prepared, prepare
+from hil.data.parts import rows_to_fit
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.dynamics.regressor import COMPILED_FROM
@@ -153,8 +154,10 @@ def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:
 
 
 def training_rows(dataset: Dataset, settings: FilterSettings) -> Dataset:
-    """The rows that a fit uses, with filtered columns: all, or every so manyth."""
-    return downsample(prepared(dataset, settings), settings)
+    """The rows that a fit uses, with filtered columns: all, or every so manyth; none to judge."""
+    data = downsample(prepared(dataset, settings), settings)
+    wanted = rows_to_fit(data)
+    return data if np.all(wanted) else rows_of(data, wanted)
 
 
 def chunks(dataset: Dataset) -> Iterator[slice]:

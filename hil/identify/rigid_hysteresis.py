@@ -17,6 +17,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
+from hil.data.parts import rows_to_fit
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, base_parameters
 from hil.identify.base import RobotEstimator, chunks, payload_torque, prepared
@@ -116,7 +117,7 @@ class RigidHysteresis(RobotEstimator):
             self.inertial_ = learnt.inertial
         self.samples_, self.notes_ = learnt.samples, learnt.notes
         self.held_out_ = learnt.held_out / self.torque_scale_
-        scatter = data["effort"] - data["effort_f"]
+        scatter = (data["effort"] - data["effort_f"])[rows_to_fit(data)]
         self.sigma_ = np.sqrt(self.held_out_**2 + np.mean(scatter**2, axis=0))
         self._name_parameters()
         return self

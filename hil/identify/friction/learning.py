@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import FilterSettings, kept_rows
+from hil.data.parts import rows_to_fit
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.base import payload_torque
 from hil.identify.friction.library import CORE, Columns
@@ -71,7 +72,7 @@ class Training:
         Y = base.regressor(robot, *motion).reshape(*load.shape, base.rank)
         fold, whole = folds_of(data)
         target = data["effort_f"] * scale - load
-        kept = rows_kept(data, settings)
+        kept = rows_kept(data, settings) & rows_to_fit(data)
         return Training(data, settings, Y, load, target, path_steps(data), fold, whole, kept)
 
     def observed(
