@@ -1,0 +1,1 @@
+"""Deep Lagrangian networks with friction, in PyTorch; imported late, by whoever fits one."""
