@@ -1,0 +1,74 @@
+"""In which order the parts of a network are trained. Imports no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hil.identify.training_loop.settings import TrainingSettings
+
+DYNAMICS, FRICTION = "dynamics", "friction"
+"""Groups of parameters of a Lagrangian network with friction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A part of the training.
+
+    Attributes:
+        name: For people, and for the learning curves.
+        trains: Groups of parameters that move; the others are frozen. None named: all move.
+        epochs: At most.
+        patience: Epochs without a better validation error until it ends.
+        learning_rate_factor: Times the settings' learning rate.
+    """
+
+    name: str
+    trains: tuple[str, ...]
+    epochs: int
+    patience: int
+    learning_rate_factor: float = 1.0
+
+
+def joint_stages(settings: TrainingSettings, name: str = "joint") -> tuple[Stage, ...]:
+    """One stage in which everything is trained."""
+    return (Stage(name, (), settings.epochs, settings.patience),)
+
+
+def hybrid_stages(
+    settings: TrainingSettings,
+    loops: int | None = None,
+    *,
+    dynamics: Sequence[str] = (DYNAMICS,),
+) -> tuple[Stage, ...]:
+    """Algorithm 1 of the PINN paper: joint learning and dynamics alone in turns, then dynamics.
+
+    Lines 4 to 10 are the joint stage of a loop, 11 to 17 its inner stage with frozen friction, 19
+    to 25 the outer one. "Until the loss function converges" is the stages' patience.
+
+    Args:
+        settings: `epochs` is spread over all stages.
+        loops: By default those of the settings.
+        dynamics: Groups that are trained alone.
+    """
+    count = settings.loops if loops is None else loops
+    unit = settings.epochs / (count * (1.0 + settings.inner_share) + settings.outer_share)
+    alone = tuple(dynamics)
+    stages = []
+    for loop in range(count):
+        factor = settings.loop_rate**loop
+        stages += [
+            _stage(f"loop {loop + 1}: joint", (), unit, factor, settings),
+            _stage(
+                f"loop {loop + 1}: dynamics", alone, settings.inner_share * unit, factor, settings
+            ),
+        ]
+    last = settings.loop_rate**count
+    outer = _stage("outer: dynamics", alone, settings.outer_share * unit, last, settings)
+    return (*stages, outer)
+
+
+def _stage(
+    name: str, trains: tuple[str, ...], epochs: float, factor: float, settings: TrainingSettings
+) -> Stage:
+    return Stage(name, trains, max(1, round(epochs)), settings.patience, factor)
