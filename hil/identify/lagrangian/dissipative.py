@@ -98,7 +98,7 @@ class Dissipative(nn.Module):
 
     def factor(self, q: Tensor, qd: Tensor) -> Tensor:
         """(B, n, n) lower triangle A."""
-        entries = self.network(_features(q, qd)) * self.scale
+        entries: Tensor = self.network(_features(q, qd)) * self.scale
         flat = entries.new_zeros(len(q), self._n * self._n)
         return flat.index_copy(1, self.places, entries).view(-1, self._n, self._n)
 
