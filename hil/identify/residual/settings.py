@@ -1,0 +1,139 @@
+"""What a residual network sees, how far back, and how large it is; checked before it is built."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, get_args
+
+from hil.errors import SpecError
+from hil.identify.lm.settings import whole
+from hil.identify.parameters import choice, flag, number, require_known
+
+Heard = Literal["motion", "history", "measured"]
+Layout = Literal["grouped", "joint"]
+Activation = Literal["tanh", "relu"]
+
+CHANNELS: dict[Layout, int] = {"grouped": 12, "joint": 48}
+"""Channels of a layer in each group, unless told."""
+
+TRAINING: dict[str, Any] = {
+    "epochs": 40,
+    "batch_size": 16,
+    "learning_rate": 3e-3,
+    "loss": "mse",
+    "patience": 8,
+}
+"""What `TrainingSettings` should be for a residual network unless told; a sample is a crop."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSettings:
+    """The residual network, after eq. 24–27 of the PINN paper.
+
+    Attributes:
+        inputs: `motion`: no torque. `history`: measured torque that ends `latency_s` before the
+            instant it predicts. `measured`: the torque of that instant, the very quantity it is
+            to predict, as the paper has it.
+        latency_s: How old the newest torque of `history` is [s].
+        layout: `grouped`: a network for each joint, which sees that joint alone. `joint`: one
+            for all, which sees q, q̇ and q̈ of all, as in the paper.
+        dilations: Steps between the taps of each layer [samples].
+        kernel: Taps of each layer.
+        channels: Of every layer, in each group; None: 12 grouped, 48 joint.
+        activation: Of every layer.
+        split: A network each for what is slow and what is fast in the residual (eq. 24).
+        f_cut_hz: Where it is split; `auto` takes it from the spectrum of the motion.
+        sign_widths: [rad/s] of the smooth signs tanh(q̇/width) that grouped networks see.
+        base_input: Grouped networks see what the physical model predicts.
+        crop: Instants that a training sample predicts in a row.
+    """
+
+    inputs: Heard = "motion"
+    latency_s: float = 0.02
+    layout: Layout = "grouped"
+    dilations: tuple[int, ...] = (1, 4, 16)
+    kernel: int = 5
+    channels: int | None = None
+    activation: Activation = "tanh"
+    split: bool = True
+    f_cut_hz: float | Literal["auto"] = "auto"
+    sign_widths: tuple[float, ...] = (0.005, 0.02, 0.1)
+    base_input: bool = True
+    crop: int = 256
+
+    def __post_init__(self) -> None:
+        choice("inputs", self.inputs, get_args(Heard))
+        choice("layout", self.layout, get_args(Layout))
+        choice("activation", self.activation, get_args(Activation))
+        number("latency_s", self.latency_s, above=0.0)
+        whole("kernel", self.kernel, at_least=2)
+        whole("crop", self.crop, at_least=1)
+        if self.channels is not None:
+            whole("channels", self.channels, at_least=1)
+        flag("split", self.split)
+        flag("base_input", self.base_input)
+        if self.f_cut_hz != "auto":
+            number("f_cut_hz", self.f_cut_hz, above=0.0)
+        for dilation in _several("dilations", self.dilations):
+            whole("dilations", dilation, at_least=1)
+        for width in _several("sign_widths", self.sign_widths):
+            number("sign_widths", width, above=0.0)
+
+    @property
+    def window(self) -> int:
+        """Samples an output depends on, the newest among them: l of eq. 25."""
+        return 1 + (self.kernel - 1) * sum(self.dilations)
+
+    @property
+    def width(self) -> int:
+        """Channels of a layer in each group."""
+        return CHANNELS[self.layout] if self.channels is None else self.channels
+
+    @property
+    def branches(self) -> int:
+        """Networks whose outputs are added: slow and fast, or one for both."""
+        return 2 if self.split else 1
+
+    @property
+    def protocol(self) -> str:
+        """`honest`, with the age of the torque it hears, or how it departs from that."""
+        if self.inputs == "measured":
+            return "paper: measured torque among the inputs"
+        if self.inputs == "history":
+            return f"honest: torque history ending {1e3 * self.latency_s:g} ms before"
+        return "honest"
+
+    def lag(self, rate_hz: float) -> int:
+        """Samples between the newest torque that is heard and the instant predicted."""
+        # A hair is taken off so that 20 ms at 1 kHz are 20 samples however the rate is rounded.
+        samples = -int(-self.latency_s * rate_hz * (1.0 - 1e-6) // 1)
+        return max(1, samples) if self.inputs == "history" else 0
+
+    def to_json(self) -> dict[str, Any]:
+        """All settings, as `given` reads them."""
+        return asdict(self)
+
+    @staticmethod
+    def given(settings: dict[str, Any]) -> ResidualSettings:
+        """From keyword arguments; lists stand for tuples.
+
+        Raises:
+            SpecError: There is no such setting, or it cannot have that value.
+        """
+        require_known(settings, tuple(f.name for f in fields(ResidualSettings)), "network")
+        listed: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in settings.items()
+        }
+        return ResidualSettings(**listed)
+
+    @staticmethod
+    def paper(**changed: Any) -> ResidualSettings:
+        """As published: one network for all joints, measured torque among its inputs."""
+        return ResidualSettings.given({"inputs": "measured", "layout": "joint"} | changed)
+
+
+def _several(name: str, values: Any) -> tuple[Any, ...]:
+    if not isinstance(values, tuple) or not values:
+        raise SpecError(f"{name} is {values!r}, but must be a list of at least one number")
+    return values

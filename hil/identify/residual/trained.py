@@ -1,0 +1,116 @@
+"""A trained residual network: what it predicts for whole recordings, and its arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.identify.residual.inputs import InputScales, NetworkInputs
+from hil.identify.residual.motions import Motions
+from hil.identify.residual.settings import ResidualSettings
+from hil.identify.residual.weights import TcnWeights
+from hil.typing import FloatArray
+
+SCALES, WEIGHTS = "scales.", "weights."
+"""What the names of arrays begin with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedTcn:
+    """Predicts what a physical model leaves, in that model's unit of effort.
+
+    Attributes:
+        inputs: What it sees, and how that is scaled.
+        weights: Of all groups and branches.
+        scale: (branches, n) size of the slow and the fast part in the rows it learned from.
+        rate_hz: Samples per second it was trained at; its memory counts samples.
+        f_cut_hz: Where slow and fast were parted; NaN if they were not.
+    """
+
+    inputs: NetworkInputs
+    weights: TcnWeights
+    scale: FloatArray
+    rate_hz: float
+    f_cut_hz: float
+
+    @property
+    def settings(self) -> ResidualSettings:
+        """Those it was trained with."""
+        return self.inputs.settings
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.scale.shape[1])
+
+    def predict(self, motions: Motions) -> FloatArray:
+        """(N, n) residual of every row; memory is reset where a series begins.
+
+        Raises:
+            DataError: The torque it hears is not there, or samples are spaced otherwise.
+        """
+        return np.asarray(self.parts(motions).sum(axis=0))
+
+    def parts(self, motions: Motions) -> FloatArray:
+        """(branches, N, n): the slow and the fast part, or one for both.
+
+        Raises:
+            DataError: As `predict`.
+        """
+        if abs(motions.rate_hz / self.rate_hz - 1.0) > RATE_TOLERANCE:
+            raise DataError(
+                f"the residual network was trained at {self.rate_hz:.4g} Hz, "
+                f"the samples come at {motions.rate_hz:.4g} Hz",
+                hint="its memory counts samples: record at the same rate, or fit again",
+            )
+        inputs = self.inputs.of(motions)
+        out = np.zeros((len(self.scale), len(motions), self.n))
+        for rows in motions.slices():
+            branched = np.tile(inputs[rows], (1, len(self.scale), 1))
+            out[:, rows] = self._scaled(self.weights.series(branched))
+        return out
+
+    def _scaled(self, outputs: FloatArray) -> FloatArray:
+        """(branches, N, n) from (N, G, O)."""
+        parts = outputs.reshape(len(outputs), *self.scale.shape) * self.scale
+        return np.asarray(parts.transpose(1, 0, 2))
+
+    def to_arrays(self) -> dict[str, FloatArray]:
+        """For a model file; `settings.to_json()` goes beside them."""
+        scales = {SCALES + name: a for name, a in self.inputs.scales.to_arrays().items()}
+        weights = {WEIGHTS + name: a for name, a in self.weights.to_arrays().items()}
+        rates = {"rate_hz": np.array([self.rate_hz]), "f_cut_hz": np.array([self.f_cut_hz])}
+        return {"scale": self.scale, **rates, **scales, **weights}
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, FloatArray], settings: dict[str, Any]) -> TrainedTcn:
+        """Inverse of `to_arrays`.
+
+        Raises:
+            DataError: Arrays are missing or do not fit each other.
+            SpecError: The settings are not valid.
+        """
+        chosen = ResidualSettings.given(settings)
+        missing = [name for name in ("scale", "rate_hz", "f_cut_hz") if name not in arrays]
+        if missing:
+            raise DataError(f"the residual network lacks {', '.join(missing)}")
+        scale = np.asarray(arrays["scale"], dtype=np.float64)
+        if scale.ndim != 2 or len(scale) != chosen.branches:
+            raise DataError(f"the residual network's scale has the shape {scale.shape}")
+        scales = InputScales.from_arrays(_beginning(arrays, SCALES), chosen, scale.shape[1])
+        weights = TcnWeights.from_arrays(_beginning(arrays, WEIGHTS), chosen)
+        weights.require(scale.shape, scales.lowest.shape)
+        rate, f_cut = float(arrays["rate_hz"][0]), float(arrays["f_cut_hz"][0])
+        return TrainedTcn(NetworkInputs(chosen, scales), weights, scale, rate, f_cut)
+
+
+RATE_TOLERANCE = 0.05
+"""Difference of sample rates, as a share, beyond which a network's memory means another time."""
+
+
+def _beginning(arrays: Mapping[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
+    return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
