@@ -13,6 +13,7 @@ from hil.spec.yaml_values import scalar
 from hil.study.base import GROUP
 from hil.study.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
 from hil.study.dynamic_methods import METHODS as DYNAMIC_METHODS
+from hil.study.inverse_methods import ROW_KEYS, ROWS
 from hil.study.separation_methods import METHOD_KEYS, known_methods
 from hil.study.static_separation import TABLE_3
 
@@ -22,6 +23,7 @@ IN_WORDS = {
     "the eight of Table 3": TABLE_3,
     "all": METHOD_KEYS,
     "all methods": DYNAMIC_KEYS,
+    "all rows": ROW_KEYS,
     "none": None,
 }
 
@@ -60,3 +62,10 @@ def test_every_method_of_dynamics_has_a_row_with_its_estimator() -> None:
     assert tuple(key.strip("`") for key in shown) == DYNAMIC_KEYS
     for key, text in shown.items():
         assert f"`{DYNAMIC_METHODS[key.strip('`')].estimator}`" in text
+
+
+def test_every_row_of_table_ii_is_there_with_its_estimator() -> None:
+    shown = dict(rows_of("### Rows of Table II"))
+    assert tuple(key.strip("`") for key in shown) == ROW_KEYS
+    for key, text in shown.items():
+        assert f"`{ROWS[key.strip('`')].estimator}`" in text

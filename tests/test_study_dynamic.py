@@ -77,7 +77,8 @@ def test_both_protocols_stand_side_by_side_and_are_labelled(found: StudyResult) 
 
 def test_the_page_about_studies_lists_the_tables_and_figures_there_are(found: StudyResult) -> None:
     page = (ROOT / "docs" / "reference" / "studies.md").read_text("utf-8")
-    rows = re.findall(r"^\| `((?:table|fig)-.+?) \|", page.split("### What it shows")[1], re.M)
+    section = page.split("### What it shows")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| `((?:table|fig)-.+?) \|", section, re.M)
     listed = {key.strip("`") for row in rows for key in row.split(", ")}
     made = {one.key for part in found.parts for one in (*part.tables, *part.figures)}
     assert listed == made

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, downsample, prepare, sample_rate
-from hil.data.splits import groups, paper_sample_split, split
+from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.identify.checks import require_robot, torque_scale
@@ -108,13 +108,19 @@ def paper_parts(of: Trajectories, seed: int) -> Parts:
 
 def honest_parts(of: Trajectories, seed: int) -> Parts:
     """The same shares of whole trajectories: 7, 2 and 3 of twelve; fits leave rows out."""
-    data = of.data
-    count, twelve = len(groups(data, "trajectory")), sum(OF_TWELVE)
-    tested = max(1, round(OF_TWELVE[2] * count / twelve))
-    chosen_by = max(1, round(OF_TWELVE[1] * count / twelve))
-    outer = split(data, "trajectory", tested, seed)
+    outer = held_out(of, seed)
+    chosen_by = max(1, round(OF_TWELVE[1] * _twelfths(of)))
     inner = split(outer.train, "trajectory", chosen_by, seed)
     return Parts(inner.train, inner.test, outer.test)
+
+
+def held_out(of: Trajectories, seed: int) -> Split:
+    """Whole trajectories to judge on, 3 of twelve, and the others."""
+    return split(of.data, "trajectory", max(1, round(OF_TWELVE[2] * _twelfths(of))), seed)
+
+
+def _twelfths(of: Trajectories) -> float:
+    return len(groups(of.data, "trajectory")) / sum(OF_TWELVE)
 
 
 def marked(data: Dataset) -> Dataset:

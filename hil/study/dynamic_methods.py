@@ -149,11 +149,11 @@ def score(model: RobotEstimator, parts: Parts, seconds: float = 0.0) -> Score:
     known = np.isfinite(torque)
     trained = model.predict(parts.train).effort * scale
     return Score(
-        filtered=_rmse_where(filtered, torque, known),
-        raw=_rmse_where(raw, torque, known),
-        moving=_rmse_where(filtered, torque, known & (test[MOVING] > 0)),
-        reversal=_rmse_where(filtered, torque, known & (test[REVERSAL] > 0)),
-        percent=_percent(filtered, torque, known),
+        filtered=rmse_where(filtered, torque, known),
+        raw=rmse_where(raw, torque, known),
+        moving=rmse_where(filtered, torque, known & (test[MOVING] > 0)),
+        reversal=rmse_where(filtered, torque, known & (test[REVERSAL] > 0)),
+        percent=percent_where(filtered, torque, known),
         training=rmse(parts.train["effort_f"] * scale, trained),
         seconds=seconds,
         condition=float(getattr(model, "condition_", np.nan)),
@@ -163,14 +163,16 @@ def score(model: RobotEstimator, parts: Parts, seconds: float = 0.0) -> Score:
     )
 
 
-def _rmse_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
+def rmse_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
+    """(n,) RMSE of every joint over its rows of `where` (N, n); NaN where it has none."""
     found = [
         rmse(measured[rows, j, None], predicted[rows, j, None]) for j, rows in enumerate(where.T)
     ]
     return np.concatenate(found)
 
 
-def _percent(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
+def percent_where(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> FloatArray:
+    """(n,) largest error over largest torque (MEP) of every joint over its rows of `where`."""
     found = [
         mep(measured[rows, j, None], predicted[rows, j, None]) for j, rows in enumerate(where.T)
     ]

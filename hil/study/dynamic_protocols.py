@@ -93,7 +93,7 @@ class Protocol:
         once = {"every": 1} if torn else {}
         self._filters = trajectories.filters.model_copy(update=once)
         lighter = replace(
-            trajectories, data=_light(trajectories.data), thinned=_light(trajectories.thinned)
+            trajectories, data=light(trajectories.data), thinned=light(trajectories.thinned)
         )
         self._splits = [PROTOCOLS[name](lighter, seed) for seed in seeds]
 
@@ -125,7 +125,8 @@ class Protocol:
         return Found(self.name, scores, failed, test["t"][rows], shown, noise)
 
 
-def _light(data: Dataset) -> Dataset:
+def light(data: Dataset) -> Dataset:
+    """With no more columns than estimators may ask for."""
     kept = [
         name
         for name in data.columns

@@ -1,0 +1,191 @@
+"""Table II of the PINN paper from one run: Methods 1 to 6, Proposed, its corrections, and ours.
+
+Everything is computed twice, with samples drawn at random from within the trajectories as the
+paper does, and with whole trajectories held out (docs/explanation/inverse-dynamics.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+from hil.data.dataset import Dataset, SeriesKind
+from hil.dynamics import RobotModel
+from hil.errors import FitError
+from hil.executor import cores
+from hil.identify.lm.settings import whole
+from hil.identify.parameters import flag, number
+from hil.study import inverse_drawn as drawn
+from hil.study import inverse_tables as tables
+from hil.study.base import Progress, Study, silent
+from hil.study.inverse_cases import CASES, load_names, recorded
+from hil.study.inverse_fits import family_task, missing
+from hil.study.inverse_found import Found, Seen, gathered
+from hil.study.inverse_methods import ROW_KEYS, ROWS, families
+from hil.study.inverse_words import LABELS, TEXTS, TITLES, summary
+from hil.study.result import Figure, Part, StudyResult, Table
+from hil.study.separation_parameters import words
+from hil.study.separation_tasks import run_tasks
+
+
+class InverseDynamics(Study):
+    """Torque errors of identified and learned models on Fourier trajectories.
+
+    Args:
+        protocols: `paper`, `honest` or both.
+        methods: Keys of `hil.study.inverse_methods.ROWS`.
+        seeds: How often each split is drawn and every network trained.
+        seed: The first; the others follow.
+        effort: Share of the usual epochs that networks are trained for; below 1 to try out.
+        cutoff_hz: Of the zero-phase Butterworth filter of order 5.
+        rate_hz: Samples a fit keeps per second after filtering; residual networks keep all.
+        sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
+        figures: Whether to draw any.
+        jobs: Processes; None: as many as there are cores. The result does not depend on it.
+    """
+
+    study: ClassVar[str] = "inverse-dynamics"
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
+
+    def __init__(
+        self,
+        *,
+        protocols: Sequence[str] = tuple(CASES),
+        methods: Sequence[str] = ROW_KEYS,
+        seeds: int = 3,
+        seed: int = 0,
+        effort: float = 1.0,
+        cutoff_hz: float = 50.0,
+        rate_hz: float = 125.0,
+        sign_width: float = 0.01,
+        figures: bool = True,
+        jobs: int | None = None,
+    ) -> None:
+        self.protocols = words("protocols", protocols, tuple(CASES))
+        self.methods = words("methods", methods, ROW_KEYS)
+        self.seeds = whole("seeds", seeds, at_least=1)
+        self.seed = whole("seed", seed, at_least=0)
+        self.effort = number("effort", effort, above=0.0)
+        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
+        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
+        self.sign_width = number("sign_width", sign_width, at_least=0.0)
+        self.figures = flag("figures", figures)
+        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+
+    def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
+        """Tables, figures and words of both protocols.
+
+        Raises:
+            FitError: There are too few trajectories, or no method can be fitted.
+            DataError: The data cannot be filtered as asked.
+        """
+        of = recorded(dataset, robot, self.cutoff_hz, self.rate_hz)
+        absent = {key: name for key in self.methods if (name := missing(ROWS[key]))}
+        known = families([key for key in self.methods if key not in absent])
+        cases = {
+            name: [CASES[name](of, seed) for seed in range(self.seed, self.seed + self.seeds)]
+            for name in self.protocols
+        }
+        tasks = [
+            family_task(root, keys, case, robot, self.sign_width, self.effort)
+            for drawn_ in cases.values()
+            for root, keys in known.items()
+            for case in drawn_
+        ]
+        results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress))
+        loads = {} if of.loaded is None else load_names(of.loaded)
+        found = [
+            gathered(
+                name,
+                [(keys, [next(results) for _ in drawn_]) for keys in known.values()],
+                [Seen.of(case) for case in drawn_],
+                loads,
+            )
+            for name, drawn_ in cases.items()
+        ]
+        notes = [*of.notes, *_absent(absent), *_failures(found), *_partly(found)]
+        return StudyResult(
+            self.study,
+            "Inverse dynamics: Table II of the PINN paper, as printed and honestly",
+            tuple(summary(found)),
+            self._parts(found),
+            self.get_params(),
+            warnings=tuple(notes),
+        )
+
+    def _parts(self, found: Sequence[Found]) -> tuple[Part, ...]:
+        parts = [self._part(one) for one in found]
+        if len(found) > 1:
+            parts.append(Part("Side by side", "", (), (tables.both(found),)))
+        return tuple(parts)
+
+    def _part(self, found: Found) -> Part:
+        name = found.protocol
+        text = (*TEXTS[name], *_decisions(found))
+        shown = tuple(_tables(found))
+        figures = tuple(_figures(found)) if self.figures else ()
+        return Part(TITLES[name], LABELS[name], text, shown, figures)
+
+
+def _tables(found: Found) -> Iterator[Table]:
+    name = found.protocol
+    what = TITLES[name].lower()
+    yield tables.errors(found, f"table-{name}", what)
+    yield tables.largest(found, f"table-{name}-mep", what)
+    yield tables.measured(found, f"table-{name}-raw", "raw")
+    if name == "honest":
+        yield tables.measured(found, "table-moving", "moving")
+        yield tables.measured(found, "table-within", "within")
+        loads = tables.under_loads(found)
+        yield from () if loads is None else (loads,)
+
+
+def _figures(found: Found) -> Iterator[Figure]:
+    name = found.protocol
+    yield drawn.bars(found, f"fig-{name}-errors")
+    if name == "honest":
+        made = (
+            drawn.torques(found, "fig-torques"),
+            drawn.friction(found, "fig-friction"),
+            drawn.residuals(found, "fig-residual"),
+            drawn.loads(found),
+            drawn.learning(found, "fig-learning"),
+        )
+        yield from (figure for figure in made if figure is not None)
+
+
+def _decisions(found: Found) -> Iterator[str]:
+    """What corrections of ours decided about themselves, seed by seed."""
+    for i, score in enumerate(found.scores.get("ours-residual", ())):
+        yield from (f"{ROWS['ours-residual'].words}, draw {i + 1}: {note}" for note in score.notes)
+
+
+def _absent(absent: dict[str, str]) -> Iterator[str]:
+    yield from (f"{ROWS[key].words}: {name} is not installed" for key, name in absent.items())
+
+
+def _partly(found: Sequence[Found]) -> Iterator[str]:
+    for one in found:
+        for key, scores in one.scores.items():
+            least = min(score.known for score in scores)
+            if least < 0.999:
+                yield (
+                    f"{ROWS[key].words}, {one.protocol}: judged on {100 * least:.1f} % of the "
+                    "samples, where it says something"
+                )
+
+
+def _failures(found: Sequence[Found]) -> list[str]:
+    """Notes about methods that failed.
+
+    Raises:
+        FitError: None is left.
+    """
+    notes = [
+        f"{ROWS[key].words} ({ROWS[key].estimator}), {one.protocol}: left out, {reason}"
+        for one in found
+        for key, reason in one.failed.items()
+    ]
+    if not any(one.scores for one in found):
+        raise FitError(f"no method could be fitted: {next(iter(notes), 'none is installed')}")
+    return notes

@@ -1,0 +1,86 @@
+"""The fits of one case: a model, and the networks that correct it, in one task."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from hil import plugins
+from hil.dynamics import RobotModel
+from hil.errors import HilError
+from hil.identify.base import GROUP, RobotEstimator
+from hil.study.inverse_cases import Case
+from hil.study.inverse_methods import ROWS, Row, unfitted
+from hil.study.inverse_score import Judged, judged, nothing
+from hil.study.separation_tasks import Task
+
+COSTS = {"lagrangian": 10.0, "rigid-hysteresis": 8.0, "residual": 8.0, "rigid-irls": 2.0}
+"""How long fits take compared with the others: the longest begin first."""
+
+
+def missing(row: Row) -> str:
+    """Name of an estimator that the row needs and no distribution has here; empty if all are."""
+    needed = [row.estimator, *([ROWS[row.on].estimator] if row.on else [])]
+    known = plugins.names(GROUP)
+    return next((name for name in needed if name not in known), "")
+
+
+def family_task(
+    root: str, keys: Sequence[str], case: Case, robot: RobotModel, sign_width: float, effort: float
+) -> Task:
+    """Fit the model `root` and whatever corrects it; the result is a `Judged` by key of `keys`."""
+    cost = sum(COSTS.get(ROWS[key].estimator, 1.0) for key in {root, *keys})
+    run = partial(fit_family, root, tuple(keys), case, robot, sign_width, effort)
+    return Task(run, cost)
+
+
+def fit_family(
+    root: str, keys: Sequence[str], case: Case, robot: RobotModel, sign_width: float, effort: float
+) -> dict[str, Judged]:
+    """As `family_task` says; a failure is told, not raised, except that of a dishonest case.
+
+    Raises:
+        DataError: Judged rows are among those to learn from.
+    """
+    case.require_honest()
+
+    def new(key: str) -> RobotEstimator:
+        return unfitted(ROWS[key], case.seed, sign_width, case.filters, effort)
+
+    begin = time.process_time()
+    base, failed = _tried(lambda: new(root).fit(case.learn, robot))
+    seconds = time.process_time() - begin
+    if base is None:
+        return {key: nothing(robot.n, failed) for key in keys}
+    found = {root: _judged(base, case, robot, seconds)} if root in keys else {}
+    for key in (key for key in keys if key != root):
+        found[key] = _corrected(partial(new, key), base, case, robot, seconds)
+    return {key: found[key] for key in keys}
+
+
+def _corrected(
+    new: Callable[[], Any], base: RobotEstimator, case: Case, robot: RobotModel, seconds: float
+) -> Judged:
+    begin = time.process_time()
+    model, failed = _tried(lambda: new().fit_on(base, case.learn, robot))
+    if model is None:
+        return nothing(robot.n, failed)
+    return _judged(model, case, robot, seconds + time.process_time() - begin)
+
+
+def _judged(model: RobotEstimator, case: Case, robot: RobotModel, seconds: float) -> Judged:
+    found, failed = _tried(lambda: judged(model, case, seconds))
+    return nothing(robot.n, failed) if found is None else found
+
+
+def _tried(make: Callable[[], Any]) -> tuple[Any, str]:
+    """What is made, or None and why."""
+    try:
+        return make(), ""
+    except HilError as error:
+        return None, error.message
+    # Estimators are plug-ins: one that breaks down must not cost what the others took.
+    except Exception as error:
+        return None, f"it broke down: {type(error).__name__}: {error}"

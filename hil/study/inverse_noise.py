@@ -1,0 +1,36 @@
+"""What every error is to be seen beside: the noise, and repeating the last torque."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, freqz
+
+from hil.data.filters import nyquist_fraction, sample_rate
+from hil.evaluate.persistence import persistence_rmse
+from hil.study.inverse_cases import Case
+from hil.typing import FloatArray
+
+FREQUENCIES = 1 << 14
+
+
+def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
+    """(n,) RMS of the noise in the filtered torque, if white noise was filtered.
+
+    Args:
+        removed: (n,) RMS of what the filter took out.
+        case: Says how it filtered.
+    """
+    rate = sample_rate(case.judge["t"][: case.judge.offsets[1]])
+    settings = case.filters
+    fraction = nyquist_fraction(settings.effort, settings.unit, rate)
+    b, a = butter(settings.order, fraction)
+    # Forwards and backwards: the gain is the square of one pass's magnitude.
+    gain = np.abs(freqz(b, a, FREQUENCIES)[1]) ** 2
+    share = np.sqrt(np.mean(gain**2) / np.mean((1.0 - gain) ** 2))
+    return np.asarray(share * removed)
+
+
+def persistence_of(case: Case, latency_s: float) -> FloatArray:
+    """(n,) error [N·m] of taking the filtered torque of `latency_s` ago for that of now."""
+    error = persistence_rmse(case.judge, latency_s, "effort_f", case.rows)
+    return np.asarray(error * case.scale)

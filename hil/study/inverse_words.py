@@ -1,0 +1,133 @@
+"""What a study of inverse dynamics says in words: who is ahead, and where nobody can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hil.study.inverse_found import Found
+from hil.study.inverse_methods import ONE_TO_SIX, ROWS
+from hil.study.separation_text import listed
+
+TITLES = {"paper": "As in the paper", "honest": "Whole trajectories held out"}
+
+LABELS = {
+    "paper": "paper: samples split at random within trajectories",
+    "honest": "honest",
+}
+
+TEXTS = {
+    "paper": (
+        "60/20/20 % of the recorded samples, drawn one by one along whole motions; models that "
+        "thin the data learn from every so manyth sample of the same draw. A judged sample's "
+        "neighbours, 1 ms away, were learned from: these errors say little about another motion.",
+    ),
+    "honest": (
+        "Nine of twelve trajectories are handed to every method, three are judged; networks hold "
+        "out two of the nine by themselves to know when to stop.",
+    ),
+}
+
+APART = 2.0
+"""Standard deviations over the seeds by which paired errors must differ for a ranking."""
+
+OURS = ("ours-residual", "ours")
+ORDER = (
+    ("delan", ("delan-unconstrained", "delan-dissipative")),
+    ("delan-unconstrained", ("delan-coulomb", "proposed")),
+    ("delan-dissipative", ("delan-coulomb", "proposed")),
+)
+"""Expected: each is worse than those behind it."""
+
+
+def summary(found: Sequence[Found]) -> Iterator[str]:
+    """What to take away, one sentence each."""
+    for one in found:
+        sentences = [*_ours(one), *_order(one), *_six_or_proposed(one), *_corrected(one)]
+        yield from (f"{TITLES[one.protocol]}: {sentence}" for sentence in sentences)
+
+
+def apart(found: Found, a: str, b: str) -> bool:
+    """Whether a and b differ by more than two seed-σ of their paired differences."""
+    difference = found.by_seed(a) - found.by_seed(b)
+    if len(difference) < 2:
+        return False
+    return abs(float(np.mean(difference))) > APART * float(np.std(difference, ddof=1))
+
+
+def _ours(found: Found) -> Iterator[str]:
+    known = [key for key in ONE_TO_SIX if key in found.scores]
+    ours = next((key for key in OURS if key in found.scores), None)
+    if not known or ours is None:
+        return
+    best = min(known, key=found.average)
+    least, error = found.average(best), found.average(ours)
+    noise = float(np.mean(found.beside("noise")))
+    closed = 100 * (least - error) / (least - noise) if least > noise else float("nan")
+    yield (
+        f"{ROWS[ours].words} leaves {error:.3g} N·m, {_less(error, least)} than the best of "
+        f"Methods 1 to 6 ({ROWS[best].words}, {least:.3g} N·m); it closes {closed:.0f} % of the "
+        "gap to the noise."
+    )
+
+
+def _order(found: Found) -> Iterator[str]:
+    pairs = [
+        (worse, better)
+        for worse, others in ORDER
+        for better in others
+        if worse in found.scores and better in found.scores
+    ]
+    if not pairs:
+        return
+    wrong = [pair for pair in pairs if found.average(pair[0]) <= found.average(pair[1])]
+    open_ = [pair for pair in pairs if pair not in wrong and not apart(found, *pair)]
+    if not wrong and not open_:
+        yield "the paper's order holds: Method 4 > Method 5 > Method 6 and Proposed."
+    for told, verb in ((wrong, "does not hold"), (open_, "holds, but by less than two seed-σ")):
+        if told:
+            shown = listed([f"{_short(a)} > {_short(b)}" for a, b in told])
+            yield f"the paper's order {verb} in {shown}."
+
+
+def _six_or_proposed(found: Found) -> Iterator[str]:
+    if not {"delan-coulomb", "proposed"} <= found.scores.keys():
+        return
+    six, proposed = found.average("delan-coulomb"), found.average("proposed")
+    if not apart(found, "delan-coulomb", "proposed"):
+        yield (
+            f"Method 6 ({six:.3g} N·m) and Proposed ({proposed:.3g} N·m) are not ranked: their "
+            "errors differ by less than two seed-σ."
+        )
+    elif proposed < six:
+        yield f"Proposed ({proposed:.3g} N·m) is ahead of Method 6 ({six:.3g} N·m)."
+    else:
+        yield f"Method 6 ({six:.3g} N·m) is ahead of Proposed ({proposed:.3g} N·m)."
+
+
+def _corrected(found: Found) -> Iterator[str]:
+    for key in ("rc-motion", "rc-grouped"):
+        if {key, "proposed"} <= found.scores.keys():
+            base, error = found.average("proposed"), found.average(key)
+            yield f"{ROWS[key].words} leaves {error:.3g} N·m, {_less(error, base)} than Proposed."
+    for key in ("rc-paper", "rc-history"):
+        if key in found.scores:
+            error = found.average(key)
+            latency = {"rc-paper": 0.001, "rc-history": 0.02}[key]
+            repeated = float(np.mean(found.persistence(latency)))
+            yield (
+                f"{ROWS[key].words} leaves {error:.3g} N·m; to repeat the torque of "
+                f"{1e3 * latency:.0f} ms ago leaves {repeated:.3g} N·m."
+            )
+
+
+def _less(error: float, reference: float) -> str:
+    percent = 100 * (1 - error / reference)
+    return f"{percent:.0f} % less" if percent >= 0 else f"{-percent:.0f} % more"
+
+
+def _short(key: str) -> str:
+    return ROWS[key].words.split(",")[0].split(":")[0] + (
+        " (dissipative)" if key == "delan-dissipative" else ""
+    )
