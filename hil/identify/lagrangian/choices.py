@@ -1,0 +1,106 @@
+"""From an estimator's parameters to the settings of its network, friction and training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from hil.data.dataset import Dataset
+from hil.data.filters import AT_REST, FilterSettings, sample_rate
+from hil.identify.lagrangian.friction_settings import FrictionKind, FrictionSettings
+from hil.identify.lagrangian.settings import NetworkSettings
+from hil.identify.parameters import settings
+from hil.identify.training_loop.settings import TrainingSettings
+from hil.identify.training_loop.stages import Stage, hybrid_stages, joint_stages
+
+PROTOCOLS = ("ours", "paper")
+LEARNING = ("hybrid", "joint")
+DIRECTIONS = ("smooth", "dahl")
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What a network looks like; with its weights and torque scales it is the model.
+
+    Attributes:
+        kind: Of the friction.
+        network: The Lagrangian part.
+        friction: How the friction is parametrised.
+    """
+
+    kind: FrictionKind
+    network: NetworkSettings
+    friction: FrictionSettings
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON, for the model file: defaults of a later hil may be others."""
+        return {
+            "kind": self.kind,
+            "network": self.network.model_dump(),
+            "friction": asdict(self.friction),
+        }
+
+    @staticmethod
+    def restored(facts: Mapping[str, Any]) -> Design:
+        """Inverse of `facts`.
+
+        Raises:
+            KeyError, TypeError, SpecError: Something is missing or cannot be.
+        """
+        network = settings("network", facts["network"], NetworkSettings)
+        return Design(facts["kind"], network, FrictionSettings.given(dict(facts["friction"])))
+
+
+def design(kind: FrictionKind, protocol: str, network: Mapping[str, Any]) -> Design:
+    """The design a protocol stands for, with some settings of the network changed.
+
+    Raises:
+        SpecError: A setting is unknown or cannot be.
+    """
+    paper = protocol == "paper"
+    start = NetworkSettings.literal() if paper else NetworkSettings()
+    changed = settings("network", start.model_dump() | dict(network), NetworkSettings)
+    return Design(kind, changed, FrictionSettings.literal() if paper else FrictionSettings())
+
+
+def training_settings(
+    protocol: str, loops: int, seed: int, changed: Mapping[str, Any]
+) -> TrainingSettings:
+    """The training a protocol stands for, with some settings changed.
+
+    Raises:
+        SpecError: A setting is unknown or cannot be.
+    """
+    start = TrainingSettings.literal() if protocol == "paper" else TrainingSettings()
+    given = start.model_dump() | {"loops": loops, "seed": seed} | dict(changed)
+    return settings("training", given, TrainingSettings)
+
+
+def stages(learning: str, kind: FrictionKind, training: TrainingSettings) -> tuple[Stage, ...]:
+    """Algorithm 1, or everything at once; without friction there is nothing to freeze."""
+    if learning == "joint" or kind == "none":
+        return joint_stages(training)
+    return hybrid_stages(training)
+
+
+CUTOFF_HZ, KEPT_HZ = 50.0, 125.0
+"""Of recordings that are fast enough: the paper's filters, and the rows left afterwards."""
+
+FAST_HZ = 150.0
+"""Slower recordings get the filters of the other estimators, and keep every row."""
+
+
+def filters_for(dataset: Dataset) -> FilterSettings:
+    """Filters by the rate of the slowest motion."""
+    rates = [
+        sample_rate(dataset["t"][rows])
+        for condition, rows in dataset.slices()
+        if condition.kind not in AT_REST and rows.stop - rows.start > 1
+    ]
+    slowest = min(rates, default=0.0)
+    if slowest < FAST_HZ:
+        return FilterSettings()
+    cuts = dict.fromkeys(("velocity", "acceleration", "effort"), CUTOFF_HZ)
+    every = max(1, int(slowest // KEPT_HZ))
+    return FilterSettings.model_validate({"unit": "hz", "every": every, **cuts})

@@ -1,0 +1,65 @@
+"""Weights as arrays of a model file, and back into a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from hil.identify.lagrangian.choices import Design
+from hil.identify.lagrangian.model import NetworkModel
+from hil.typing import FloatArray
+
+PREFIX = "network."
+"""Before the name of every weight in a model file."""
+
+Weights = Mapping[str, np.ndarray[Any, Any]]
+
+
+def weights_of(module: nn.Module) -> dict[str, np.ndarray[Any, Any]]:
+    """Every weight and scale by name."""
+    return {name: value.detach().cpu().numpy() for name, value in module.state_dict().items()}
+
+
+def network_of(design: Design, torque_std: FloatArray, weights: Weights) -> NetworkModel:
+    """The network with its weights, on the CPU and in their precision.
+
+    Raises:
+        ValueError: Weights are missing, too many, of another shape or not finite.
+    """
+    module = NetworkModel(design, torque_std)
+    wanted = module.state_dict()
+    if wanted.keys() != weights.keys():
+        odd = sorted(wanted.keys() ^ weights.keys())
+        raise ValueError(f"weights: {odd[0]} is missing or does not belong to the network")
+    for name, value in weights.items():
+        _require_alike(name, value, tuple(wanted[name].shape))
+    doubled = any(value.dtype == np.float64 for value in weights.values())
+    module.to(torch.float64 if doubled else torch.float32)
+    module.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+    module.eval()
+    return module
+
+
+def named(weights: Weights) -> dict[str, np.ndarray[Any, Any]]:
+    """As they stand in a model file."""
+    return {PREFIX + name: value for name, value in weights.items()}
+
+
+def unnamed(arrays: Weights) -> dict[str, np.ndarray[Any, Any]]:
+    """The weights among the arrays of a model file."""
+    return {
+        name.removeprefix(PREFIX): value
+        for name, value in arrays.items()
+        if name.startswith(PREFIX)
+    }
+
+
+def _require_alike(name: str, value: np.ndarray[Any, Any], shape: tuple[int, ...]) -> None:
+    if value.shape != shape:
+        raise ValueError(f"weights: {name} is {value.shape}, the network needs {shape}")
+    if not np.all(np.isfinite(value)):
+        raise ValueError(f"weights: {name} holds values that are not finite")
