@@ -46,6 +46,10 @@ class Curves:
     def __len__(self) -> int:
         return len(self.loss)
 
+    def last(self, epochs: int) -> list[float]:
+        """Validation errors of so many epochs at the end."""
+        return self.validation[len(self.validation) - epochs :]
+
     def add(self, told: Told) -> None:
         """One more epoch."""
         self.stage.append(told.stage)

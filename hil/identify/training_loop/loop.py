@@ -9,14 +9,14 @@ from pathlib import Path
 import torch
 
 from hil.errors import FitError
+from hil.identify.training_loop.checkpoint import Checkpoints
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.device import device_of, reproducible
 from hil.identify.training_loop.problem import Problem, Told, Watch, unwatched
+from hil.identify.training_loop.progress import Progress, copied, first_loss, identity
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import Stage
 from hil.identify.training_loop.steps import Steps, everything
-
-State = dict[str, torch.Tensor]
 
 
 def train(
@@ -37,16 +37,19 @@ def train(
         stages: In their order.
         settings: The loss is the problem's matter, all else is used here.
         watch: Told every epoch.
-        checkpoints: Folder to keep the training in and to take it up from.
+        checkpoints: Folder to keep the training in and to take it up from: one per training.
 
     Raises:
+        DataError: The folder holds a checkpoint of another training, or cannot be used.
         FitError: Loss or validation error is not finite.
         SpecError: A stage names a group of parameters that there is not.
     """
     device = device_of(problem.module)
     with reproducible(device, settings.threads):
-        torch.manual_seed(settings.seed)
-        return _Training(problem, stages, settings, watch).run()
+        training = _Training(problem, stages, settings, watch)
+        if checkpoints is not None:
+            training.keep_in(checkpoints)
+        return training.run()
 
 
 class _Training:
@@ -55,40 +58,63 @@ class _Training:
     ) -> None:
         self.problem, self.stages, self.settings, self.watch = problem, stages, settings, watch
         self.device = device_of(problem.module)
-        self.order = torch.Generator().manual_seed(settings.seed)
-        self.curves = Curves(self._validation("before the first step"))
-        self.best = self.stage_best = _copy(problem.module)
-        self.stage = 0
-        self.epoch = 0
-        """Of the stage: how many there were."""
+        torch.manual_seed(settings.seed)
+        weights = copied(problem.module)
+        self.at = Progress(
+            problem.module,
+            Curves(self._validation("before the first step")),
+            torch.Generator().manual_seed(settings.seed),
+            best=weights,
+            stage_best=weights,
+        )
+        self.checkpoints: Checkpoints | None = None
+
+    def keep_in(self, folder: Path) -> None:
+        """Write checkpoints into a folder, and go on from the one that is there."""
+        told = identity(self.problem, self.stages, self.settings)
+        loss = first_loss(self.problem, self.settings.batch_size)
+        start = {"validation error": self.at.curves.untrained, "loss": loss}
+        # With checkpoints or without, the network draws the same.
+        torch.manual_seed(self.settings.seed)
+        self.checkpoints = Checkpoints(folder, told, start)
+        if found := self.checkpoints.read():
+            self.at.restore(found)
 
     def run(self) -> Curves:
         """All stages from where the training stands."""
         movable = {one: one.requires_grad for one in everything(self.problem.groups())}
         try:
-            while self.stage < len(self.stages):
-                self._run_stage(self.stages[self.stage])
-                self.stage, self.epoch = self.stage + 1, 0
+            for number in range(self.at.stage, len(self.stages)):
+                self._run_stage(self.stages[number])
+                self.at.stage, self.at.epoch = number + 1, 0
+            self._keep(now=True)
+        except (KeyboardInterrupt, SystemExit):
+            if self.checkpoints:
+                self.checkpoints.write()
+            raise
         finally:
             for parameter, moves in movable.items():
                 parameter.requires_grad_(moves)
-        self.problem.module.load_state_dict(self.best)
-        return self.curves
+        self.problem.module.load_state_dict(self.at.best)
+        return self.at.curves
 
     def _run_stage(self, stage: Stage) -> None:
         per_epoch = math.ceil(self.problem.samples / self.settings.batch_size)
         steps = Steps(self.problem.groups(), stage, self.settings, per_epoch)
-        while self.epoch < stage.epochs and self._waited() < stage.patience:
-            loss = self._run_epoch(steps, first=self.epoch * per_epoch)
-            self.epoch += 1
-            rate = steps.rate(self.epoch * per_epoch - 1)
-            self._judge(stage, loss, rate)
-        self.problem.module.load_state_dict(self.stage_best)
+        steps.restore(self.at.moments)
+        while self.at.epoch < stage.epochs and self._waited() < stage.patience:
+            loss = self._run_epoch(steps, first=self.at.epoch * per_epoch)
+            self.at.epoch += 1
+            self.at.moments = steps.state()
+            self._judge(stage, loss, steps.rate(self.at.epoch * per_epoch - 1))
+            self._keep()
+        self.problem.module.load_state_dict(self.at.stage_best)
+        self.at.moments = {}
 
     def _run_epoch(self, steps: Steps, first: int) -> float:
         """Mean loss over all samples, each taken once in random order."""
         self.problem.module.train()
-        order = torch.randperm(self.problem.samples, generator=self.order).to(self.device)
+        order = torch.randperm(self.problem.samples, generator=self.at.order).to(self.device)
         total = torch.zeros((), dtype=torch.float64, device=self.device)
         for number, chosen in enumerate(torch.split(order, self.settings.batch_size)):
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.settings.amp):
@@ -99,19 +125,23 @@ class _Training:
 
     def _judge(self, stage: Stage, loss: float, rate: float) -> None:
         """Validate, remember the weights if they are better, and tell whoever watches."""
-        where = f"in epoch {len(self.curves) + 1} ({stage.name})"
+        at, done = self.at, len(self.at.curves) + 1
+        where = f"in epoch {done} ({stage.name})"
         if not math.isfinite(loss):
             raise _diverged("loss", loss, where)
         validation = self._validation(where)
-        if validation < self.curves.best:
-            self.best = _copy(self.problem.module)
-        if self.epoch == 1 or validation < min(self._of_stage()):
-            self.stage_best = _copy(self.problem.module)
-        best = min(self.curves.best, validation)
-        done = len(self.curves) + 1
+        if validation < at.curves.best:
+            at.best = copied(at.module)
+        if validation < min(at.curves.last(at.epoch - 1), default=math.inf):
+            at.stage_best = copied(at.module)
+        best = min(at.curves.best, validation)
         told = Told(stage.name, done, done + self._left(), loss, validation, best, rate)
-        self.curves.add(told)
+        at.curves.add(told)
         self.watch(told)
+
+    def _keep(self, *, now: bool = False) -> None:
+        if self.checkpoints:
+            self.checkpoints.keep(self.at.snapshot(), now=now)
 
     def _validation(self, where: str) -> float:
         self.problem.module.eval()
@@ -121,23 +151,15 @@ class _Training:
             raise _diverged("validation error", found, where)
         return found
 
-    def _of_stage(self) -> list[float]:
-        """Validation errors of the stage so far."""
-        return self.curves.validation[len(self.curves.validation) - self.epoch + 1 :]
-
     def _waited(self) -> int:
         """Epochs of the stage since its best."""
-        found = self.curves.validation[len(self.curves) - self.epoch :]
+        found = self.at.curves.last(self.at.epoch)
         return len(found) - 1 - found.index(min(found)) if found else 0
 
     def _left(self) -> int:
         """Epochs there may still be."""
-        later = sum(stage.epochs for stage in self.stages[self.stage + 1 :])
-        return self.stages[self.stage].epochs - self.epoch + later
-
-
-def _copy(module: torch.nn.Module) -> State:
-    return {name: value.detach().clone() for name, value in module.state_dict().items()}
+        later = sum(stage.epochs for stage in self.stages[self.at.stage + 1 :])
+        return self.stages[self.at.stage].epochs - self.at.epoch + later
 
 
 def _diverged(what: str, value: float, where: str) -> FitError:

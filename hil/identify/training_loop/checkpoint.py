@@ -1,0 +1,173 @@
+"""A training on disk: `checkpoint.json` says where it stands, a safetensors file holds tensors.
+
+The JSON names its tensors' file and the file's digest, and is replaced in one step, so a crash
+leaves the checkpoint before or the one after. A training that is taken up again ends with the
+same bits as one that was never interrupted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from hil.errors import DataError
+from hil.identify.model_file import json_bytes, plain, write_whole
+
+FORMAT = 1
+FILE = "checkpoint.json"
+
+EVERY = 10.0
+"""Seconds between writes; an interrupt and the end of the training write as well."""
+
+SAME = 1e-3
+"""Relative difference up to which two machines' rounding explains an error before training."""
+
+State = dict[str, torch.Tensor]
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """All of a training after an epoch.
+
+    Attributes:
+        tensors: Groups of tensors by name: weights, best, Adam's moments, random numbers.
+        facts: Stage, epoch, curves.
+    """
+
+    tensors: Mapping[str, State]
+    facts: Mapping[str, Any]
+
+
+class Checkpoints:
+    """Checkpoints of one training in a folder.
+
+    Args:
+        folder: Made when there is none; nothing else should be in it.
+        training: What makes this training another than others: settings, stages, sizes.
+        start: Errors before the first step, by name: they tell other data from these.
+    """
+
+    def __init__(
+        self, folder: Path, training: Mapping[str, Any], start: Mapping[str, float]
+    ) -> None:
+        self._folder = folder
+        self._training = plain(training)
+        self._start = dict(start)
+        self._last: Snapshot | None = None
+        self._written = time.monotonic()
+
+    def read(self) -> Snapshot | None:
+        """What the folder holds; None when it is empty or not there.
+
+        Raises:
+            DataError: It is of another training, or damaged.
+        """
+        path = self._folder / FILE
+        if not path.exists():
+            return None
+        try:
+            found = json.loads(path.read_bytes())
+            self._require_same(found["training"], found["start"], int(found["hil_checkpoint"]))
+            return Snapshot(self._tensors(found), found["facts"])
+        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+            raise DataError(
+                f"{path} cannot be read: {error}", hint="delete it to start this training anew"
+            ) from error
+
+    def keep(self, snapshot: Snapshot, *, now: bool = False) -> None:
+        """Remember an epoch, and write it when the last write is long enough ago."""
+        self._last = snapshot
+        if now or time.monotonic() - self._written >= EVERY:
+            self.write()
+
+    def write(self) -> None:
+        """Write the epoch remembered last, if any.
+
+        Raises:
+            DataError: The folder cannot be written to.
+        """
+        if self._last is None:
+            return
+        try:
+            self._write(self._last)
+        except OSError as error:
+            raise DataError(
+                f"no checkpoint can be written in {self._folder}: {error.strerror}",
+                hint="name another folder, or make room",
+            ) from error
+        self._last, self._written = None, time.monotonic()
+
+    def _write(self, snapshot: Snapshot) -> None:
+        from safetensors.torch import save
+
+        content = save(
+            {
+                f"{group}/{name}": value.detach().cpu().clone().contiguous()
+                for group, tensors in snapshot.tensors.items()
+                for name, value in tensors.items()
+            }
+        )
+        digest = hashlib.sha256(content).hexdigest()
+        tensors = self._folder / f"state-{digest[:12]}.safetensors"
+        document = {
+            "hil_checkpoint": FORMAT,
+            "training": self._training,
+            "start": self._start,
+            "facts": snapshot.facts,
+            "tensors": tensors.name,
+            "tensors_sha256": digest,
+        }
+        self._folder.mkdir(parents=True, exist_ok=True)
+        write_whole(tensors, content)
+        write_whole(self._folder / FILE, json_bytes(document))
+        for older in self._folder.glob("state-*.safetensors"):
+            if older != tensors:
+                older.unlink(missing_ok=True)
+
+    def _tensors(self, found: Mapping[str, Any]) -> dict[str, State]:
+        from safetensors.torch import load
+
+        content = (self._folder / Path(found["tensors"]).name).read_bytes()
+        if hashlib.sha256(content).hexdigest() != found["tensors_sha256"]:
+            raise ValueError(f"{found['tensors']} is damaged")
+        groups: dict[str, State] = {}
+        for key, value in load(content).items():
+            group, _, name = key.partition("/")
+            groups.setdefault(group, {})[name] = value
+        return groups
+
+    def _require_same(
+        self, training: Mapping[str, Any], start: Mapping[str, float], version: int
+    ) -> None:
+        differing = [
+            f"{key} was {_short(training.get(key))}, now {_short(value)}"
+            for key, value in self._training.items()
+            if training.get(key) != value
+        ] + [
+            f"{name} before training was {start.get(name)}, now {value:.6g}"
+            for name, value in self._start.items()
+            if not _close(start.get(name), value)
+        ]
+        if version > FORMAT:
+            differing = [f"format {version}, known here {FORMAT}: it was written by a newer hil"]
+        if differing:
+            raise DataError(
+                f"{self._folder} holds the checkpoint of another training: {'; '.join(differing)}",
+                hint="name another folder for this training, or go on with what the other had",
+            )
+
+
+def _close(before: object, now: float) -> bool:
+    return isinstance(before, float) and abs(before - now) <= SAME * abs(now)
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -1,0 +1,117 @@
+"""How far a training is: all that has to be kept for going on as if nothing had happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import torch
+
+from hil.errors import DataError
+from hil.identify.training_loop.checkpoint import Snapshot
+from hil.identify.training_loop.curves import Curves
+from hil.identify.training_loop.device import device_of
+from hil.identify.training_loop.problem import Problem
+from hil.identify.training_loop.settings import TrainingSettings
+from hil.identify.training_loop.stages import Stage
+
+State = dict[str, torch.Tensor]
+
+WHERE_IT_RUNS = ("device", "threads")
+"""Settings that a checkpoint may be taken up with on another machine."""
+
+
+@dataclass(slots=True)
+class Progress:
+    """A training between two epochs.
+
+    Attributes:
+        module: With its weights.
+        curves: Of the epochs so far.
+        order: Draws the order of mini-batches.
+        best: Weights that validated best, the untrained ones included.
+        stage_best: The best of the running stage.
+        stage: Number of the running stage, from 0.
+        epoch: Epochs it has had.
+        moments: Adam's, see `Steps.state`.
+    """
+
+    module: torch.nn.Module
+    curves: Curves
+    order: torch.Generator
+    best: State
+    stage_best: State
+    stage: int = 0
+    epoch: int = 0
+    moments: State = field(default_factory=dict)
+
+    def snapshot(self) -> Snapshot:
+        """Copies of everything, torch's random numbers included."""
+        random = {"order": self.order.get_state(), "cpu": torch.get_rng_state()}
+        device = device_of(self.module)
+        if device.type == "cuda":
+            random["cuda"] = torch.cuda.get_rng_state(device)
+        tensors = {
+            "weights": copied(self.module),
+            "best": dict(self.best),
+            "stage_best": dict(self.stage_best),
+            "adam": {name: value.clone() for name, value in self.moments.items()},
+            "random": random,
+        }
+        facts = {"stage": self.stage, "epoch": self.epoch, "curves": self.curves.to_dict()}
+        return Snapshot(tensors, facts)
+
+    def restore(self, found: Snapshot) -> None:
+        """Go on from a snapshot.
+
+        Raises:
+            DataError: It does not fit the network.
+        """
+        try:
+            self.curves = Curves.from_dict(found.facts["curves"])
+            self.stage, self.epoch = int(found.facts["stage"]), int(found.facts["epoch"])
+            device = device_of(self.module)
+            self.best, self.stage_best = (
+                {name: value.to(device) for name, value in found.tensors[group].items()}
+                for group in ("best", "stage_best")
+            )
+            self.module.load_state_dict(found.tensors["weights"])
+            self.moments = found.tensors.get("adam", {})
+            self._restore_random(found.tensors["random"], device)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise DataError(
+                f"the checkpoint does not fit the network: {error}",
+                hint="delete it to start this training anew",
+            ) from error
+
+    def _restore_random(self, random: State, device: torch.device) -> None:
+        self.order.set_state(random["order"])
+        torch.set_rng_state(random["cpu"])
+        if device.type == "cuda" and "cuda" in random:
+            torch.cuda.set_rng_state(random["cuda"], device)
+
+
+def copied(module: torch.nn.Module) -> State:
+    """A network's weights, which stay as they are while it goes on."""
+    return {name: value.detach().clone() for name, value in module.state_dict().items()}
+
+
+def identity(
+    problem: Problem, stages: Sequence[Stage], settings: TrainingSettings
+) -> dict[str, Any]:
+    """What tells one training from another, as JSON; not the data, and not the machine."""
+    return {
+        "settings": settings.model_dump(exclude=set(WHERE_IT_RUNS)),
+        "stages": [asdict(stage) for stage in stages],
+        "samples": problem.samples,
+        "weights": {name: list(value.shape) for name, value in problem.module.state_dict().items()},
+    }
+
+
+def first_loss(problem: Problem, batch: int) -> float:
+    """Loss over the first mini-batch in the order of the data, before any step."""
+    problem.module.eval()
+    chosen = torch.arange(min(problem.samples, batch), device=device_of(problem.module))
+    with torch.no_grad():
+        return float(problem.loss(chosen))

@@ -1,0 +1,160 @@
+"""Checkpoints: a training taken up again ends with the same bits, and takes up nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.errors import DataError
+
+torch = pytest.importorskip("torch", reason="torch is not installed")
+
+from hil.identify.training_loop import checkpoint  # noqa: E402
+from hil.identify.training_loop.checkpoint import FILE, Checkpoints  # noqa: E402
+from hil.identify.training_loop.curves import Curves  # noqa: E402
+from hil.identify.training_loop.loop import train  # noqa: E402
+from hil.identify.training_loop.settings import TrainingSettings  # noqa: E402
+from hil.identify.training_loop.stages import hybrid_stages, joint_stages  # noqa: E402
+from tests.training_parts import SmallProblem, Watched, equal, weights  # noqa: E402
+
+SETTINGS = TrainingSettings(epochs=12, batch_size=32, loops=1, patience=4, warm_up_steps=3)
+STAGES = hybrid_stages(SETTINGS)
+"""6, 2 and 4 epochs."""
+
+
+def trained(
+    folder: Path | None = None, watch: Watched | None = None, **problem: float
+) -> tuple[dict[str, torch.Tensor], Curves]:
+    small = SmallProblem(dropout=0.2, **problem)
+    curves = train(small, STAGES, SETTINGS, watch or Watched(), folder)
+    return weights(small), curves
+
+
+def interrupted(folder: Path, after: int) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        trained(folder, Watched(raise_after=after))
+
+
+@pytest.mark.parametrize("after", [2, 5, 7, 8, 9, 11])
+def test_an_interrupted_training_ends_with_the_same_bits(tmp_path: Path, after: int) -> None:
+    whole, curves = trained()
+    interrupted(tmp_path, after)
+    watch = Watched()
+    resumed, found = trained(tmp_path, watch)
+    assert equal(whole, resumed)
+    assert found.to_dict() == curves.to_dict()
+    # The epoch in which it was interrupted is trained again, those before it are not.
+    assert watch.told[0].epoch == after
+
+
+def test_a_training_interrupted_twice_ends_with_the_same_bits(tmp_path: Path) -> None:
+    interrupted(tmp_path, 4)
+    interrupted(tmp_path, 4)
+    assert equal(trained(tmp_path)[0], trained()[0])
+
+
+def test_checkpoints_change_nothing(tmp_path: Path) -> None:
+    assert equal(trained(tmp_path)[0], trained()[0])
+
+
+def test_a_finished_training_is_not_repeated(tmp_path: Path) -> None:
+    first, curves = trained(tmp_path)
+    watch = Watched()
+    again, found = trained(tmp_path, watch)
+    assert watch.told == []
+    assert equal(first, again)
+    assert found.to_dict() == curves.to_dict()
+
+
+def test_other_data_are_refused(tmp_path: Path) -> None:
+    interrupted(tmp_path, 3)
+    small = SmallProblem(dropout=0.2)
+    small.y = small.y.roll(1, dims=0)
+    with pytest.raises(DataError, match="validation error before training was") as caught:
+        train(small, STAGES, SETTINGS, checkpoints=tmp_path)
+    assert "another folder" in caught.value.hint
+
+
+def test_other_settings_are_refused_by_name(tmp_path: Path) -> None:
+    interrupted(tmp_path, 3)
+    with pytest.raises(DataError, match="settings was"):
+        train(
+            SmallProblem(dropout=0.2), STAGES, SETTINGS.model_copy(update={"seed": 1}),
+            checkpoints=tmp_path,
+        )  # fmt: skip
+
+
+def test_other_stages_are_refused(tmp_path: Path) -> None:
+    interrupted(tmp_path, 3)
+    with pytest.raises(DataError, match="stages was"):
+        train(SmallProblem(dropout=0.2), joint_stages(SETTINGS), SETTINGS, checkpoints=tmp_path)
+
+
+def test_a_machine_with_other_threads_may_go_on(tmp_path: Path) -> None:
+    interrupted(tmp_path, 3)
+    more = SETTINGS.model_copy(update={"threads": 2})
+    small, watch = SmallProblem(dropout=0.2), Watched()
+    train(small, STAGES, more, watch, tmp_path)
+    assert watch.told[0].epoch == 3
+
+
+@pytest.mark.parametrize("damage", ["tensors", "document", "gone", "newer", "field"])
+def test_a_damaged_checkpoint_is_refused_with_its_remedy(tmp_path: Path, damage: str) -> None:
+    interrupted(tmp_path, 3)
+    path = tmp_path / FILE
+    document = json.loads(path.read_bytes())
+    tensors = tmp_path / document["tensors"]
+    if damage == "tensors":
+        tensors.write_bytes(tensors.read_bytes()[:-1] + b"x")
+    elif damage == "gone":
+        tensors.unlink()
+    elif damage == "document":
+        path.write_text(path.read_text()[:100])
+    else:
+        document.pop("facts") if damage == "field" else document.update(hil_checkpoint=99)
+        path.write_text(json.dumps(document))
+    with pytest.raises(DataError) as caught:
+        trained(tmp_path)
+    assert caught.value.hint
+
+
+def test_one_state_is_left_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    trained(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_crash_while_writing_leaves_the_checkpoint_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = trained()[0]
+    monkeypatch.setattr(checkpoint, "EVERY", 0.0)
+    real, writes = checkpoint.write_whole, []
+
+    def crash(path: Path, content: bytes) -> None:
+        writes.append(path)
+        if len(writes) == 6:  # The document of the third epoch; its tensors are there.
+            raise RuntimeError("power cut")
+        real(path, content)
+
+    monkeypatch.setattr(checkpoint, "write_whole", crash)
+    with pytest.raises(RuntimeError, match="power cut"):
+        trained(tmp_path)
+    watch = Watched()
+    assert equal(trained(tmp_path, watch)[0], whole)
+    assert watch.told[0].epoch == 3
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DataError, match="no checkpoint can be written"):
+        trained(tmp_path / "file")
+
+
+def test_writes_wait_for_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[int] = []
+    monkeypatch.setattr(Checkpoints, "write", lambda self: written.append(1))
+    trained(tmp_path)
+    assert len(written) == 1  # At the end; twelve epochs take less than ten seconds.
