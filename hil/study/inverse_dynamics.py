@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
+from hil.dask_cluster import checked_address, cluster
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import FitError
@@ -42,6 +43,7 @@ class InverseDynamics(Study):
         sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
         figures: Whether to draw any.
         jobs: Processes; None: as many as there are cores. The result does not depend on it.
+        dask: Address of a Dask scheduler whose workers compute in their place.
     """
 
     study: ClassVar[str] = "inverse-dynamics"
@@ -60,6 +62,7 @@ class InverseDynamics(Study):
         sign_width: float = 0.01,
         figures: bool = True,
         jobs: int | None = None,
+        dask: str | None = None,
     ) -> None:
         self.protocols = words("protocols", protocols, tuple(CASES))
         self.methods = words("methods", methods, ROW_KEYS)
@@ -71,6 +74,7 @@ class InverseDynamics(Study):
         self.sign_width = number("sign_width", sign_width, at_least=0.0)
         self.figures = flag("figures", figures)
         self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+        self.dask = checked_address("dask", dask)
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and words of both protocols.
@@ -92,7 +96,8 @@ class InverseDynamics(Study):
             for root, keys in known.items()
             for case in drawn_
         ]
-        results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress))
+        with cluster(self.dask) as executor:
+            results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress, executor))
         loads = {} if of.loaded is None else load_names(of.loaded)
         found = [
             gathered(

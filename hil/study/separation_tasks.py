@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from hil.errors import FitError
-from hil.executor import processes
+from hil.executor import chosen, one_thread, processes
 from hil.study.base import Progress
+from hil.study.spreading import spread
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,24 +26,33 @@ class Task:
     cost: float = 1.0
 
 
-def run_tasks(tasks: Sequence[Task], jobs: int, what: str, progress: Progress) -> list[Any]:
-    """Results of the tasks, in their order; they do not depend on `jobs`.
+def run_tasks(
+    tasks: Sequence[Task],
+    jobs: int,
+    what: str,
+    progress: Progress,
+    executor: Executor | None = None,
+) -> list[Any]:
+    """Results of the tasks, in their order; they do not depend on where they are computed.
 
     Args:
         tasks: Independent of each other.
-        jobs: Processes; with 1 nothing leaves this one.
+        jobs: Processes of this computer; with 1 nothing leaves this one.
         what: Is being done, for whoever watches.
         progress: Told after every task.
+        executor: Takes their place whatever `jobs` is, and stays open; by default that of
+            `hil.executor.spread_over`, if there is one around.
 
     Raises:
         FitError: A process died.
     """
     progress(what, 0, len(tasks))
-    if jobs == 1 or len(tasks) < 2:
+    given = executor or chosen()
+    if not tasks or (given is None and (jobs == 1 or len(tasks) < 2)):
         return _here(tasks, what, progress)
     try:
-        return _spread(tasks, min(jobs, len(tasks)), what, progress)
-    except BrokenProcessPool as error:
+        return _elsewhere(tasks, given or processes(min(jobs, len(tasks))), given, what, progress)
+    except BrokenExecutor as error:
         raise FitError(
             f"a process died while {what}",
             hint="the system may have been out of memory; jobs: 1 needs the least of it",
@@ -57,31 +62,22 @@ def run_tasks(tasks: Sequence[Task], jobs: int, what: str, progress: Progress) -
 def _here(tasks: Sequence[Task], what: str, progress: Progress) -> list[Any]:
     results = []
     for task in tasks:
-        with threadpool_limits(1):  # as in the processes, so that results are equal to the bit
+        with one_thread():  # as in the processes, so that results are equal to the bit
             results.append(task.run())
         progress(what, len(results), len(tasks))
     return results
 
 
-def _spread(tasks: Sequence[Task], jobs: int, what: str, progress: Progress) -> list[Any]:
-    order = sorted(range(len(tasks)), key=lambda i: -tasks[i].cost)
-    with processes(jobs) as pool:
-        futures: dict[int, Future[Any]] = {i: pool.submit(_run, tasks[i]) for i in order}
-        pending = set(futures.values())
-        try:
-            while pending:
-                ended, pending = wait(pending, return_when=FIRST_COMPLETED)
-                for future in ended:
-                    future.result()
-                progress(what, len(tasks) - len(pending), len(tasks))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return [futures[i].result() for i in range(len(tasks))]
-
-
-def _run(task: Task) -> Any:
-    # Ctrl-C reaches the whole group: workers end without a word, the parent says what there is.
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return task.run()
+def _elsewhere(
+    tasks: Sequence[Task], executor: Executor, given: Executor | None, what: str, progress: Progress
+) -> list[Any]:
+    try:
+        runs, costs = [task.run for task in tasks], [task.cost for task in tasks]
+        results = spread(runs, costs, executor, lambda done: progress(what, done, len(tasks)))
+    except BaseException:
+        if given is None:
+            executor.shutdown(wait=False, cancel_futures=True)
+        raise
+    if given is None:
+        executor.shutdown()
+    return results
