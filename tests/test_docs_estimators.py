@@ -13,6 +13,7 @@ from hil import plugins
 from hil.data.filters import FilterSettings
 from hil.identify import estimator
 from hil.identify.base import GROUP, HONEST
+from hil.identify.lagrangian.task import BY_SAMPLE
 from hil.identify.static import PAPER_PROTOCOL
 from hil.spec.yaml_values import scalar
 
@@ -57,7 +58,11 @@ def test_every_filter_setting_has_a_row_with_its_default() -> None:
 
 def test_protocol_labels_are_those_of_the_models() -> None:
     section = PAGE.split("\n## Protocols")[1]
-    assert re.findall(r"^\| `(.+?)` \|", section, re.MULTILINE) == [HONEST, PAPER_PROTOCOL]
+    assert re.findall(r"^\| `(.+?)` \|", section, re.MULTILINE) == [
+        HONEST,
+        PAPER_PROTOCOL,
+        BY_SAMPLE,
+    ]
 
 
 def test_parameters_shown_in_the_example_are_accepted() -> None:

@@ -82,7 +82,7 @@ class LagrangianEstimator(LagrangianModel):
         protocol: str = "ours",
         network: Mapping[str, Any] | None = None,
         training: Mapping[str, Any] | None = None,
-        validation_share: float = 2 / 9,
+        validation_share: float = 0.22,
         seed: int = 0,
         filters: FilterSettings | dict[str, Any] | None = None,
     ) -> None:
