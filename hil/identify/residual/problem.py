@@ -30,9 +30,9 @@ TOGETHER = 64
 class ResidualProblem:
     """What a physical model leaves, to be learned at the full recorded rate.
 
-    A sample is a crop: a window before it, and `settings.crop` instants to predict, of which those
-    count that are to be learned from. Inputs may come from any row: a causal network sees only
-    what was before.
+    A sample is a crop: `settings.crop` instants to predict with the windows before them. Those
+    instants count that are to be learned from; inputs may come from any row, since a causal
+    network sees only what was before.
 
     Args:
         motions: All series, no rows left out.
@@ -138,10 +138,10 @@ class ResidualProblem:
 
     def _outputs(self, segments: Segments, numbers: IntArray) -> Tensor:
         """(B, crop, branches, n) of the crops with these numbers."""
-        span = np.arange(self.settings.crop + self.settings.window - 1)
-        at = torch.as_tensor(segments.starts[numbers, None] + span, device=self._x.device)
+        at = torch.as_tensor(segments.inputs_of(numbers, self.settings), device=self._x.device)
         x = self._x[..., at].permute(2, 0, 1, 3)  # (B, G, F, L)
-        y = self.module(x.repeat(1, self.settings.branches, 1, 1))  # (B, branches·G, O, crop)
+        y = self._network(x.repeat(1, self.settings.branches, 1, 1), segments.every)
+        # (B, branches·G, O, crop), and G·O = n.
         return y.flatten(1, 2).unflatten(1, self.scale.shape).permute(0, 3, 1, 2)
 
 

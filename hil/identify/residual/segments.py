@@ -1,4 +1,4 @@
-"""Recordings as crops that a network is trained on: rows in a row, with the window before them."""
+"""Recordings as crops that a network is trained on: instants in a row, with what is before them."""
 
 from __future__ import annotations
 
@@ -17,56 +17,61 @@ class Segments:
 
     Attributes:
         padded: (P,) row of the recording that each padded row holds.
-        starts: (C,) padded row at which each crop's window begins.
+        starts: (C,) padded row at which each crop's first window begins.
         rows: (C, crop) row of the recording each output of a crop is for.
         counted: (C, crop) true where that output is learned from or judged.
+        every: Rows between outputs.
     """
 
     padded: IntArray
     starts: IntArray
     rows: IntArray
     counted: BoolArray
+    every: int
 
     @staticmethod
     def of(motions: Motions, counted: BoolArray, settings: ResidualSettings) -> Segments:
         """Crops that tile every series and hold rows (N,) that count.
 
-        The last crop of a series ends with it and overlaps the one before, whose rows it does not
-        count again; a series shorter than a crop is held at its last row.
+        Neighbouring crops begin their instants a row apart, so that no phase is left out. What is
+        behind the end of a series is held at its last row and not counted.
         """
-        before, crop = settings.window - 1, settings.crop
-        padded, starts, rows, kept = [], [], [], []
+        every, crop = settings.apart(motions.rate_hz), settings.crop
+        before, span = settings.window - 1, settings.crop * every
+        padded, starts, rows = [], [], []
         offset = 0
         for part in motions.slices():
             length = part.stop - part.start
-            held = np.arange(-before, max(length, crop)).clip(0, length - 1)
-            padded.append(part.start + held)
-            for first, new in _tiles(length, crop):
-                inside = np.arange(first, first + crop)
-                mask = (inside >= new) & (inside < length)
-                mask[mask] = counted[part.start + inside[mask]]
-                if np.any(mask):
-                    starts.append(offset + first)
-                    rows.append(part.start + inside.clip(0, length - 1))
-                    kept.append(mask)
-            offset += len(held)
-        shape = (-1, crop)
+            firsts = np.arange(0, length, span)
+            firsts += np.arange(len(firsts)) % every
+            last = len(firsts) * span + every
+            padded.append(part.start + np.arange(-before, last).clip(0, length - 1))
+            starts.append(offset + firsts)
+            at = firsts[:, None] + every * np.arange(crop)
+            rows.append(np.where(at < length, part.start + at, BEHIND))
+            offset += before + last
+        at = np.concatenate(rows) if rows else np.empty((0, crop), dtype=np.int64)
+        kept = np.append(counted, False)[at]
+        chosen = np.any(kept, axis=1)
         return Segments(
-            np.concatenate(padded) if padded else np.empty(0, dtype=np.int64),
-            np.array(starts, dtype=np.int64),
-            np.array(rows, dtype=np.int64).reshape(shape),
-            np.array(kept, dtype=bool).reshape(shape),
+            np.concatenate([np.empty(0, dtype=np.int64), *padded]),
+            np.concatenate([np.empty(0, dtype=np.int64), *starts])[chosen],
+            at.clip(0)[chosen],
+            kept[chosen],
+            every,
         )
 
     def __len__(self) -> int:
         return len(self.starts)
 
+    def inputs_of(self, numbers: IntArray, settings: ResidualSettings) -> IntArray:
+        """(B, (crop - 1)·every + window) padded rows that go into the crops (B,)."""
+        length = (settings.crop - 1) * self.every + settings.window
+        return np.asarray(self.starts[numbers, None] + np.arange(length))
 
-def _tiles(length: int, crop: int) -> list[tuple[int, int]]:
-    """First row of each crop, and the first of its rows that no crop before it has."""
-    full = [(first, first) for first in range(0, max(1, length - crop + 1), crop)]
-    covered = full[-1][0] + crop
-    return full if covered >= length else [*full, (length - crop, covered)]
+
+BEHIND = -1
+"""In place of a row: the series has ended."""
 
 
 def sizes(parts: FloatArray, rows: BoolArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from math import gcd
 from typing import Any, Literal, get_args
 
 from hil.errors import SpecError
@@ -16,12 +17,15 @@ Activation = Literal["tanh", "relu"]
 CHANNELS: dict[Layout, int] = {"grouped": 12, "joint": 48}
 """Channels of a layer in each group, unless told."""
 
+APART_HZ = 249.0
+"""Instants learned from are no rarer: five times the band of motions and efforts at 50 Hz."""
+
 TRAINING: dict[str, Any] = {
-    "epochs": 40,
+    "epochs": 100,
     "batch_size": 16,
     "learning_rate": 3e-3,
     "loss": "mse",
-    "patience": 8,
+    "patience": 20,
 }
 """What `TrainingSettings` should be for a residual network unless told; a sample is a crop."""
 
@@ -45,7 +49,10 @@ class ResidualSettings:
         f_cut_hz: Where it is split; `auto` takes it from the spectrum of the motion.
         sign_widths: [rad/s] of the smooth signs tanh(q̇/width) that grouped networks see.
         base_input: Grouped networks see what the physical model predicts.
-        crop: Instants that a training sample predicts in a row.
+        crop: Instants that a training sample predicts.
+        every: They are so many samples apart, while windows have every sample: neighbours of a
+            filtered signal teach the same twice. It divides all dilations but the first, which
+            makes the others cheap as well. None: as far apart as `APART_HZ` allows.
     """
 
     inputs: Heard = "motion"
@@ -59,7 +66,8 @@ class ResidualSettings:
     f_cut_hz: float | Literal["auto"] = "auto"
     sign_widths: tuple[float, ...] = (0.005, 0.02, 0.1)
     base_input: bool = True
-    crop: int = 256
+    crop: int = 64
+    every: int | None = None
 
     def __post_init__(self) -> None:
         choice("inputs", self.inputs, get_args(Heard))
@@ -70,6 +78,13 @@ class ResidualSettings:
         whole("crop", self.crop, at_least=1)
         if self.channels is not None:
             whole("channels", self.channels, at_least=1)
+        if self.every is not None:
+            whole("every", self.every, at_least=1)
+            if self._common % self.every:
+                raise SpecError(
+                    f"every is {self.every}, but must divide the dilations "
+                    f"{', '.join(map(str, self.dilations[1:]))}"
+                )
         flag("split", self.split)
         flag("base_input", self.base_input)
         if self.f_cut_hz != "auto":
@@ -108,6 +123,18 @@ class ResidualSettings:
         # A hair is taken off so that 20 ms at 1 kHz are 20 samples however the rate is rounded.
         samples = -int(-self.latency_s * rate_hz * (1.0 - 1e-6) // 1)
         return max(1, samples) if self.inputs == "history" else 0
+
+    def apart(self, rate_hz: float) -> int:
+        """Samples between instants that are learned from."""
+        if self.every is not None:
+            return self.every
+        fits = [k for k in range(1, self._common + 1) if self._common % k == 0]
+        return max(k for k in fits if k == 1 or rate_hz / k >= APART_HZ)
+
+    @property
+    def _common(self) -> int:
+        """Largest number that divides all dilations but the first; 1 without any."""
+        return max(1, gcd(*self.dilations[1:]))
 
     def to_json(self) -> dict[str, Any]:
         """All settings, as `given` reads them."""

@@ -55,20 +55,30 @@ class CausalTcn(nn.Module):
         self.leave = nn.Parameter(torch.zeros(groups, outputs, width))
         self.leave_bias = nn.Parameter(torch.zeros(groups, outputs))
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, G, O, L) from inputs (B, G, F, L + window - 1)."""
+    def forward(self, x: Tensor, every: int = 1) -> Tensor:
+        """(B, G, O, L) from inputs (B, G, F, (L - 1)·every + window).
+
+        Args:
+            x: Inputs at every sample.
+            every: Samples between outputs; it divides all dilations but the first. Layers behind
+                the first then need no other instants: they cost so many times less.
+        """
         batch, length = x.shape[0], x.shape[-1]
         h = self._mixed(x.reshape(batch, -1, length), self.enter, self.enter_bias)
-        for taps, bias, dilation in zip(
-            self.taps, self.biases, self.settings.dilations, strict=True
-        ):
-            y = functional.conv1d(
-                h, taps.flatten(0, 1), bias.flatten(), dilation=dilation, groups=self.groups
-            )
-            y = torch.tanh(y) if self.settings.activation == "tanh" else torch.relu(y)
-            h = y + h[..., -y.shape[-1] :]
+        for number, dilation in enumerate(self.settings.dilations):
+            apart = (every, dilation) if number == 0 else (1, dilation // every)
+            h = self._layer(h, number, *apart)
         out = self._mixed(h, self.leave, self.leave_bias)
         return out.reshape(batch, self.groups, -1, out.shape[-1])
+
+    def _layer(self, h: Tensor, number: int, stride: int, dilation: int) -> Tensor:
+        taps, bias = self.taps[number], self.biases[number]
+        y = functional.conv1d(
+            h, taps.flatten(0, 1), bias.flatten(), stride, 0, dilation, self.groups
+        )
+        y = torch.tanh(y) if self.settings.activation == "tanh" else torch.relu(y)
+        newest = (self.settings.kernel - 1) * dilation
+        return y + h[..., newest::stride][..., : y.shape[-1]]
 
     def _mixed(self, h: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
         """Channels of each group mixed, sample by sample."""
