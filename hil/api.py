@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hil.deploy.identified_urdf import UrdfExport
     from hil.fitting import FitReport
     from hil.identify.payload_estimate import PayloadEstimate
+    from hil.identify.training_loop.problem import Watch
     from hil.rest_report import RestReport
     from hil.study.result import StudyResult
 
@@ -163,6 +164,8 @@ def fit(
     parameters: dict[str, Any] | None = None,
     out: AnyPath = "models",
     page: AnyPath | None = None,
+    checkpoints: AnyPath | None = None,
+    watch: Watch | None = None,
 ) -> FitReport:
     """Fit an estimator to recordings and judge it on others.
 
@@ -176,6 +179,9 @@ def fit(
         parameters: The estimator's own parameters.
         out: Folder in which the model's folder is made.
         page: Also write an HTML report about the held-out sources here.
+        checkpoints: Folder in which estimators that train networks keep their training, and from
+            which they take it up again.
+        watch: Told every epoch of such a training.
     """
     from hil.fitting import fit_sources, parse_payload
     from hil.gains_file import read_gains
@@ -189,6 +195,8 @@ def fit(
         gains=read_gains(Path(gains)) if gains else None,
         validate=held_out,
         out=Path(out),
+        watch=watch,
+        checkpoints=None if checkpoints is None else Path(checkpoints),
         **(parameters or {}),
     )
     if page is not None:

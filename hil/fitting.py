@@ -27,6 +27,8 @@ from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
 from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
+from hil.identify.training_loop.attached import attach
+from hil.identify.training_loop.problem import Watch
 from hil.payload import Payload
 from hil.typing import FloatArray
 from hil.validation import (
@@ -89,6 +91,8 @@ def fit_sources(
     gains: DriveGains | None = None,
     validate: Iterable[Path] = (),
     out: Path = Path("models"),
+    watch: Watch | None = None,
+    checkpoints: Path | None = None,
     **params: Any,
 ) -> FitReport:
     """Fit an estimator to recordings and judge it on others.
@@ -101,14 +105,18 @@ def fit_sources(
         gains: Drive gains; by default those the data declares.
         validate: Held-out sources, each judged by itself.
         out: Folder in which the model's folder is made.
+        watch: Told every epoch of estimators that train networks.
+        checkpoints: Folder to keep their training in, and to take it up from.
         **params: The estimator's own parameters.
 
     Raises:
-        DataError: A source cannot be read, or is given for training and validation alike.
+        DataError: A source cannot be read, or is given for training and validation alike; or the
+            checkpoints are of another training.
         FitError: The data do not allow the fit, or are of different robots or individuals.
         PluginError, SpecError: No such estimator, parameter or robot.
     """
     model = make_estimator(estimator, **params)
+    attach(model, watch, checkpoints)
     parts = [load_source(source) for source in sources]
     train = _pooled([gains.of(part) for part in parts] if gains else parts)
     if payload is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,29 +63,49 @@ def fit(
     page: Annotated[
         Path | None, typer.Option("--report", help="Also write an HTML report here.")
     ] = None,
+    checkpoints: Annotated[
+        Path | None,
+        typer.Option("--checkpoints", help="Keep a network's training here, and go on from it."),
+    ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Fit an estimator to recordings and judge it on others."""
     from hil import api
+    from hil.cli.training_line import TrainingLine
 
-    result = api.fit(
-        found(sources, runs),
-        estimator=estimator,
-        robot=robot or None,
-        payload=payload or None,
-        gains=gains,
-        validate=found(validate or (), runs),
-        parameters=api.parse_parameters(options or ()),
-        out=out,
-        page=page,
-    )
+    with TrainingLine() as line, _told_how_to_go_on(checkpoints):
+        result = api.fit(
+            found(sources, runs),
+            estimator=estimator,
+            robot=robot or None,
+            payload=payload or None,
+            gains=gains,
+            validate=found(validate or (), runs),
+            parameters=api.parse_parameters(options or ()),
+            out=out,
+            page=page,
+            checkpoints=checkpoints,
+            watch=line,
+        )
     document = result.to_dict()
     if json:
         print_json(document)
         return
     typer.echo(f"{estimator}: fitted in {document['seconds']:.2f} s → {document['model']}")
     _print_validation(document["validation"])
+
+
+@contextmanager
+def _told_how_to_go_on(checkpoints: Path | None) -> Iterator[None]:
+    """Says after Ctrl-C that a training was kept, where one was."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if checkpoints is not None and any(checkpoints.rglob("checkpoint.json")):
+            kept = f"the training is kept in {checkpoints}; the same command goes on with it"
+            typer.echo(kept, err=True)
+        raise
 
 
 def evaluate(

@@ -1,0 +1,70 @@
+"""How far the training of a network is: one line with its curve on a terminal, else nothing."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from hil.cli.output import duration, width_of
+from hil.identify.training_loop.curves import sparkline
+from hil.identify.training_loop.problem import Told
+
+EVERY_S = 0.2
+CURVE = 16
+
+
+class TrainingLine:
+    """Called with every epoch; a fit that trains several networks shows one after the other.
+
+    Use it as a context: the line is taken away at the end, however that comes.
+    """
+
+    def __init__(self) -> None:
+        self._next = 0.0
+        self._open = False
+        self._validation: list[float] = []
+        self._since = (time.monotonic(), 0)
+        """When the first epoch was told that this process trained, and its number."""
+
+    def __call__(self, told: Told) -> None:
+        """Show it, if it is time to."""
+        if not self._validation or told.epoch <= len(self._validation):
+            self._validation = []
+            self._since = (time.monotonic(), told.epoch)
+        # A training that is taken up again begins with a later epoch than the first.
+        missing = told.epoch - 1 - len(self._validation)
+        self._validation += [told.validation] * (missing + 1)
+        if (width := width_of(sys.stderr)) is not None and time.monotonic() >= self._next:
+            self._next = time.monotonic() + EVERY_S
+            line = words(told, sparkline(self._validation, CURVE), self._left_s(told))
+            sys.stderr.write(f"\r\x1b[K{line if len(line) < width else line[: width - 2] + '…'}")
+            sys.stderr.flush()
+            self._open = True
+
+    def _left_s(self, told: Told) -> float | None:
+        begin, first = self._since
+        if told.epoch == first:
+            return None
+        return (time.monotonic() - begin) / (told.epoch - first) * (told.epochs - told.epoch)
+
+    def end(self) -> None:
+        """Take the line away."""
+        if self._open:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+        self._open = False
+
+    def __enter__(self) -> TrainingLine:
+        return self
+
+    def __exit__(self, *ending: object) -> None:
+        self.end()
+
+
+def words(told: Told, curve: str, left_s: float | None) -> str:
+    """What matters most comes first: a narrow terminal cuts the end."""
+    parts = [f"epoch {told.epoch}/{told.epochs}", f"best {told.best:.4g}", curve]
+    if left_s is not None:
+        parts.append(f"≤ {duration(left_s)} left")
+    parts += [f"validation {told.validation:.4g}", f"loss {told.loss:.4g}", told.stage]
+    return "  ".join(parts)

@@ -1,0 +1,28 @@
+"""What an estimator that trains networks is given before a fit and does not store. No torch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.errors import SpecError
+from hil.identify.training_loop.problem import Watch
+
+
+def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = None) -> None:
+    """Set the `watch_` and `checkpoints_` of an estimator that has them.
+
+    Raises:
+        SpecError: Checkpoints are asked for, and it trains nothing that could be taken up again.
+    """
+    if watch is not None and hasattr(model, "watch_"):
+        model.watch_ = watch
+    if checkpoints is None:
+        return
+    if not hasattr(model, "checkpoints_"):
+        raise SpecError(
+            f"{model.estimator} keeps no checkpoints: its fit is one computation",
+            hint="leave --checkpoints out; networks trained by gradient take it, such as "
+            "lagrangian and residual",
+        )
+    model.checkpoints_ = checkpoints
