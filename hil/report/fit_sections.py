@@ -10,6 +10,7 @@ from hil.report.approach import approach_table
 from hil.report.blocks import Block, Facts, Section, items
 from hil.report.documents import as_float, as_object
 from hil.report.fit_facts import FitFacts
+from hil.report.learning_curves import learning_plots
 from hil.report.predictions import Shown
 from hil.report.words import number
 
@@ -50,6 +51,8 @@ def _model(i: int, fit: FitFacts, shown: Shown | None) -> Section:
         blocks += fit_plots.dwell_plots(fit, shown.dwells)
     if shown is not None and shown.motions is not None:
         blocks += fit_plots.motion_plots(fit, shown.motions)
+    if learning := learning_plots(fit):
+        blocks.append(learning)
     blocks.append(_about(fit))
     what = fit.held_out.get("what")
     lead = f"Judged on what the fit has not seen: {what}." if what else ""

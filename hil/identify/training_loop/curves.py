@@ -76,14 +76,17 @@ class Curves:
         Raises:
             KeyError, TypeError, ValueError: Something is missing or no number.
         """
-        stage = [str(name) for name, count in facts["stages"] for _ in range(int(count))]
+        spans = [(str(name), int(count)) for name, count in facts["stages"]]
         loss, validation, rate = (
-            [float(value) for value in facts[key]]
+            [_finite(value) for value in facts[key]]
             for key in ("loss", "validation", "learning_rate")
         )
-        if not len(stage) == len(loss) == len(validation) == len(rate):
-            raise ValueError(f"curves: {len(stage)}, {len(loss)} and {len(validation)} epochs")
-        return cls(float(facts["untrained"]), stage, loss, validation, rate)
+        # Counted before it is unrolled: a damaged count may be any number.
+        counted = {sum(count for _, count in spans), len(loss), len(validation), len(rate)}
+        if len(counted) > 1 or any(count < 1 for _, count in spans):
+            raise ValueError(f"curves: stages and losses of {sorted(counted)} epochs")
+        stage = [name for name, count in spans for _ in range(count)]
+        return cls(_finite(facts["untrained"]), stage, loss, validation, rate)
 
     def spans(self) -> list[tuple[str, int]]:
         """Stages in their order, with the number of epochs each took."""
@@ -94,6 +97,13 @@ class Curves:
             else:
                 found.append((name, 1))
         return found
+
+
+def _finite(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"curves: {value!r} is no error or rate")
+    return number
 
 
 def sparkline(values: Sequence[float], width: int = 24) -> str:
