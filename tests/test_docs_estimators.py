@@ -14,6 +14,7 @@ from hil.data.filters import FilterSettings
 from hil.identify import estimator
 from hil.identify.base import GROUP, HONEST
 from hil.identify.lagrangian.task import BY_SAMPLE
+from hil.identify.residual.settings import ResidualSettings
 from hil.identify.static import PAPER_PROTOCOL
 from hil.spec.yaml_values import scalar
 
@@ -62,6 +63,8 @@ def test_protocol_labels_are_those_of_the_models() -> None:
         HONEST,
         PAPER_PROTOCOL,
         BY_SAMPLE,
+        ResidualSettings(inputs="history").protocol,
+        ResidualSettings(inputs="measured").protocol,
     ]
 
 

@@ -1,0 +1,86 @@
+"""What left-out rows say: which joints keep their network, and how wide the bands are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.identify.conformal import SpeedBands
+from hil.identify.residual.fit import Learnt, trajectory_numbers
+from hil.identify.residual.out_of_fold import Physics
+from hil.identify.residual.selection import Selection, select
+from hil.typing import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """The verdict of left-out rows.
+
+    Attributes:
+        selection: Which joints keep their network.
+        bands: From errors on measured effort, as recorded.
+        coverage: What bands made without them hold of left-out trajectories; empty where there
+            is one only.
+        sigma: (n,) root-mean-square error on measured effort.
+        limit: (n,) largest residual there was to learn, filtered.
+    """
+
+    selection: Selection
+    bands: SpeedBands
+    coverage: dict[str, Any]
+    sigma: FloatArray
+    limit: FloatArray
+
+    @staticmethod
+    def of(
+        data: Dataset, physics: Physics, learnt: Learnt, margin: float, coverage: float
+    ) -> Judged:
+        """Judge on the rows that networks were stopped by.
+
+        Args:
+            data: Prepared.
+            physics: Predictions of models that had not seen the rows, where there are folds.
+            learnt: Networks and their corrections.
+            margin: See `select`.
+            coverage: Of the bands.
+        """
+        rows = learnt.judged
+        left = (data["effort_f"] - physics.predicted)[rows]
+        added, blocks = learnt.correction[rows], trajectory_numbers(data)[rows]
+        selection = select(left, left - added, blocks, margin)
+        predicted = physics.predicted[rows] + np.where(selection.kept, added, 0.0)
+        errors, speeds = data["effort"][rows] - predicted, data["qd_f"][rows]
+        return Judged(
+            selection,
+            SpeedBands.calibrate(errors, speeds, blocks, coverage),
+            _coverage(errors, speeds, blocks, _parts(physics.fold[rows], blocks), coverage),
+            np.sqrt(np.mean(errors**2, axis=0)),
+            np.max(np.abs(left), axis=0),
+        )
+
+
+def _parts(fold: IntArray, blocks: IntArray) -> IntArray:
+    """(N,) what is left out together to try bands: folds, or trajectories where there are none."""
+    return fold if len(np.unique(fold)) > 1 else blocks
+
+
+def _coverage(
+    errors: FloatArray, speeds: FloatArray, blocks: IntArray, parts: IntArray, coverage: float
+) -> dict[str, Any]:
+    """Bands of the other parts, tried on each; shares are means over the parts."""
+    found = []
+    for part in np.unique(parts):
+        out: BoolArray = parts == part
+        if np.all(out):
+            return {}
+        bands = SpeedBands.calibrate(errors[~out], speeds[~out], blocks[~out], coverage)
+        found.append(bands.coverage(errors[out], speeds[out], blocks[out]))
+    return {
+        "asked": coverage,
+        "share": np.mean([one.share for one in found], axis=0).tolist(),
+        "worst_trajectory": np.min([one.worst for one in found], axis=0).tolist(),
+        "trajectories": int(sum(one.trajectories for one in found)),
+    }

@@ -1,0 +1,81 @@
+"""A base model inside the file of the model that is built on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil.dynamics import RobotModel
+from hil.identify.base import RobotEstimator, estimator
+from hil.typing import FloatArray
+
+BASE = "base."
+"""Arrays of the base model begin with it."""
+
+
+def made(base: dict[str, Any]) -> RobotEstimator:
+    """A fresh base estimator from its name and parameters.
+
+    Raises:
+        PluginError: There is no estimator of that name.
+        SpecError: It has no such parameter, or does not accept the value.
+    """
+    params = {name: value for name, value in base.items() if name != "estimator"}
+    return estimator(str(base["estimator"]), **params)
+
+
+def told(model: RobotEstimator) -> dict[str, Any]:
+    """Name and parameters of a model, from which `made` makes another like it."""
+    return {"estimator": model.estimator, **model.get_params()}
+
+
+def arrays_of_base(model: RobotEstimator) -> dict[str, FloatArray]:
+    """What the base model found, under names of its own."""
+    return with_prefix(BASE, model.fitted_arrays())
+
+
+def facts_of_base(model: RobotEstimator) -> dict[str, Any]:
+    """The base model's part of `model.json`."""
+    return {
+        "estimator": model.estimator,
+        "parameters": model.get_params(),
+        "fitted": model.fitted_facts(),
+    }
+
+
+def restored_base(
+    arrays: dict[str, FloatArray], facts: dict[str, Any], robot: RobotModel
+) -> RobotEstimator:
+    """Inverse of `arrays_of_base` and `facts_of_base`.
+
+    Raises:
+        KeyError, TypeError, ValueError: Something is missing or garbled.
+    """
+    model = estimator(str(facts["estimator"]), **facts["parameters"])
+    model.robot_ = robot
+    own = without_prefix(BASE, arrays)
+    require_finite_arrays(own)
+    model.restore(own, facts["fitted"])
+    return model
+
+
+def with_prefix(prefix: str, arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """The arrays under longer names."""
+    return {prefix + name: values for name, values in arrays.items()}
+
+
+def without_prefix(prefix: str, arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
+    """Those arrays whose names begin with the prefix, by the rest of their names."""
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+
+def require_finite_arrays(arrays: dict[str, FloatArray]) -> None:
+    """Refuse numbers that are none before a prediction is made of them.
+
+    Raises:
+        ValueError: An array holds one.
+    """
+    for name, values in arrays.items():
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{name}: it holds values that are not finite")
