@@ -48,7 +48,7 @@ class ResidualProblem:
     Attributes:
         module: The `CausalTcn`; branches and joints are groups of it.
         samples: Crops.
-        f_cut_hz: Where slow and fast part; NaN without a split.
+        f_cut_hz: Where slow and fast part; 0 without a split.
 
     Raises:
         DataError: There are no rows to learn from or to stop by, values are not finite, or the
@@ -147,7 +147,7 @@ class ResidualProblem:
 
 def _cut_off(motions: Motions, settings: ResidualSettings) -> float:
     if not settings.split:
-        return float("nan")
+        return 0.0
     return motion_frequency(motions) if settings.f_cut_hz == "auto" else settings.f_cut_hz
 
 

@@ -28,7 +28,7 @@ class TrainedTcn:
         weights: Of all groups and branches.
         scale: (branches, n) size of the slow and the fast part in the rows it learned from.
         rate_hz: Samples per second it was trained at; its memory counts samples.
-        f_cut_hz: Where slow and fast were parted; NaN if they were not.
+        f_cut_hz: Where slow and fast were parted; 0 if they were not.
     """
 
     inputs: NetworkInputs

@@ -1,0 +1,73 @@
+"""What a residual network learns from: crops of recordings, slow and fast parts of a residual."""
+
+import numpy as np
+import pytest
+from residual_parts import OFFSETS, ROWS, motions, small
+
+from hil.errors import DataError
+from hil.identify.residual.motions import Motions
+from hil.identify.residual.segments import Segments
+from hil.identify.residual.split import motion_frequency, slow_and_fast
+
+T = np.arange(4000) / 1000.0
+STEADY = np.array([0, 4000])
+
+
+def swinging(*waves: tuple[float, float]) -> Motions:
+    """One joint whose velocity is a sum of sines, each (amplitude, frequency)."""
+    qd = sum(a * np.sin(2 * np.pi * f * T) for a, f in waves)[:, None]
+    return Motions(qd, qd, qd, qd, None, STEADY, 1000.0)
+
+
+def test_the_motions_frequency_is_that_of_its_fastest_wave() -> None:
+    assert motion_frequency(swinging((1.0, 0.5), (1.0, 3.0))) == pytest.approx(3.0, abs=0.6)
+
+
+def test_waves_of_no_consequence_do_not_count_as_motion() -> None:
+    assert motion_frequency(swinging((1.0, 3.0), (0.01, 80.0))) == pytest.approx(3.0, abs=0.6)
+
+
+def test_a_motion_that_is_none_has_no_frequency() -> None:
+    with pytest.raises(DataError, match="no joint moves"):
+        motion_frequency(swinging((0.0, 1.0)))
+
+
+def test_slow_and_fast_waves_are_parted() -> None:
+    waves = swinging((1.0, 0.5))
+    slow, fast = np.sin(2 * np.pi * 0.5 * T), 0.2 * np.sin(2 * np.pi * 60 * T)
+    parts = slow_and_fast((slow + fast)[:, None], waves, 6.0)[:, 500:-500, 0]
+    assert parts[0] == pytest.approx(slow[500:-500], abs=5e-3)
+    assert parts[1] == pytest.approx(fast[500:-500], abs=5e-3)
+
+
+@pytest.mark.parametrize("f_cut_hz", [0.2, 5.0, 450.0])
+def test_slow_and_fast_add_up(f_cut_hz) -> None:
+    residual = np.random.default_rng(0).normal(size=(ROWS, 2))
+    parts = slow_and_fast(residual, motions(), f_cut_hz)
+    assert parts.sum(axis=0) == pytest.approx(residual, abs=1e-12)
+
+
+@pytest.mark.parametrize("every", [1, 2, 4])
+def test_no_row_is_learned_from_twice_nor_one_that_must_not(every) -> None:
+    allowed = np.random.default_rng(0).random(ROWS) < 0.6
+    crops = Segments.of(motions(), allowed, small(every=every))
+    rows = crops.rows[crops.counted]
+    assert len(np.unique(rows)) == len(rows)
+    assert np.all(allowed[rows])
+
+
+def test_with_every_instant_all_rows_are_learned_from() -> None:
+    allowed = np.random.default_rng(0).random(ROWS) < 0.6
+    crops = Segments.of(motions(), allowed, small(every=1))
+    assert np.array_equal(np.sort(crops.rows[crops.counted]), np.flatnonzero(allowed))
+
+
+def test_instants_far_apart_have_every_phase() -> None:
+    crops = Segments.of(motions(), np.ones(ROWS, dtype=bool), small(every=4))
+    rows = crops.rows[crops.counted]
+    assert set((rows[rows < OFFSETS[1]] % 4).tolist()) == {0, 1, 2, 3}
+    assert len(rows) == pytest.approx(ROWS / 4, abs=8)
+
+
+def test_instants_are_as_far_apart_as_the_sample_rate_allows() -> None:
+    assert [small().apart(rate) for rate in (1000.0, 500.0, 125.0)] == [4, 2, 1]
