@@ -73,7 +73,7 @@ class ResidualProblem:
         self.inputs = NetworkInputs.scaled_to(motions, learn, settings)
         self.f_cut_hz = _cut_off(motions, settings)
         parts = residual[None]
-        if settings.split:
+        if settings.parted:
             parts = slow_and_fast(residual, motions, self.f_cut_hz)
         self.scale = sizes(parts, learn)
         self._size = sizes(residual[None], learn)[0]
@@ -146,7 +146,7 @@ class ResidualProblem:
 
 
 def _cut_off(motions: Motions, settings: ResidualSettings) -> float:
-    if not settings.split:
+    if not settings.parted:
         return 0.0
     return motion_frequency(motions) if settings.f_cut_hz == "auto" else settings.f_cut_hz
 

@@ -45,7 +45,9 @@ class ResidualSettings:
         kernel: Taps of each layer.
         channels: Of every layer, in each group; None: 12 grouped, 48 joint.
         activation: Of every layer.
-        split: A network each for what is slow and what is fast in the residual (eq. 24).
+        split: A network each for what is slow and what is fast in the residual (eq. 24). None:
+            only where one network serves all joints. Joints' own networks do better without: the
+            slow part alone, of a few trajectories, is soon remembered instead of understood.
         f_cut_hz: Where it is split; `auto` takes it from the spectrum of the motion.
         sign_widths: [rad/s] of the smooth signs tanh(q̇/width) that grouped networks see.
         base_input: Grouped networks see what the physical model predicts.
@@ -62,7 +64,7 @@ class ResidualSettings:
     kernel: int = 5
     channels: int | None = None
     activation: Activation = "tanh"
-    split: bool = True
+    split: bool | None = None
     f_cut_hz: float | Literal["auto"] = "auto"
     sign_widths: tuple[float, ...] = (0.005, 0.02, 0.1)
     base_input: bool = True
@@ -85,7 +87,8 @@ class ResidualSettings:
                     f"every is {self.every}, but must divide the dilations "
                     f"{', '.join(map(str, self.dilations[1:]))}"
                 )
-        flag("split", self.split)
+        if self.split is not None:
+            flag("split", self.split)
         flag("base_input", self.base_input)
         if self.f_cut_hz != "auto":
             number("f_cut_hz", self.f_cut_hz, above=0.0)
@@ -107,7 +110,12 @@ class ResidualSettings:
     @property
     def branches(self) -> int:
         """Networks whose outputs are added: slow and fast, or one for both."""
-        return 2 if self.split else 1
+        return 2 if self.parted else 1
+
+    @property
+    def parted(self) -> bool:
+        """True if slow and fast have networks of their own."""
+        return self.layout == "joint" if self.split is None else self.split
 
     @property
     def protocol(self) -> str:
