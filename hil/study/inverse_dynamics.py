@@ -22,7 +22,7 @@ from hil.study.base import Progress, Study, silent
 from hil.study.inverse_cases import CASES, load_names, recorded
 from hil.study.inverse_fits import family_task, missing
 from hil.study.inverse_found import Found, Seen, gathered
-from hil.study.inverse_methods import ROW_KEYS, ROWS, families
+from hil.study.inverse_methods import RESIDUAL, ROW_KEYS, ROWS, families
 from hil.study.inverse_words import LABELS, TEXTS, TITLES, summary
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.separation_parameters import words
@@ -92,9 +92,9 @@ class InverseDynamics(Study):
         }
         tasks = [
             family_task(root, keys, case, robot, self.sign_width, self.effort)
-            for drawn_ in cases.values()
+            for draws in cases.values()
             for root, keys in known.items()
-            for case in drawn_
+            for case in draws
         ]
         with cluster(self.dask) as executor:
             results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress, executor))
@@ -102,11 +102,11 @@ class InverseDynamics(Study):
         found = [
             gathered(
                 name,
-                [(keys, [next(results) for _ in drawn_]) for keys in known.values()],
-                [Seen.of(case) for case in drawn_],
+                [(keys, [next(results) for _ in draws]) for keys in known.values()],
+                [Seen.of(case) for case in draws],
                 loads,
             )
-            for name, drawn_ in cases.items()
+            for name, draws in cases.items()
         ]
         notes = [*of.notes, *_absent(absent), *_failures(found), *_partly(found)]
         return StudyResult(
@@ -161,8 +161,10 @@ def _figures(found: Found) -> Iterator[Figure]:
 
 def _decisions(found: Found) -> Iterator[str]:
     """What corrections of ours decided about themselves, seed by seed."""
-    for i, score in enumerate(found.scores.get("ours-residual", ())):
-        yield from (f"{ROWS['ours-residual'].words}, draw {i + 1}: {note}" for note in score.notes)
+    for key in (key for key in found.scores if ROWS[key].estimator == RESIDUAL):
+        for i, score in enumerate(found.scores[key]):
+            told = (note for note in score.notes if note.startswith(RESIDUAL))
+            yield from (f"{ROWS[key].words}, draw {i + 1}: {note}" for note in told)
 
 
 def _absent(absent: dict[str, str]) -> Iterator[str]:

@@ -8,13 +8,17 @@ from typing import Any
 
 from hil.data.filters import FilterSettings
 from hil.identify.base import RobotEstimator, estimator
+from hil.identify.residual.settings import TRAINING
+from hil.identify.training_loop.settings import TrainingSettings
 from hil.study.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02
 """How old the newest torque is that an observer with history may see."""
 
-NETWORK, RESIDUAL = "lagrangian", "residual"
-"""Names of the estimators that learn."""
+NETWORK, RESIDUAL, OURS = "lagrangian", "residual", "rigid-hysteresis"
+
+USUAL_EPOCHS = {NETWORK: TrainingSettings().epochs, RESIDUAL: TRAINING["epochs"]}
+"""Of the estimators that learn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,7 @@ class Row:
     @property
     def learns(self) -> bool:
         """Whether it draws numbers: a network has a seed and can be trained longer."""
-        return self.estimator in (NETWORK, RESIDUAL)
+        return self.estimator in USUAL_EPOCHS
 
 
 def _classical(key: str) -> Row:
@@ -54,8 +58,11 @@ def _network(key: str, words: str, **params: Any) -> Row:
     return Row(key, words, NETWORK, params)
 
 
-def _corrected(key: str, words: str, on: str, torque: str = "", **params: Any) -> Row:
-    return Row(key, words, RESIDUAL, params, on, sign=False, torque=torque)
+def _corrected(key: str, words: str, **network: Any) -> Row:
+    """A network on the Proposed one, kept wherever it does no harm to the rows it stops by."""
+    torque = network["inputs"] if network["inputs"] != "motion" else ""
+    params = {"network": network, "margin": 0.0}
+    return Row(key, words, RESIDUAL, params, "proposed", sign=False, torque=torque)
 
 
 ROWS = {
@@ -80,16 +87,16 @@ ROWS = {
                  friction="stribeck", learning="joint"),
         _network("proposed-memory", "Proposed, friction with memory",
                  friction="stribeck", direction="dahl"),
-        _corrected("rc-paper", "Proposed with RC, measured torque (as in the paper)", "proposed",
-                   "measured", inputs="measured", layout="joint"),
-        _corrected("rc-history", "Proposed with RC, torque until 20 ms before", "proposed",
-                   "history", inputs="history", layout="joint", latency_s=LATENCY_S),
-        _corrected("rc-motion", "Proposed with RC, no torque", "proposed",
-                   inputs="motion", layout="joint"),
-        _corrected("rc-grouped", "Proposed with RC, no torque, joint by joint", "proposed",
+        _corrected("rc-paper", "Proposed with RC, measured torque (as in the paper)",
+                   inputs="measured", layout="joint"),
+        _corrected("rc-history", "Proposed with RC, torque until 20 ms before",
+                   inputs="history", layout="joint", latency_s=LATENCY_S),
+        _corrected("rc-motion", "Proposed with RC, no torque", inputs="motion", layout="joint"),
+        _corrected("rc-grouped", "Proposed with RC, no torque, joint by joint",
                    inputs="motion", layout="grouped"),
-        Row("ours", "ours: friction with memory", "rigid-hysteresis", sign=False),
-        _corrected("ours-residual", "ours, with a residual network", "ours"),
+        Row("ours", "ours: friction with memory", OURS, sign=False),
+        Row("ours-residual", "ours, with a residual network", RESIDUAL,
+            {"base": {"estimator": OURS}}, sign=False),
     )
 }  # fmt: skip
 ROW_KEYS = tuple(ROWS)
@@ -128,18 +135,12 @@ def unfitted(
     Raises:
         PluginError, SpecError: There is no such estimator, or it takes other parameters.
     """
-    shared: dict[str, Any] = {}
-    if not row.on:
-        shared["filters"] = filters
+    shared: dict[str, Any] = {"filters": filters}
     if row.sign:
         shared["sign_width"] = sign_width
     if row.learns:
-        shared |= {"seed": seed, **_shortened(row, effort)}
+        epochs = max(1, round(effort * USUAL_EPOCHS[row.estimator]))
+        shared |= {"seed": seed, "training": {"epochs": epochs}}
+    if "base" in row.params:
+        shared["base"] = {**row.params["base"], "filters": filters.model_dump()}
     return estimator(row.estimator, **{**row.params, **shared})
-
-
-def _shortened(row: Row, effort: float) -> dict[str, Any]:
-    if effort == 1.0:
-        return {}
-    epochs = estimator(row.estimator, **row.params).get_params()["training"]["epochs"]
-    return {"training": {"epochs": max(1, round(effort * epochs))}}

@@ -147,13 +147,14 @@ def _under_loads(
 
 
 def _curves(model: RobotEstimator) -> dict[str, FloatArray]:
-    told: Any = getattr(model, "curves_", None)
-    found = {name: getattr(told, name, None) for name in ("loss", "validation")}
-    return {
-        name: np.asarray(values, dtype=np.float64)
-        for name, values in found.items()
-        if values is not None
-    }
+    told: Any = getattr(model, "curves_", ())
+    trainings = told if isinstance(told, tuple) else (told,)
+    found = {}
+    for number, one in enumerate(trainings, start=1):
+        of = f", network {number}" if len(trainings) > 1 else ""
+        found[f"loss{of}"] = np.asarray(one.loss, dtype=np.float64)
+        found[f"validation{of}"] = np.asarray(one.validation, dtype=np.float64)
+    return found
 
 
 def _shown(predicted: Prediction, torque: FloatArray, case: Case) -> Shown:
