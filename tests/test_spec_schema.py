@@ -13,12 +13,15 @@ from hil.errors import SpecError
 from hil.spec.describe import explain_key, keys_below, reference
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, keys_of, tree
-from hil.spec.schema import experiment_schema, schema_files, station_schema
+from hil.spec.schema import experiment_schema, schema_files, series_schema, station_schema
+from hil.spec.series import SeriesSpec, is_series
 from hil.spec.station import Station
 from hil.spec.yaml_source import read_source
 
 ROOT = Path(__file__).parents[1]
-EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
+SHIPPED = sorted((ROOT / "experiments").glob("*.yaml"))
+SERIES = [path for path in SHIPPED if is_series(path)]
+EXPERIMENTS = [path for path in SHIPPED if path not in SERIES]
 STATIONS = sorted((ROOT / "experiments" / "stations").glob("*.yaml"))
 
 TYPES: dict[str, tuple[type, ...]] = {
@@ -113,6 +116,13 @@ def test_every_shipped_experiment_fits_the_schema(path: Path) -> None:
     assert faults(read_source(path).data, schema, schema) == []
 
 
+@pytest.mark.parametrize("path", SERIES, ids=lambda path: path.name)
+def test_every_shipped_series_fits_the_schema(path: Path) -> None:
+    schema = series_schema()
+
+    assert faults(read_source(path).data, schema, schema) == []
+
+
 @pytest.mark.parametrize("path", STATIONS, ids=lambda path: path.name)
 def test_every_shipped_station_fits_the_schema(path: Path) -> None:
     schema = station_schema()
@@ -150,7 +160,7 @@ def test_the_schema_refuses_what_loading_refuses(place: tuple[str, ...], value: 
     assert faults(data, schema, schema) != []
 
 
-@pytest.mark.parametrize("path", [*EXPERIMENTS, *STATIONS], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [*SHIPPED, *STATIONS], ids=lambda path: path.name)
 def test_the_first_line_of_a_shipped_file_leads_editors_to_its_schema(path: Path) -> None:
     first = path.read_text("utf-8").partition("\n")[0]
     match = re.fullmatch(r"# yaml-language-server: \$schema=(\S+)", first)
@@ -159,7 +169,7 @@ def test_the_first_line_of_a_shipped_file_leads_editors_to_its_schema(path: Path
     schema = json.loads((path.parent / match[1]).read_text("utf-8"))
 
     assert path.parent.name in ("stations", "experiments")
-    kind = "station" if path.parent.name == "stations" else "experiment"
+    kind = "station" if path in STATIONS else "series" if path in SERIES else "experiment"
     assert schema["$id"] == f"urn:hil:schema:{kind}:1"
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
 
@@ -177,7 +187,7 @@ def test_the_reference_page_is_up_to_date() -> None:
     assert written == reference(), "run: python -m hil.spec.describe"
 
 
-@pytest.mark.parametrize("model", [ExperimentSpec, Station])
+@pytest.mark.parametrize("model", [ExperimentSpec, Station, SeriesSpec])
 def test_every_key_says_what_it_means(model: Model) -> None:
     silent = [info.path for info in keys_below(model) if not info.meaning.endswith(".")]
 

@@ -129,12 +129,14 @@ def report(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write (again) the HTML report of a run."""
+    """Write (again) the HTML report of a run, or the overview of a series."""
+    from hil.campaign.series_folder import is_series_folder
     from hil.record.catalogue import find_run
     from hil.report import render_report
+    from hil.report.series_page import render_series
 
     path = find_run(run, runs)
-    page = render_report(path)
+    page = render_series(path) if is_series_folder(path) else render_report(path)
     if json:
         print_json({"run": str(path), "report": str(page)})
     else:

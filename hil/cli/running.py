@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli import live as live_verbs
-from hil.cli.live_view import LiveFlag, LiveHost, LivePort, live_view, recorded_capabilities
+from hil.cli import series
+from hil.cli.attended import Attended, rejected
+from hil.cli.live_view import LiveFlag, LiveHost, LivePort
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
 from hil.cli.runs import RunArgument, fail, tell_run
-from hil.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
+    from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
 
 OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
@@ -77,29 +78,25 @@ def run(
     live_host: LiveHost = None,
     json: JsonFlag = False,
 ) -> None:
-    """Run an experiment: plan, preflight, motion, recording, fit, validation, report."""
+    """Run an experiment, or a series: plan, preflight, motion, recording, fit, verdict, report."""
     from hil import api
-    from hil.campaign.desk import console_desk
-    from hil.campaign.driver_check import check_driver
-    from hil.cli.progress import ProgressLines
     from hil.engine.signals import ignore_from_now_on
     from hil.plan.commissioning import commissioning_of
+    from hil.spec.series import is_series
 
     part = commissioning_of(speed, first)
-    experiment = replace(api.load(spec, station), commissioning=part)
-    desk = console_desk(operator, answers=answers, wait_s=wait)
-    robot = check_driver(experiment)
+    attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
+
+    def begin(experiment: Experiment) -> RunReport:
+        return attended.run(replace(experiment, commissioning=part), runs)
+
+    if is_series(spec):
+        series.run_series(spec, station, runs, begin, json)
+        return
+    experiment = api.load(spec, station)
     if not json:
-        typer.echo(experiment.title, err=True)
-    with live_view(lambda: robot, live, live_port, live_host) as views:
-        report = api.run(
-            experiment,
-            runs=runs,
-            operator=operator,
-            observers=(ProgressLines(), *views),
-            waivers=_waivers(waive or ()),
-            desk=desk,
-        )
+        typer.echo(replace(experiment, commissioning=part).title, err=True)
+    report = begin(experiment)
     ignore_from_now_on()
     _tell_report(report, json)
 
@@ -117,26 +114,21 @@ def resume(
     json: JsonFlag = False,
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
-    from hil import api
-    from hil.campaign.desk import console_desk
-    from hil.cli.progress import ProgressLines
+    from hil.campaign.series_folder import is_series_folder
     from hil.engine.signals import ignore_from_now_on
     from hil.record.catalogue import find_run
     from hil.record.lock import is_live
 
     path = find_run(run, runs)
+    attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
+    if is_series_folder(path):
+        above = path.parents[2]
+        series.resume_series(path, lambda each: attended.run(each, above), attended.resume, json)
+        return
     if is_live(path):
         live_verbs.let_go_on(path, operator, json)
         return
-    desk = console_desk(operator, answers=answers, wait_s=wait)
-    with live_view(lambda: recorded_capabilities(path), live, live_port, live_host) as views:
-        report = api.resume(
-            path,
-            operator=operator,
-            observers=(ProgressLines(), *views),
-            waivers=_waivers(waive or ()),
-            desk=desk,
-        )
+    report = attended.resume(path)
     ignore_from_now_on()
     _tell_report(report, json)
 
@@ -146,20 +138,5 @@ def _tell_report(report: RunReport, json: bool) -> None:
         print_json(report.to_dict())
     else:
         tell_run(report.run)
-    if report.error is not None:
-        fail(report.error, json)
-    if report.verdict == "rejected":
-        missed = f"the model of {report.run} missed its acceptance criteria"
-        fail(Rejected(missed, hint=f"hil show {report.run}"), json)
-
-
-def _waivers(texts: Iterable[str]) -> dict[str, str]:
-    """`NAME=REASON` texts to a dict; a waiver without a reason is none."""
-    pairs = [text.partition("=") for text in texts]
-    for name, _, reason in pairs:
-        if not (name and reason.strip()):
-            raise SpecError(
-                f"--waive {name!r} gives no reason",
-                hint='for example: --waive "disk=the recording is short"',
-            )
-    return {name: reason.strip() for name, _, reason in pairs}
+    if (error := report.error or rejected(report)) is not None:
+        fail(error, json)

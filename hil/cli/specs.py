@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from hil.cli import series
 from hil.cli.output import (
     JsonFlag,
     SpecPath,
@@ -30,9 +31,14 @@ def register(app: typer.Typer) -> None:
 
 
 def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = False) -> None:
-    """Check a spec and its station; all problems at once, with file, line and column."""
+    """Check a spec or series and its station; all problems at once, with file, line and column."""
     from hil import api
     from hil.campaign.driver_check import check_driver
+    from hil.spec.series import is_series
+
+    if is_series(spec):
+        series.validate_series(spec, station, json)
+        return
 
     experiment = api.load(spec, station)
     check_driver(experiment)
@@ -82,7 +88,11 @@ def plan(
     from hil.cli.excitation_line import ExcitationLine
     from hil.plan.picture import plan_picture
     from hil.record.files import json_document, write_replacing
+    from hil.spec.series import is_series
 
+    if is_series(spec):
+        series.plan_series(spec, station, connect, json)
+        return
     experiment = api.load(spec, station)
     check_driver(experiment)
     with ExcitationLine() as line:
@@ -133,14 +143,19 @@ def _figure(value: float | None) -> str:
 
 
 def schema(
-    kind: Annotated[Literal["experiment", "station", "map"], typer.Argument()] = "experiment",
+    kind: Annotated[
+        Literal["experiment", "station", "series", "map"], typer.Argument()
+    ] = "experiment",
 ) -> None:
-    """Print the JSON Schema of a spec, station file or import map, for editors."""
+    """Print the JSON Schema of a spec, station file, series or import map, for editors."""
     if kind == "map":
         from hil.data.importing.map_schema import map_schema
 
         print_json(map_schema())
         return
-    from hil.spec.schema import experiment_schema, station_schema
+    from hil.spec.schema import experiment_schema, series_schema, station_schema
 
-    print_json(experiment_schema() if kind == "experiment" else station_schema())
+    schemas = {
+        "experiment": experiment_schema, "station": station_schema, "series": series_schema,
+    }  # fmt: skip
+    print_json(schemas[kind]())

@@ -17,10 +17,14 @@ Mark = Literal["", "pass", "fail", "warn", "quiet"]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One table cell; `mark` adds a sign beside the text, never a colour alone."""
+    """One table cell; `mark` adds a sign beside the text, never a colour alone.
+
+    With a `link` the text leads to another page, told relative to this one.
+    """
 
     text: str
     mark: Mark = ""
+    link: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.series import SeriesSpec
 from hil.spec.source import Path, dotted
 from hil.spec.station import Station
 from hil.spec.units import symbol_of
@@ -54,13 +55,13 @@ def keys_below(model: Model) -> Iterator[KeyInfo]:
 
 
 def explain_key(path: str) -> list[KeyInfo]:
-    """What a dotted path of an experiment or station means; several entries if kinds share it.
+    """What a dotted path in a file means; several entries if kinds share it.
 
     Raises:
         SpecError: There is no such key.
     """
     wanted = ".".join(step for step in path.split(".") if not step.isdigit())
-    known = [*keys_below(ExperimentSpec), *keys_below(Station)]
+    known = [info for model in (ExperimentSpec, Station, SeriesSpec) for info in keys_below(model)]
     found = [info for info in known if info.path == wanted or info.path.endswith("." + wanted)]
     if not found:
         hint = did_you_mean(wanted, {info.path for info in known})
@@ -70,7 +71,13 @@ def explain_key(path: str) -> list[KeyInfo]:
 
 def reference() -> str:
     """The reference page in Markdown."""
-    parts = [_HEAD, "## Experiment", _sections(ExperimentSpec), "## Station", _sections(Station)]
+    parts = [_HEAD]
+    for title, model in (
+        ("Experiment", ExperimentSpec),
+        ("Station", Station),
+        ("Series", SeriesSpec),
+    ):
+        parts += [f"## {title}", _sections(model)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -86,11 +86,11 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
         SpecError: With a line `file:line:column: path: message` for every problem.
     """
     source, folder = read_source(path), FilePath(path).parent
-    _refuse_other_kind(source, "hil_station")
+    refuse_other_kind(source, "hil_station")
     if look_up:
         check_robots(source, folder)
     _make_absolute(source, folder)
-    return _validated(source, Station)
+    return validated(source, Station)
 
 
 def resolve_robot(spec: ExperimentSpec, station: Station) -> StationRobot:
@@ -112,14 +112,14 @@ def resolve_robot(spec: ExperimentSpec, station: Station) -> StationRobot:
 def _spec(
     source: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
 ) -> ExperimentSpec:
-    _refuse_other_kind(source, "hil")
+    refuse_other_kind(source, "hil")
     lay_over(source, overrides)
     if look_up:
         check_estimators(source)
         check_studies(source)
         check_interlocks(source)
         check_pose_file(source, folder)
-    spec = _validated(source, ExperimentSpec)
+    spec = validated(source, ExperimentSpec)
     excitation = spec.excitation
     if not isinstance(excitation, Dwell) or excitation.file is None:
         return spec
@@ -127,7 +127,7 @@ def _spec(
     return spec.model_copy(update={"excitation": excitation.model_copy(update={"file": file})})
 
 
-def _validated(source: Source, model: type[M]) -> M:
+def validated(source: Source, model: type[M]) -> M:
     """The model, or one error with the problems of YAML, of look-ups and of the model together."""
     try:
         spec = model.model_validate(source.data)
@@ -141,10 +141,15 @@ def _validated(source: Source, model: type[M]) -> M:
     return spec
 
 
-_KINDS = {"hil": "an experiment", "hil_station": "a station", "hil_map": "an import map"}
+_KINDS = {
+    "hil": "an experiment",
+    "hil_station": "a station",
+    "hil_map": "an import map",
+    "hil_series": "a series of experiments",
+}
 
 
-def _refuse_other_kind(source: Source, wanted: str) -> None:
+def refuse_other_kind(source: Source, wanted: str) -> None:
     """One sentence instead of dozens for a station given as an experiment, and the like."""
     data: Any = source.data
     if not isinstance(data, dict):

@@ -14,6 +14,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.quantities import Strict
+from hil.spec.series import SeriesSpec
 from hil.spec.station import Station
 from hil.spec.units import split_unit, symbol_of
 
@@ -30,9 +31,18 @@ def station_schema() -> dict[str, Any]:
     return _schema(Station, "station")
 
 
+def series_schema() -> dict[str, Any]:
+    """JSON Schema of a series of experiments."""
+    return _schema(SeriesSpec, "series")
+
+
 def schema_files() -> dict[str, str]:
     """The text of every schema file by its name."""
-    schemas = {"experiment": experiment_schema(), "station": station_schema()}
+    schemas = {
+        "experiment": experiment_schema(),
+        "series": series_schema(),
+        "station": station_schema(),
+    }
     return {
         f"{name}.schema.json": json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
         for name, schema in schemas.items()

@@ -1,0 +1,85 @@
+"""What the command line says about whoever attends runs, and runs that are attended so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hil.cli.live_view import live_view, recorded_capabilities
+from hil.errors import Rejected, SpecError
+
+if TYPE_CHECKING:
+    from hil.campaign.experiment import Experiment
+    from hil.campaign.run import RunReport
+    from hil.robot import Capabilities
+
+
+@dataclass(frozen=True, slots=True)
+class Attended:
+    """Who and what attends runs, as the command line says.
+
+    Attributes:
+        operator: Who is at the robot.
+        answers: File with answers to all prompts.
+        waive: `NAME=REASON` texts.
+        wait_s: How long to wait for a robot that somebody else holds [s].
+        live: Whether a live view is served, at which port and address.
+    """
+
+    operator: str
+    answers: Path | None
+    waive: tuple[str, ...]
+    wait_s: float
+    live: tuple[bool, int | None, str | None]
+
+    def run(self, experiment: Experiment, runs: Path) -> RunReport:
+        """Run an experiment."""
+        from hil import api
+        from hil.campaign.driver_check import check_driver
+
+        robot = check_driver(experiment)
+        return self._attend(lambda: robot, partial(api.run, experiment, runs=runs))
+
+    def resume(self, run: Path) -> RunReport:
+        """Go on with a run."""
+        from hil import api
+
+        return self._attend(lambda: recorded_capabilities(run), partial(api.resume, run))
+
+    def _attend(
+        self, robot: Callable[[], Capabilities], move: Callable[..., RunReport]
+    ) -> RunReport:
+        from hil.campaign.desk import console_desk
+        from hil.cli.progress import ProgressLines
+
+        desk = console_desk(self.operator, answers=self.answers, wait_s=self.wait_s)
+        with live_view(robot, *self.live) as views:
+            return move(
+                operator=self.operator,
+                observers=(ProgressLines(), *views),
+                waivers=_waivers(self.waive),
+                desk=desk,
+            )
+
+
+def rejected(report: RunReport) -> Rejected | None:
+    """The error of a run whose model missed its criteria."""
+    if report.verdict != "rejected":
+        return None
+    missed = f"the model of {report.run} missed its acceptance criteria"
+    return Rejected(missed, hint=f"hil show {report.run}")
+
+
+def _waivers(texts: Iterable[str]) -> dict[str, str]:
+    """`NAME=REASON` texts to a dict; a waiver without a reason is none."""
+    pairs = [text.partition("=") for text in texts]
+    for name, _, reason in pairs:
+        if not (name and reason.strip()):
+            raise SpecError(
+                f"--waive {name!r} gives no reason",
+                hint='for example: --waive "disk=the recording is short"',
+            )
+    return {name: reason.strip() for name, _, reason in pairs}

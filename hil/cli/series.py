@@ -1,0 +1,183 @@
+"""Verbs given a series of experiments: `hil run`, `hil validate`, `hil plan`, `hil resume`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from hil.cli.output import duration, print_json, print_table, size
+from hil.cli.runs import fail, tell_run
+from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from hil.campaign.experiment import Experiment
+    from hil.campaign.run import RunReport
+    from hil.campaign.series import Series, SeriesReport
+    from hil.campaign.series_folder import SeriesFolder
+
+Document = dict[str, Any]
+Outcome = tuple[Document, HilError | None]
+Execute = Callable[["Experiment", Document], Outcome]
+Begin = Callable[["Experiment"], "RunReport"]
+Resume = Callable[[Path], "RunReport"]
+
+
+def validate_series(path: Path, station: Path | None, json: bool) -> None:
+    """Check a series with everything it names; all problems at once."""
+    from hil.campaign.driver_check import check_driver
+    from hil.campaign.series import load_series
+
+    series = load_series(path, station)
+    for experiment in series.experiments:
+        check_driver(experiment)
+    facts = [
+        {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
+        for each in series.experiments
+    ]
+    if json:
+        print_json({"series": str(path), "name": series.spec.name, "runs": facts, "valid": True})
+        return
+    typer.echo(f"{path}: valid ({len(facts)} experiments)")
+    for each in series.experiments:
+        typer.echo(f"  {each.title}")
+
+
+def plan_series(path: Path, station: Path | None, connect: bool, json: bool) -> None:
+    """What each experiment of a series would do, and how long all of them take."""
+    from hil.campaign.preview import preview_experiment
+    from hil.campaign.series import load_series
+    from hil.cli.excitation_line import ExcitationLine
+
+    told = []
+    for experiment in load_series(path, station).experiments:
+        with ExcitationLine() as line:
+            _, preview = preview_experiment(experiment, connect=connect, watch=line)
+        told.append((experiment, preview.to_dict()))
+    total = {key: sum(facts[key] for _, facts in told) for key in ("duration_s", "recording_bytes")}
+    if json:
+        runs = [{"name": each.spec.name, **facts} for each, facts in told]
+        print_json({"series": str(path), "runs": runs, **total})
+        return
+    rows = [_planned(each.spec.name, each.spec.robot, facts) for each, facts in told]
+    rows.append(_planned("together", "", total))
+    print_table(("experiment", "robot", "motion", "recording"), rows)
+    typer.echo(f"of motion alone; margins and pictures: hil plan {told[0][0].spec_source}")
+    for each, facts in told:
+        for warning in facts["warnings"]:
+            typer.echo(f"warning: {each.spec.name}: {warning}")
+
+
+def _planned(name: str, robot: str, facts: dict[str, Any]) -> tuple[str, ...]:
+    return name, robot, duration(facts["duration_s"]), size(facts["recording_bytes"])
+
+
+def run_series(path: Path, station: Path | None, runs: Path, begin: Begin, json: bool) -> None:
+    """Run a series from its beginning.
+
+    Args:
+        path: Its file.
+        station: In place of every station the files name.
+        runs: Where run directories are kept.
+        begin: Runs an experiment.
+        json: Whether to print one document and nothing else.
+    """
+    from hil.campaign.driver_check import check_driver
+    from hil.campaign.series import load_series
+    from hil.campaign.series_folder import SeriesFolder
+
+    series = load_series(path, station)
+    for experiment in series.experiments:
+        check_driver(experiment)
+    folder = SeriesFolder.create(runs, series.spec, path, station)
+    _run(series, folder, [], lambda experiment, _: _told(begin(experiment)), json)
+
+
+def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
+    """Go on with a series that ended early, from the run in which it did.
+
+    Args:
+        path: Its folder.
+        begin: Runs an experiment.
+        resume: Goes on with a run.
+        json: Whether to print one document and nothing else.
+    """
+    from hil.campaign.series import load_series
+    from hil.campaign.series_folder import SeriesFolder
+
+    folder, before = SeriesFolder.open(path)
+    station = folder.head.get("station")
+    series = load_series(Path(folder.head["source"]), Path(station) if station else None)
+
+    def execute(experiment: Experiment, told: Document) -> Outcome:
+        run = Path(told["run"]) if told.get("run") else None
+        if run is None:
+            return _told(begin(experiment))
+        if told.get("outcome") == "completed" and (run / "verdict.json").is_file():
+            return _studied(run, told)
+        return _told(resume(run))
+
+    _run(series, folder, before, execute, json)
+
+
+def _run(
+    series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
+) -> None:
+    from hil.campaign.series import run_series
+    from hil.engine.signals import ignore_from_now_on
+
+    number = {each.spec.name: i for i, each in enumerate(series.experiments, 1)}
+
+    def announced(experiment: Experiment, told: Document) -> Outcome:
+        which = f"{number[experiment.spec.name]} of {len(series.experiments)}"
+        typer.echo(f"{which}: {experiment.title}", err=True)
+        return execute(experiment, told)
+
+    report = run_series(series, folder, announced, before)
+    ignore_from_now_on()
+    _tell(report, json)
+
+
+def _told(report: RunReport) -> Outcome:
+    from hil.cli.attended import rejected
+
+    return report.to_dict(), report.error or rejected(report)
+
+
+def _studied(run: Path, told: Document) -> Outcome:
+    """A run that was stopped during its studies: its models are there."""
+    from hil import api
+    from hil.cli.study_progress import StudyBar
+
+    bar = StudyBar()
+    try:
+        api.study(run, watch=bar.show)
+    finally:
+        bar.end()
+    return told, None
+
+
+def _tell(report: SeriesReport, json: bool) -> None:
+    error = report.error
+    if json:
+        print_json(report.to_dict())
+    else:
+        for each in report.ended:
+            if each.report.get("run"):
+                tell_run(Path(each.report["run"]))
+                typer.echo()
+        rows = [(each.experiment, each.robot, each.word) for each in report.ended]
+        print_table(("experiment", "robot", "came of it"), [*rows, *_not_begun(report)])
+        typer.echo(f"overview: {report.page or 'could not be made'}")
+    if error is None:
+        return
+    if not all(each.measured for each in report.ended):
+        hint = f"when the cause is mended: hil resume {report.folder}"
+        error.hint = f"{error.hint}; {hint}" if error.hint else hint
+    fail(error, json)
+
+
+def _not_begun(report: SeriesReport) -> list[tuple[str, str, str]]:
+    return [(name, "", "not begun") for name in report.left]

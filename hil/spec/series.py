@@ -1,0 +1,98 @@
+"""What a series YAML may say: experiments that are run one after the other."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+from pydantic import Field
+
+from hil.spec.checks import is_file
+from hil.spec.load import refuse_other_kind, validated
+from hil.spec.quantities import FormatVersion, Name, Strict
+from hil.spec.source import Path, Source, shown
+from hil.spec.yaml_source import read_source
+from hil.suggest import closest
+
+KEY = "hil_series"
+
+
+class SeriesEntry(Strict):
+    """One experiment of a series."""
+
+    spec: str = Field(
+        description="The experiment (YAML); a relative path starts at the folder of the series."
+    )
+    station: str | None = Field(
+        None,
+        description="The station it runs at; by default that of the series, else the one it would "
+        "run at by itself.",
+    )
+
+
+class SeriesSpec(Strict):
+    """Experiments in the order they are run in, each an ordinary run."""
+
+    hil_series: FormatVersion = Field(description="Version of the series format.")
+    name: Name = Field(description="Names the folder of the overview; letters, digits, `_.-`.")
+    description: str = Field("", description="What this is for; shown in the overview.")
+    station: str | None = Field(
+        None, description="The station of all experiments that name none themselves."
+    )
+    series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
+
+
+def is_series(path: str | FilePath) -> bool:
+    """Whether a file says that it is a series; one that cannot be read says nothing."""
+    from hil.errors import SpecError
+
+    try:
+        data = read_source(path).data
+    except SpecError:
+        return False
+    return isinstance(data, dict) and KEY in data
+
+
+def load_series_spec(path: str | FilePath) -> SeriesSpec:
+    """Read a series; the experiments and stations it names must exist, and are not read.
+
+    Returns:
+        The series; its paths are absolute.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    source, folder = read_source(path), FilePath(path).parent
+    refuse_other_kind(source, KEY)
+    for place in _places(source):
+        _make_absolute(source, place, folder)
+    return validated(source, SeriesSpec)
+
+
+def _places(source: Source) -> list[Path]:
+    """Where a series may name a file."""
+    entries = source.at(("series",))
+    count = len(entries) if isinstance(entries, list) else 0
+    return [
+        ("station",),
+        *(("series", i, key) for i in range(count) for key in ("spec", "station")),
+    ]
+
+
+def _make_absolute(source: Source, place: Path, folder: FilePath) -> None:
+    named, holder = source.at(place), source.at(place[:-1])
+    if not isinstance(named, str) or not isinstance(holder, dict):
+        return
+    file = folder / named
+    if not is_file(file):
+        source.add(place, f"there is no file {shown(str(file), most=300)}{_guess(file)}")
+        return
+    holder[place[-1]] = str(file.resolve())
+
+
+def _guess(file: FilePath) -> str:
+    try:
+        names = [other.name for other in file.parent.iterdir() if other.suffix in (".yaml", ".yml")]
+    except (OSError, ValueError):
+        return ""
+    match = closest(file.name, names)
+    return f"; did you mean {match!r}?" if match else ""
