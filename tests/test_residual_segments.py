@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from residual_parts import OFFSETS, ROWS, motions, small
+from synthetic_motion import moving
 
 from hil.errors import DataError
 from hil.identify.residual.motions import Motions
@@ -10,6 +11,7 @@ from hil.identify.residual.segments import Segments
 from hil.identify.residual.split import motion_frequency, slow_and_fast
 
 T = np.arange(4000) / 1000.0
+HEARD = ("motion", "history", "measured")
 STEADY = np.array([0, 4000])
 
 
@@ -71,3 +73,13 @@ def test_instants_far_apart_have_every_phase() -> None:
 
 def test_instants_are_as_far_apart_as_the_sample_rate_allows() -> None:
     assert [small().apart(rate) for rate in (1000.0, 500.0, 125.0)] == [4, 2, 1]
+
+
+def test_a_history_of_torque_is_as_recorded_and_the_papers_torque_is_filtered() -> None:
+    recorded = moving(0)
+    data = recorded.with_columns(effort_f=recorded["effort"] + 1.0)
+    base = np.zeros_like(data["q"])
+    heard = {k: Motions.of(data, base, small(inputs=k)).effort for k in HEARD}
+    assert heard["motion"] is None
+    assert heard["history"] is data["effort"]
+    assert heard["measured"] is data["effort_f"]
