@@ -27,8 +27,10 @@ $(VENV)/.demo: $(VENV)/.made pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mock,identify]"
 	@touch $@
 
+# torch from PyPI brings CUDA along, gigabytes of it. Where there is no GPU, the small build does:
+#   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make test
 $(VENV)/.dev: $(VENV)/.made pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mock,dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[mock,learn,fleet,dev]"
 	@touch $@ $(VENV)/.demo
 
 demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock robot

@@ -64,7 +64,7 @@ def examine(station: Path | None = None) -> list[Finding]:
         station: Also check this station file.
     """
     checks: list[Callable[[], Iterator[Finding]]] = [
-        _python, _extras, _plugins, _disk, _clock, _real_time, _can,
+        _python, _extras, _torch, _plugins, _disk, _clock, _real_time, _can,
     ]  # fmt: skip
     findings = [finding for check in checks for finding in check()]
     return findings + (list(_station(station)) if station else [])
@@ -86,6 +86,25 @@ def _extras() -> Iterator[Finding]:
             yield Finding(f"extra {extra}", text, "note")
         else:
             yield Finding(f"extra {extra}", "installed")
+
+
+def _torch() -> Iterator[Finding]:
+    """Which torch there is, and what networks are trained on by `device: auto`."""
+    try:
+        version = importlib.metadata.version("torch")
+    except importlib.metadata.PackageNotFoundError:
+        return  # the extra `learn` is missing, which has been told
+    if version.endswith("+cpu"):
+        yield Finding("torch", f"{version}: networks are trained on the CPU")
+        return
+    try:
+        import torch
+
+        names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+    except Exception as error:  # a driver that does not fit, a library that is missing, …
+        yield Finding("torch", f"{version} cannot be used: {error}", "note")
+        return
+    yield Finding("torch", f"{version}: networks are trained on {names[0] if names else 'the CPU'}")
 
 
 def _plugins() -> Iterator[Finding]:
