@@ -23,7 +23,7 @@ SPEC = """
 hil: 1
 name: {name}
 robot: ur5
-excitation: {{kind: dwell, waypoints: 2, seed: 3, approach: free}}
+excitation: {{kind: fourier, trajectories: 1, fundamental_hz: 0.5, seed: 3}}
 warm_up: {{duration_s: 0}}
 reference: {{every: 0}}
 """
