@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,18 @@ def test_a_correction_that_does_harm_is_said_to() -> None:
 def test_what_sees_torque_is_set_against_repeating_it() -> None:
     text = told(proposed=(1.0, 1.0), rc_history=(0.8, 0.8))
     assert "to repeat the torque of 20 ms ago leaves 0.9 N·m" in text
+
+
+def test_what_the_loops_add_is_said_with_its_doubt() -> None:
+    text = told(proposed_joint=(1.0, 1.1), proposed=(0.8, 1.2))
+    assert "hybrid instead of joint learning leaves 1 N·m, 5 % less, within two seed-σ." in text
+
+
+def test_a_load_nobody_told_of_is_set_against_one_that_was_told() -> None:
+    bare = found(wls=(1.0, 1.0), ours=(0.3, 0.3))
+    for key, unaware, aware in (("wls", 9.0, 1.5), ("ours", 9.5, 0.6)):
+        for score in bare.scores[key]:
+            score.unaware[3], score.aware[3] = np.full(2, unaware), np.full(2, aware)
+    text = "\n".join(summary([replace(bare, loads={3: "5 kg"})]))
+    assert "with 5 kg that nobody told of, the least error is 9 N·m (Method 1: WLS)" in text
+    assert "told of it, 0.6 N·m (ours: friction with memory)." in text

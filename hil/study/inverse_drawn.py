@@ -9,7 +9,7 @@ import numpy as np
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import ROWS
 from hil.study.inverse_score import Shown, evenly
-from hil.study.inverse_tables import under
+from hil.study.inverse_tables import carried, under
 from hil.study.result import Curve, Figure, Panel
 from hil.study.separation_text import joint_titles
 from hil.typing import FloatArray
@@ -97,7 +97,7 @@ def bars(found: Found, key: str) -> Figure:
 
 def loads(found: Found) -> Figure | None:
     """Fig. 8: mean error by load, nobody told and told."""
-    known = [load for load in found.loads if any(load in s[0].aware for s in found.scores.values())]
+    known = carried(found)
     if not known:
         return None
     names = tuple(found.loads[load] for load in known)

@@ -82,7 +82,7 @@ def measured(found: Found, key: str, measure: str, note: str = "") -> Table:
 
 def under_loads(found: Found) -> Table | None:
     """Errors on held-out motions with loads nobody trained on; None without any."""
-    loads = [load for load in found.loads if any(load in s[0].aware for s in found.scores.values())]
+    loads = carried(found)
     if not loads:
         return None
     rows: list[tuple[Value, ...]] = []
@@ -100,6 +100,12 @@ def under_loads(found: Found) -> Table | None:
     )
     title = "RMSE under loads that were not trained on [N·m]"
     return Table("table-loads", title, tuple(columns), tuple(rows), note)
+
+
+def carried(found: Found) -> list[int]:
+    """Numbers of the loads that any judged motion was recorded with."""
+    scores = [score for scores in found.scores.values() for score in scores]
+    return [load for load in found.loads if any(load in score.aware for score in scores)]
 
 
 def under(found: Found, name: str, load: int, told: str) -> float:

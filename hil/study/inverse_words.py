@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import ONE_TO_SIX, ROWS
+from hil.study.inverse_tables import carried, under
 from hil.study.separation_text import listed
 
 TITLES = {"paper": "As in the paper", "honest": "Whole trajectories held out"}
@@ -33,6 +34,12 @@ APART = 2.0
 """Standard deviations over the seeds by which paired errors must differ for a ranking."""
 
 OURS = ("ours-residual", "ours")
+CHANGES = (
+    ("proposed-joint", "proposed", "hybrid instead of joint learning"),
+    ("proposed", "proposed-memory", "friction with memory in the Proposed network"),
+)
+"""Rows that differ by one thing, and that thing."""
+
 ORDER = (
     ("delan", ("delan-unconstrained", "delan-dissipative")),
     ("delan-unconstrained", ("delan-coulomb", "proposed")),
@@ -44,7 +51,10 @@ ORDER = (
 def summary(found: Sequence[Found]) -> Iterator[str]:
     """What to take away, one sentence each."""
     for one in found:
-        sentences = [*_ours(one), *_order(one), *_six_or_proposed(one), *_corrected(one)]
+        sentences = [
+            *_ours(one), *_order(one), *_six_or_proposed(one), *_added(one), *_corrected(one),
+            *_carried(one),
+        ]  # fmt: skip
         yield from (f"{TITLES[one.protocol]}: {sentence}" for sentence in sentences)
 
 
@@ -59,10 +69,14 @@ def apart(found: Found, a: str, b: str) -> bool:
 def _ours(found: Found) -> Iterator[str]:
     known = [key for key in ONE_TO_SIX if key in found.scores]
     ours = next((key for key in OURS if key in found.scores), None)
-    if not known or ours is None:
+    if not known:
         return
     best = min(known, key=found.average)
-    least, error = found.average(best), found.average(ours)
+    least = found.average(best)
+    if ours is None:
+        yield f"the best of Methods 1 to 6 is {ROWS[best].words}: {least:.3g} N·m."
+        return
+    error = found.average(ours)
     noise = float(np.mean(found.beside("noise")))
     closed = 100 * (least - error) / (least - noise) if least > noise else float("nan")
     yield (
@@ -104,6 +118,31 @@ def _six_or_proposed(found: Found) -> Iterator[str]:
         yield f"Proposed ({proposed:.3g} N·m) is ahead of Method 6 ({six:.3g} N·m)."
     else:
         yield f"Method 6 ({six:.3g} N·m) is ahead of Proposed ({proposed:.3g} N·m)."
+
+
+def _added(found: Found) -> Iterator[str]:
+    """What the loops of hybrid learning add, and what friction with memory does."""
+    for before, after, words in CHANGES:
+        if {before, after} <= found.scores.keys():
+            reference, error = found.average(before), found.average(after)
+            told = "" if apart(found, before, after) else ", within two seed-σ"
+            yield f"{words} leaves {error:.3g} N·m, {_less(error, reference)}{told}."
+
+
+def _carried(found: Found) -> Iterator[str]:
+    loads = carried(found)
+    if not loads:
+        return
+    errors = {
+        told: {key: under(found, key, loads[-1], told) for key in found.scores}
+        for told in ("unaware", "aware")
+    }
+    shown = {told: min(of, key=lambda key: of[key]) for told, of in errors.items()}
+    yield (
+        f"with {found.loads[loads[-1]]} that nobody told of, the least error is "
+        f"{errors['unaware'][shown['unaware']]:.3g} N·m ({ROWS[shown['unaware']].words}); told of "
+        f"it, {errors['aware'][shown['aware']]:.3g} N·m ({ROWS[shown['aware']].words})."
+    )
 
 
 def _corrected(found: Found) -> Iterator[str]:
