@@ -107,6 +107,13 @@ def test_a_frozen_group_does_not_move_and_is_free_again_afterwards() -> None:
     assert small.module.friction.requires_grad
 
 
+def test_nothing_is_differentiated_for_a_frozen_group() -> None:
+    small, free = SmallProblem(), []
+    small.spoil = lambda loss: (free.append(small.module.friction.requires_grad), loss)[1]
+    train(small, (Stage("dynamics", ("dynamics",), 1, 1),), SETTINGS)
+    assert not any(free)
+
+
 def test_hybrid_stages_take_turns_and_share_the_epochs() -> None:
     settings = TrainingSettings(epochs=96, patience=7)
     stages = hybrid_stages(settings, loops=3)
