@@ -224,6 +224,8 @@ def test_without_torch_the_extra_is_named(monkeypatch) -> None:
         ({"protocol": "theirs"}, "protocol is 'theirs'"),
         ({"loops": 0}, "loops is 0"),
         ({"sign_width": -1.0}, "sign_width"),
+        ({"validation_share": 2}, "validation_share is 2"),
+        ({"protocol": "paper", "direction": "dahl"}, "hard sign"),
     ],
 )
 def test_parameters_are_checked_before_anything_is_computed(params, told) -> None:

@@ -94,10 +94,11 @@ class LagrangianEstimator(LagrangianModel):
         self.protocol = choice("protocol", protocol, choices.PROTOCOLS)
         self.network = dict(network or {})
         self.training = dict(training or {})
-        self.validation_share = number("validation_share", validation_share, above=0.0)
+        self.validation_share = choices.share("validation_share", validation_share)
         self.seed = whole("seed", seed, at_least=0)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
         self._settings()
+        choices.require_agreement(self._settings_of, self.direction)
 
     @property
     def protocol(self) -> str:

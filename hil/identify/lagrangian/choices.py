@@ -8,15 +8,21 @@ from typing import Any
 
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST, FilterSettings, sample_rate
+from hil.errors import SpecError
 from hil.identify.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.identify.lagrangian.settings import NetworkSettings
-from hil.identify.parameters import settings
+from hil.identify.parameters import number, settings
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import Stage, hybrid_stages, joint_stages
 
 PROTOCOLS = ("ours", "paper")
 LEARNING = ("hybrid", "joint")
 DIRECTIONS = ("smooth", "dahl")
+
+OURS: Mapping[str, Any] = {"loss": "huber", "epochs": 60}
+"""Where training differs from its defaults. A relative error (SMAPE) hardly counts a joint that
+carries weight: its torque is never small. On a simulated UR5 held-out trajectories are predicted
+8 % better without it, in deviations of each joint, and best after some 30 to 45 epochs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +78,35 @@ def training_settings(
     Raises:
         SpecError: A setting is unknown or cannot be.
     """
-    start = TrainingSettings.literal() if protocol == "paper" else TrainingSettings()
+    paper = protocol == "paper"
+    start = TrainingSettings.literal() if paper else TrainingSettings.model_validate(OURS)
     given = start.model_dump() | {"loops": loops, "seed": seed} | dict(changed)
     return settings("training", given, TrainingSettings)
+
+
+def share(name: str, value: Any) -> float:
+    """A number between 0 and 1.
+
+    Raises:
+        SpecError: It is not.
+    """
+    found = number(name, value, above=0.0)
+    if found >= 1.0:
+        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint="0.22, say")
+    return found
+
+
+def require_agreement(protocol: str, direction: str) -> None:
+    """Refuse a friction state that the paper's hard sign would leave unused.
+
+    Raises:
+        SpecError: Both are asked for.
+    """
+    if protocol == "paper" and direction == "dahl":
+        raise SpecError(
+            "protocol is 'paper', whose friction has a hard sign, but direction is 'dahl'",
+            hint="use protocol: ours with a state, or direction: smooth",
+        )
 
 
 def stages(learning: str, kind: FrictionKind, training: TrainingSettings) -> tuple[Stage, ...]:
