@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.cli.training_line import EVERY_S, TrainingLine
-from hil.errors import DataError, SpecError
+from hil.errors import SpecError
 from hil.fitting import fit_sources
 from hil.identify.training_loop.problem import Told
 
@@ -112,36 +112,14 @@ def test_the_learning_curves_are_in_the_model_file(whole: dict[str, object]) -> 
     assert curves["best"] == min([curves["untrained"], *curves["validation"]])
 
 
-def test_an_interrupted_fit_goes_on_to_the_same_model(
-    sources: list[Path], whole: dict[str, object], tmp_path: Path
-) -> None:
-    kept = tmp_path / "kept"
-
-    def interrupt(told: Told) -> None:
-        if told.epoch == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fitted(sources, tmp_path, checkpoints=kept, watch=interrupt)
-    epochs: list[int] = []
-    again = fitted(sources, tmp_path, checkpoints=kept, watch=lambda t: epochs.append(t.epoch))
-    assert epochs == [3, 4, 5]
-    assert again["folder"].name == whole["folder"].name  # type: ignore[attr-defined]
-
-
-def test_other_recordings_do_not_go_on_from_a_checkpoint(
-    sources: list[Path], tmp_path: Path
-) -> None:
-    fitted(sources, tmp_path, checkpoints=tmp_path / "kept")
-    with pytest.raises(DataError, match="another training"):
-        fitted(sources[:2], tmp_path, checkpoints=tmp_path / "kept")
-
-
-def test_ctrl_c_says_how_to_go_on(
-    sources: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_ctrl_c_says_how_to_go_on_and_the_fit_ends_with_the_same_model(
+    sources: list[Path],
+    whole: dict[str, object],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def interrupt(self: TrainingLine, told: Told) -> None:
-        if told.epoch == 2:
+        if told.epoch == 3:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(TrainingLine, "__call__", interrupt)
@@ -153,3 +131,7 @@ def test_ctrl_c_says_how_to_go_on(
     )
     assert found.exit_code == 130
     assert f"the training is kept in {kept}; the same command goes on" in found.stderr
+    epochs: list[int] = []
+    again = fitted(sources, tmp_path, checkpoints=kept, watch=lambda t: epochs.append(t.epoch))
+    assert epochs == [3, 4, 5]
+    assert again["folder"].name == whole["folder"].name  # type: ignore[attr-defined]
