@@ -12,7 +12,7 @@ from hil.data.dataset import Dataset
 from hil.identify.residual.fit import in_motion
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
-from hil.identify.residual.stored import with_prefix, without_prefix
+from hil.identify.residual.stored import require_finite_arrays, with_prefix, without_prefix
 from hil.identify.residual.trained import TrainedTcn
 from hil.typing import BoolArray, FloatArray
 
@@ -73,7 +73,7 @@ class Correction:
             KeyError, ValueError, DataError: Something is missing or garbled.
         """
         found = [
-            TrainedTcn.from_arrays(without_prefix(NETWORK.format(k + 1), dict(arrays)), settings)
+            _network(without_prefix(NETWORK.format(k + 1), dict(arrays)), settings)
             for k in range(networks)
         ]
         kept, limit = arrays[KEPT], arrays[LIMIT]
@@ -83,3 +83,9 @@ class Correction:
             raise ValueError(f"{KEPT}: {len(kept)} joints")
         given = ResidualSettings.given(settings)
         return Correction(given, tuple(found), kept == 1.0, limit)
+
+
+def _network(arrays: dict[str, FloatArray], settings: dict[str, Any]) -> TrainedTcn:
+    # Without slow and fast parts there is no frequency between them.
+    require_finite_arrays({name: a for name, a in arrays.items() if name != "f_cut_hz"})
+    return TrainedTcn.from_arrays(arrays, settings)

@@ -1,0 +1,126 @@
+"""A residual network on top of physics: what it adds, where it is dropped, and what it promises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from residual_models import SMOOTH, known, model, unfitted, unknown
+from synthetic_motion import LOAD, moving, nominal
+
+pytest.importorskip("torch", reason="torch is not installed")
+
+from hil.data import Dataset
+from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
+from hil.errors import DataError, FitError
+from hil.evaluate import evaluate
+from hil.identify import estimator
+from hil.identify.base import HONEST
+from hil.identify.lagrangian.task import BY_SAMPLE
+
+
+def test_it_lowers_the_error_on_trajectories_nobody_has_seen() -> None:
+    with_network = evaluate(model(), unknown()).total.rmse_filtered
+    physics = evaluate(model().base_, unknown()).total.rmse_filtered
+    kept = model().correction_.kept
+    assert 0 < kept.sum() < len(kept)
+    assert np.all((with_network / physics)[kept] < 0.8)
+    assert np.array_equal(with_network[~kept], physics[~kept])
+
+
+def test_components_of_the_physics_pass_through_and_all_add_up() -> None:
+    found, base = model().predict(unknown()), model().base_.predict(unknown())
+    assert set(found.components) == {*base.components, "residual"}
+    for name, part in base.components.items():
+        assert np.array_equal(found.components[name], part)
+    assert sum(found.components.values()) == pytest.approx(found.effort)
+
+
+def test_loads_pass_through() -> None:
+    heavy = tuple(replace(c, payload=LOAD) for c in unknown().conditions)
+    found = model().predict(replace(unknown(), conditions=heavy)).components["payload"]
+    loaded = replace(unknown(), conditions=heavy)
+    assert np.max(np.abs(found)) > 0.1
+    assert np.array_equal(found, model().base_.predict(loaded).components["payload"])
+
+
+def test_bands_hold_what_they_promise_on_trajectories_nobody_has_seen() -> None:
+    found = model().predict(unknown())
+    inside = np.abs(unknown()["effort"] - found.effort) <= 1.645 * found.std
+    assert 0.85 < np.mean(inside) < 0.99
+    assert np.mean(model().coverage_["share"]) == pytest.approx(0.9, abs=0.05)
+
+
+def test_noise_is_left_alone() -> None:
+    data = moving(1, 2, 3, 4, noise_a=0.05)
+    dropped = unfitted(base={"estimator": "rigid-wls"}).fit(data, nominal())
+    assert not np.any(dropped.correction_.kept)
+    new = moving(9)
+    assert np.array_equal(dropped.predict(new).effort, dropped.base_.predict(new).effort)
+    assert "dropped" in " ".join(dropped.notes_)
+
+
+def test_corrections_stay_below_the_largest_residual_there_was() -> None:
+    wild = unknown().with_columns(qd_f=50.0 * unknown()["qd_f"], qdd_f=-unknown()["qdd_f"])
+    added = model().predict(wild).components["residual"]
+    assert np.all(np.abs(added) <= model().correction_.limit)
+
+
+def test_equal_seeds_give_equal_models() -> None:
+    again = unfitted().fit(known(), nominal()).fitted_arrays()
+    assert all(np.array_equal(again[k], a) for k, a in model().fitted_arrays().items())
+
+
+def test_rows_that_are_judged_are_not_learned_from() -> None:
+    part = np.full(len(known()), LEARN)
+    part[known().offsets[2] : known().offsets[3]] = VALIDATE
+    part[known().offsets[3] :] = JUDGE
+    fitted, spoilt = (
+        unfitted().fit(with_part(data, part), nominal()).fitted_arrays()
+        for data in (known(), _spoilt(known(), 3))
+    )
+    assert all(np.array_equal(spoilt[k], a) for k, a in fitted.items())
+
+
+def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
+    part = np.random.default_rng(0).choice([LEARN, VALIDATE, JUDGE], len(known()))
+    torn = unfitted().fit(with_part(known(), part), nominal())
+    assert torn.protocol == BY_SAMPLE
+    assert len(torn.correction_.networks) == 1
+    assert model().protocol == HONEST
+
+
+def test_a_fitted_model_can_be_corrected() -> None:
+    base = estimator("rigid-wls", sign_width=0.02).fit(known(), nominal())
+    fitted = unfitted(base=None).fit_on(base, known(), nominal(), refit=False)
+    assert fitted.base_ is base
+    assert fitted.get_params()["base"]["sign_width"] == 0.02
+    assert "may have learned from" in " ".join(fitted.notes_)
+
+
+def test_recordings_of_another_rate_are_refused() -> None:
+    slow = unknown().with_columns(t=2.0 * unknown()["t"])
+    with pytest.raises(DataError, match="trained at 100 Hz"):
+        model().predict(slow)
+    with pytest.raises(FitError, match="memory of a residual network counts samples"):
+        unfitted().fit(Dataset.concatenate([known(), slow]), nominal())
+
+
+def test_torque_it_hears_is_told_beside_holding_the_last_torque() -> None:
+    heard = unfitted(inputs="history", latency_s=0.03).fit(known(), nominal())
+    assert heard.protocol == "honest: torque history ending 30 ms before"
+    assert any("holding the torque measured 30 ms before" in note for note in heard.notes_)
+    with pytest.raises(FitError, match="cannot be streamed"):
+        heard.stream()
+
+
+def test_the_physics_label_is_kept() -> None:
+    assert unfitted(inputs="measured").protocol == "paper: measured torque among the inputs"
+    assert unfitted(base={**SMOOTH}).protocol == HONEST
+
+
+def _spoilt(data: Dataset, series: int) -> Dataset:
+    effort = data["effort"].copy()
+    effort[data.offsets[series] : data.offsets[series + 1]] *= 1.5
+    return data.with_columns(effort=effort, effort_f=effort)
