@@ -18,9 +18,10 @@ SCALE = (25.0, 36.0, 16.0, 4.0, 2.25, 6.25)
 SETTINGS = {
     "ours": NetworkSettings(hidden=(32, 24)),
     "literal": NetworkSettings.literal().model_copy(update={"hidden": (32, 24)}),
-    "tanh-raw": NetworkSettings(hidden=(16,), activation="tanh", features="raw"),
+    "tanh-raw-mass": NetworkSettings(
+        hidden=(16,), activation="tanh", features="raw", epsilon_of="mass"
+    ),
     "silu-head": NetworkSettings(hidden=(16, 16, 16), activation="silu", gravity="head"),
-    "relu-mass": NetworkSettings(hidden=(32, 16), activation="relu", epsilon_of="mass"),
 }
 ACTIVATIONS = {
     "softplus": lambda x: torch.logaddexp(x, torch.zeros_like(x)),

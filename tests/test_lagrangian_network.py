@@ -30,20 +30,20 @@ def close(found, expected, tolerance=1e-10):
 
 @CASES
 def test_torque_equals_euler_lagrange_by_torch_func(settings) -> None:
-    net, rows = network(settings), motion(20)
+    net, rows = network(settings), motion(8)
     assert close(net(*rows), Reference(net, settings).rows("torque", *rows))
 
 
 @CASES
 def test_parts_add_up_to_the_torque(settings) -> None:
-    net, rows = network(settings), motion(20)
+    net, rows = network(settings), motion(8)
     parts = net.parts(*rows)
     assert close(parts.inertia + parts.coriolis + parts.gravity, net(*rows))
 
 
 @CASES
 def test_mass_matrix_equals_the_factor_filled_by_hand(settings) -> None:
-    net, (q, qd, qdd) = network(settings), motion(20)
+    net, (q, qd, qdd) = network(settings), motion(8)
     expected = Reference(net, settings).rows("mass", q)
     assert close(net.mass(q), expected)
     assert close(net.parts(q, qd, qdd).mass, expected)
@@ -51,28 +51,28 @@ def test_mass_matrix_equals_the_factor_filled_by_hand(settings) -> None:
 
 @CASES
 def test_inertia_is_the_mass_matrix_times_acceleration(settings) -> None:
-    net, (q, qd, qdd) = network(settings), motion(20)
+    net, (q, qd, qdd) = network(settings), motion(8)
     expected = torch.einsum("Bij,Bj->Bi", net.mass(q), qdd)
     assert close(net.parts(q, qd, qdd).inertia, expected)
 
 
 @CASES
 def test_coriolis_equals_christoffels_symbols(settings) -> None:
-    net, (q, qd, qdd) = network(settings), motion(20)
+    net, (q, qd, qdd) = network(settings), motion(8)
     expected = Reference(net, settings).rows("coriolis", q, qd)
     assert close(net.parts(q, qd, qdd).coriolis, expected)
 
 
 @CASES
 def test_gravity_equals_the_gradient_of_the_potential_or_the_head(settings) -> None:
-    net, (q, qd, qdd) = network(settings), motion(20)
+    net, (q, qd, qdd) = network(settings), motion(8)
     assert close(net.parts(q, qd, qdd).gravity, Reference(net, settings).rows("gravity", q))
 
 
 @CASES
 def test_coriolis_does_half_the_work_of_the_changing_mass(settings) -> None:
     """q̇ᵀ(Ṁ − 2C)q̇ = 0, with Ṁ by finite differences."""
-    net, (q, qd, qdd) = network(settings), motion(20)
+    net, (q, qd, qdd) = network(settings), motion(8)
     step = 1e-6
     rate = (net.mass(q + step * qd) - net.mass(q - step * qd)) / (2 * step)
     work = (qd * net.parts(q, qd, qdd).coriolis).sum(-1)
@@ -127,13 +127,13 @@ def test_every_row_is_computed_by_itself() -> None:
 
 
 def test_a_whole_turn_changes_nothing() -> None:
-    net, (q, qd, qdd) = network(SETTINGS["ours"]), motion(20)
+    net, (q, qd, qdd) = network(SETTINGS["ours"]), motion(8)
     turned = q + 2 * torch.pi * torch.tensor([1.0, -1.0, 2.0, 0.0, 0.0, 1.0], dtype=q.dtype)
     assert close(net(turned, qd, qdd), net(q, qd, qdd), 1e-12)
 
 
 def test_torque_grows_with_the_scale_it_is_given() -> None:
-    q, qd, qdd = motion(20)
+    q, qd, qdd = motion(8)
     small = LagrangianNetwork(6, SMALL, SCALE, 5).double()
     large = LagrangianNetwork(6, SMALL, [4.0 * s for s in SCALE], 5).double()
     assert close(large(q, qd, qdd), 4.0 * small(q, qd, qdd))
