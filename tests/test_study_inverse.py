@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +13,14 @@ from inverse_parts import SMALL, Toy, run_of, toys
 from synthetic_motion import LOAD, nominal, plant
 
 from hil.data.dataset import Dataset
-from hil.data.parts import JUDGE, PART
-from hil.data.splits import groups
-from hil.errors import DataError, FitError
+from hil.data.filters import FilterSettings
+from hil.errors import FitError
+from hil.identify.base import estimator
 from hil.identify.model_file import json_bytes
 from hil.study import inverse_fits
 from hil.study.base import study
-from hil.study.inverse_cases import Case, honest_case, paper_case, recorded
-from hil.study.inverse_methods import ROW_KEYS, families
-from hil.study.inverse_noise import white_noise_left
+from hil.study.inverse_cases import honest_case, recorded
+from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
 from hil.study.inverse_printed import PRINTED, PRINTED_AVERAGES
 from hil.study.result import StudyResult, Table
 from hil.study.soundness import faults_of
@@ -54,10 +52,6 @@ def cell(of: Table, row: str, column: str) -> Any:
     return next(values for values in of.rows if values[0] == row)[of.columns.index(column)]
 
 
-def case_of(make: Any = honest_case, seed: int = 0) -> Case:
-    return make(recorded(run_of(), nominal(), 20.0, 50.0), seed)
-
-
 def test_the_result_can_be_shown_and_survives_json() -> None:
     found = made()
     assert faults_of(found) == []
@@ -77,52 +71,6 @@ def test_the_page_about_studies_lists_the_tables_and_figures_there_are() -> None
     found = made(methods=["wls", "proposed", "rc-motion"])
     made_ = {one.key for part in found.parts for one in (*part.tables, *part.figures)}
     assert listed - {"fig-learning"} == made_
-
-
-def test_a_leak_planted_among_the_judged_motions_is_caught() -> None:
-    case = case_of()
-    stolen = case.learn.take([0])
-    copy = tuple(replace(c, source="elsewhere", id="copy") for c in stolen.conditions)
-    later = replace(stolen, conditions=copy).with_columns(t=stolen["t"] + 99.0)
-    leaky = replace(case, judge=Dataset.concatenate([case.judge, later]))
-    with pytest.raises(DataError, match="also in the training data"):
-        inverse_fits.fit_family("wls", ("wls",), leaky, nominal(), 0.01, 1.0)
-
-
-def test_a_leak_through_a_load_is_caught() -> None:
-    case = case_of()
-    leaky = replace(case, loaded=recorded(run_of(), nominal(), 20.0, 50.0).loaded)
-    with pytest.raises(DataError, match="trajectory group"):
-        leaky.require_honest()
-
-
-def test_rows_that_the_papers_draw_gives_away_cannot_be_judged() -> None:
-    case = case_of(paper_case)
-    with pytest.raises(DataError, match="judged that were learned from"):
-        replace(case, rows=~case.rows).require_honest()
-
-
-def test_everything_that_is_not_judged_is_handed_to_a_fit_and_nothing_else() -> None:
-    case = case_of(seed=3)
-    held, kept = set(groups(case.judge, "trajectory")), set(groups(case.learn, "trajectory"))
-    assert len(held) == 1
-    assert held | kept == set(groups(run_of(), "trajectory"))
-    assert not held & kept
-    assert {c.load for c in case.learn.conditions} == {0}
-
-
-def test_the_papers_draw_keeps_motions_whole_and_judges_a_fifth_of_the_samples() -> None:
-    case = case_of(paper_case)
-    assert np.array_equal(np.diff(case.learn.offsets), np.full(4, 300))
-    assert np.array_equal(case.rows, case.learn[PART] == JUDGE)
-    assert np.mean(case.rows) == pytest.approx(0.2, abs=0.03)
-
-
-def test_loads_are_those_motions_that_no_model_has_seen() -> None:
-    case = case_of()
-    assert case.loaded is not None
-    assert groups(case.loaded, "trajectory") == groups(case.judge, "trajectory")
-    assert {c.load for c in case.loaded.conditions} == {1}
 
 
 def test_a_forgotten_load_costs_the_torque_of_that_load() -> None:
@@ -186,18 +134,6 @@ def test_too_few_trajectories_of_the_bare_arm_are_refused() -> None:
         made(run_of(2))
 
 
-def test_white_noise_left_by_the_filter_is_estimated_from_what_it_removed() -> None:
-    quiet, noisy = (
-        recorded(run_of(3, loaded=False, noise_a=a), nominal(), 20.0, 50.0).bare.data
-        for a in (0.0, 0.05)
-    )
-    case = honest_case(recorded(run_of(3, loaded=False), nominal(), 20.0, 50.0), 0)
-    noise = {name: noisy[name] - quiet[name] for name in ("effort", "effort_f")}
-    left = np.sqrt(np.mean(noise["effort_f"] ** 2))
-    removed = np.sqrt(np.mean((noise["effort"] - noise["effort_f"]) ** 2))
-    assert white_noise_left(np.array([removed]), case) == pytest.approx(left, rel=0.05)
-
-
 def test_every_row_belongs_to_one_family() -> None:
     found = families(ROW_KEYS)
     assert sorted(key for keys in found.values() for key in keys) == sorted(ROW_KEYS)
@@ -208,3 +144,22 @@ def test_every_row_belongs_to_one_family() -> None:
 def test_the_printed_table_adds_up_once_the_stray_zeros_are_out() -> None:
     for key, row in PRINTED.items():
         assert np.mean(row) == pytest.approx(PRINTED_AVERAGES[key], abs=0.006)
+
+
+@pytest.mark.parametrize("key", [key for key in ROW_KEYS if ROWS[key].learns])
+def test_networks_are_trained_as_long_as_usual_unless_told(key: str) -> None:
+    usual = estimator(ROWS[key].estimator, **ROWS[key].params).get_params()
+    whole, tenth = (unfitted(ROWS[key], 7, 0.01, FilterSettings(), e) for e in (1.0, 0.1))
+    assert whole.get_params()["training"] == usual["training"]
+    assert tenth.get_params()["training"]["epochs"] == USUAL_EPOCHS[ROWS[key].estimator] // 10
+    assert whole.get_params()["seed"] == 7
+
+
+def test_all_see_the_motion_through_the_same_filter_and_smooth_sign() -> None:
+    filters = FilterSettings.model_validate({"unit": "hz", "velocity": 21.0})
+    for row in ROWS.values():
+        params = unfitted(row, 0, 0.02, filters, 1.0).get_params()
+        assert params["filters"] == filters
+        assert params.get("sign_width", 0.02) == 0.02
+        inside = params.get("base") or {}
+        assert FilterSettings.model_validate(inside.get("filters", filters)) == filters or row.on

@@ -8,8 +8,8 @@ from typing import Any
 
 from hil.data.filters import FilterSettings
 from hil.identify.base import RobotEstimator, estimator
+from hil.identify.lagrangian import choices
 from hil.identify.residual.settings import TRAINING
-from hil.identify.training_loop.settings import TrainingSettings
 from hil.study.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02
@@ -17,7 +17,7 @@ LATENCY_S = 0.02
 
 NETWORK, RESIDUAL, OURS = "lagrangian", "residual", "rigid-hysteresis"
 
-USUAL_EPOCHS = {NETWORK: TrainingSettings().epochs, RESIDUAL: TRAINING["epochs"]}
+USUAL_EPOCHS = {NETWORK: choices.OURS["epochs"], RESIDUAL: TRAINING["epochs"]}
 """Of the estimators that learn."""
 
 
@@ -139,8 +139,10 @@ def unfitted(
     if row.sign:
         shared["sign_width"] = sign_width
     if row.learns:
-        epochs = max(1, round(effort * USUAL_EPOCHS[row.estimator]))
-        shared |= {"seed": seed, "training": {"epochs": epochs}}
+        shared["seed"] = seed
+        if effort != 1.0:
+            epochs = max(1, round(effort * USUAL_EPOCHS[row.estimator]))
+            shared["training"] = {"epochs": epochs}
     if "base" in row.params:
         shared["base"] = {**row.params["base"], "filters": filters.model_dump()}
     return estimator(row.estimator, **{**row.params, **shared})

@@ -1,0 +1,81 @@
+"""What the study of inverse dynamics fits to and judges on: whole motions apart, leaks refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from inverse_parts import run_of
+from synthetic_motion import nominal
+
+from hil.data.dataset import Dataset
+from hil.data.parts import JUDGE, PART
+from hil.data.splits import groups
+from hil.errors import DataError
+from hil.study import inverse_fits
+from hil.study.inverse_cases import Case, honest_case, paper_case, recorded
+from hil.study.inverse_noise import white_noise_left
+
+
+def case_of(make: Any = honest_case, seed: int = 0) -> Case:
+    return make(recorded(run_of(), nominal(), 20.0, 50.0), seed)
+
+
+def test_a_leak_planted_among_the_judged_motions_is_caught() -> None:
+    case = case_of()
+    stolen = case.learn.take([0])
+    copy = tuple(replace(c, source="elsewhere", id="copy") for c in stolen.conditions)
+    later = replace(stolen, conditions=copy).with_columns(t=stolen["t"] + 99.0)
+    leaky = replace(case, judge=Dataset.concatenate([case.judge, later]))
+    with pytest.raises(DataError, match="also in the training data"):
+        inverse_fits.fit_family("wls", ("wls",), leaky, nominal(), 0.01, 1.0)
+
+
+def test_a_leak_through_a_load_is_caught() -> None:
+    case = case_of()
+    leaky = replace(case, loaded=recorded(run_of(), nominal(), 20.0, 50.0).loaded)
+    with pytest.raises(DataError, match="trajectory group"):
+        leaky.require_honest()
+
+
+def test_rows_that_the_papers_draw_gives_away_cannot_be_judged() -> None:
+    case = case_of(paper_case)
+    with pytest.raises(DataError, match="judged that were learned from"):
+        replace(case, rows=~case.rows).require_honest()
+
+
+def test_everything_that_is_not_judged_is_handed_to_a_fit_and_nothing_else() -> None:
+    case = case_of(seed=3)
+    held, kept = set(groups(case.judge, "trajectory")), set(groups(case.learn, "trajectory"))
+    assert len(held) == 1
+    assert held | kept == set(groups(run_of(), "trajectory"))
+    assert not held & kept
+    assert {c.load for c in case.learn.conditions} == {0}
+
+
+def test_the_papers_draw_keeps_motions_whole_and_judges_a_fifth_of_the_samples() -> None:
+    case = case_of(paper_case)
+    assert np.array_equal(np.diff(case.learn.offsets), np.full(4, 300))
+    assert np.array_equal(case.rows, case.learn[PART] == JUDGE)
+    assert np.mean(case.rows) == pytest.approx(0.2, abs=0.03)
+
+
+def test_loads_are_those_motions_that_no_model_has_seen() -> None:
+    case = case_of()
+    assert case.loaded is not None
+    assert groups(case.loaded, "trajectory") == groups(case.judge, "trajectory")
+    assert {c.load for c in case.loaded.conditions} == {1}
+
+
+def test_white_noise_left_by_the_filter_is_estimated_from_what_it_removed() -> None:
+    quiet, noisy = (
+        recorded(run_of(3, loaded=False, noise_a=a), nominal(), 20.0, 50.0).bare.data
+        for a in (0.0, 0.05)
+    )
+    case = honest_case(recorded(run_of(3, loaded=False), nominal(), 20.0, 50.0), 0)
+    noise = {name: noisy[name] - quiet[name] for name in ("effort", "effort_f")}
+    left = np.sqrt(np.mean(noise["effort_f"] ** 2))
+    removed = np.sqrt(np.mean((noise["effort"] - noise["effort_f"]) ** 2))
+    assert white_noise_left(np.array([removed]), case) == pytest.approx(left, rel=0.05)
