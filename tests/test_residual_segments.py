@@ -42,6 +42,13 @@ def test_slow_and_fast_waves_are_parted() -> None:
     assert parts[1] == pytest.approx(fast[500:-500], abs=5e-3)
 
 
+def test_what_is_slow_is_slow_where_a_series_begins_and_ends_as_well() -> None:
+    slow = np.sin(2 * np.pi * 0.125 * T)[:, None]
+    fast = slow_and_fast(slow, swinging((1.0, 0.125)), 0.6)[1]
+    assert np.abs(fast[:500]).max() < 0.02
+    assert np.abs(fast[-500:]).max() < 0.02
+
+
 @pytest.mark.parametrize("f_cut_hz", [0.2, 5.0, 450.0])
 def test_slow_and_fast_add_up(f_cut_hz) -> None:
     residual = np.random.default_rng(0).normal(size=(ROWS, 2))

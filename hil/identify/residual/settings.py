@@ -21,7 +21,7 @@ APART_HZ = 249.0
 """Instants learned from are no rarer: five times the band of motions and efforts at 50 Hz."""
 
 TRAINING: dict[str, Any] = {
-    "epochs": 100,
+    "epochs": 60,
     "batch_size": 16,
     "learning_rate": 3e-3,
     "loss": "mse",
