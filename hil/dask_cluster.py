@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
-import hil
 from hil.errors import FitError, PluginError, SpecError
 
 ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://[^\s:/]+:\d{1,5}")
@@ -115,13 +114,19 @@ class DaskCluster(Executor):
                 f"the Dask scheduler at {self.address} has no workers",
                 hint=f"dask worker {self.address}",
             )
+        ours = installed()
         for worker, version in told.items():
-            if version != hil.__version__:
+            if version != ours:
                 there = f"hil {version}" if isinstance(version, str) else "no hil"
                 raise FitError(
-                    f"the Dask worker {worker} has {there}, and here is {hil.__version__}",
+                    f"the Dask worker {worker} has {there}, and here is {ours}",
                     hint="install the same hil on every worker",
                 )
+
+
+def installed() -> str:
+    """Version of the hil that is installed here."""
+    return importlib.metadata.version("hil")
 
 
 def is_lost(error: BaseException) -> bool:

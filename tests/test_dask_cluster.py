@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-import hil
 from hil.dask_cluster import DaskCluster, checked_address, cluster
 from hil.errors import FitError, PluginError, SpecError
 from hil.executor import BLAS_VARIABLES
@@ -87,7 +86,7 @@ def test_the_cluster_outlives_whoever_used_it(local: Any) -> None:
 
 
 def test_workers_with_another_hil_are_refused(local: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hil, "__version__", "9.9.9")
+    monkeypatch.setattr("hil.dask_cluster.installed", lambda: "9.9.9")
     with pytest.raises(FitError, match=r"has hil [\d.]+, and here is 9\.9\.9"):
         DaskCluster(local.scheduler_address)
 

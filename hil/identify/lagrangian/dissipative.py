@@ -6,12 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from hil.identify.lagrangian.friction_settings import FrictionSettings
 from hil.typing import FloatArray
-
-Tensor = torch.Tensor
 
 
 class NoFriction(nn.Module):

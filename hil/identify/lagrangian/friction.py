@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from hil.identify.lagrangian.dissipative import Dissipative, NoFriction, Unconstrained
 from hil.identify.lagrangian.friction_settings import (
@@ -19,7 +19,7 @@ from hil.identify.lagrangian.friction_settings import (
     FrictionKind,
     FrictionSettings,
 )
-from hil.identify.lagrangian.intrinsic import Between, Free, NotNegative, Tensor
+from hil.identify.lagrangian.intrinsic import Between, Free, NotNegative
 from hil.identify.parameters import choice
 from hil.typing import FloatArray
 

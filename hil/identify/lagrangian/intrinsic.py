@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from hil.typing import FloatArray
 
 SHARPNESS = 4.0
 """Of the softplus: a coefficient about its unit moves 0.98 times as fast as its parameter."""
-
-Tensor = torch.Tensor
 
 
 class Free(nn.Module):
