@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.identify.lagrangian.friction_settings import FrictionSettings
+
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.identify.lagrangian.friction import friction_network  # noqa: E402
@@ -59,10 +61,20 @@ def test_dissipative_torque_is_the_damping_matrix_times_velocity() -> None:
     np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
 
 
-def test_dissipative_friction_starts_near_a_share_of_each_joints_torque() -> None:
-    network = friction_network("dissipative", 3, SCALE).double()
-    D = network.damping(*motion()).detach().numpy().mean(axis=0)
-    np.testing.assert_allclose(np.diag(D), 0.3 * SCALE, rtol=0.8)
+def test_dissipative_friction_starts_as_coulomb_friction_of_a_share_of_each_joints_torque() -> None:
+    curve = friction_network("dissipative", 3, SCALE).curve(np.array([[0.1], [1.0]]) * np.ones(3))
+    np.testing.assert_allclose(curve / SCALE, 0.3, atol=0.25)
+
+
+def test_the_paper_has_no_scale_for_each_joint() -> None:
+    q, qd = motion()
+    for kind in ("dissipative", "unconstrained"):
+        literal = FrictionSettings.literal()
+        torques = [
+            friction_network(kind, 3, scale, literal)(q.float(), qd.float(), qd.float())  # type: ignore[arg-type]
+            for scale in (SCALE, 10.0 * SCALE)
+        ]
+        assert torch.equal(*torques)
 
 
 @pytest.mark.parametrize("kind", ["dissipative", "unconstrained"])

@@ -36,7 +36,8 @@ class FrictionSettings:
     Attributes:
         sign: `given`: the direction the caller hands over (smooth sign, or Dahl's state); `hard`:
             sign(q̇) of the paper, whatever is handed over.
-        scaled: Coefficients have `unit` times the joint's torque for a unit; otherwise 1 N·m.
+        scaled: Coefficients have `unit` times the joint's torque for a unit, and networks its
+            torque; otherwise 1 N·m.
         unit: Share of the joint's standard deviation of torque, and what f_s, f_c, f_v start at.
         start: What they start at without `scaled` [N·m].
         bounded: f_s, f_c, f_v ≥ 0 and v_s, δ_s, α within their bounds.
@@ -61,7 +62,7 @@ class FrictionSettings:
     start_shape: float = 1.2
     start_exponent: float = 0.8
     offset: bool = True
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: tuple[int, ...] = (128, 128)
 
     def __post_init__(self) -> None:
         choice("sign", self.sign, ("given", "hard"))
