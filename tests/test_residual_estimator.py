@@ -62,9 +62,11 @@ def test_noise_is_left_alone() -> None:
 
 
 def test_corrections_stay_below_the_largest_residual_there_was() -> None:
-    wild = unknown().with_columns(qd_f=50.0 * unknown()["qd_f"], qdd_f=-unknown()["qdd_f"])
-    added = model().predict(wild).components["residual"]
-    assert np.all(np.abs(added) <= model().correction_.limit)
+    left = known()["effort"] - model().base_.predict(known()).effort
+    assert model().correction_.limit == pytest.approx(np.max(np.abs(left), axis=0), rel=0.3)
+    narrow = replace(model().correction_, limit=np.full(6, 1e-3))
+    added = narrow.predict(unknown(), model().base_.predict(unknown()).effort)
+    assert np.max(np.abs(added), axis=0) == pytest.approx(1e-3 * narrow.kept)
 
 
 def test_equal_seeds_give_equal_models() -> None:

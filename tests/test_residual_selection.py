@@ -84,6 +84,7 @@ def test_persistence_holds_what_is_old_enough_within_a_series() -> None:
     assert np.all(np.isnan(held[:3]))
     assert np.array_equal(held[3:600], data["effort"][:597])
     assert np.all(np.isnan(held[600:603]))
+    assert np.array_equal(held[603:], data["effort"][600:1197])
     expected = np.sqrt(np.mean((data["effort"][3:600] - data["effort"][:597]) ** 2, axis=0))
     found = persistence_rmse(data, 0.03, rows=np.arange(len(data)) < 600)
     assert found == pytest.approx(expected)
