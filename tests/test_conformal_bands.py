@@ -61,10 +61,13 @@ def test_a_row_that_does_not_count_changes_nothing() -> None:
     np.testing.assert_array_equal(SpeedBands.calibrate(*more).half_widths, whole.half_widths)
 
 
-def test_a_range_with_few_samples_takes_its_neighbours_along() -> None:
+@pytest.mark.parametrize(
+    "few", [slice(None, None, 600), slice(0, 200)], ids=["few samples", "of few trajectories"]
+)
+def test_a_range_with_too_little_in_it_takes_its_neighbours_along(few: slice) -> None:
     errors, speeds, blocks = calibration()
     speeds[np.abs(speeds) <= 0.01] = 0.5
-    speeds[:3], errors[:3] = 0.0, 1000.0
+    speeds[few], errors[few] = 0.0, 1000.0
     bands = SpeedBands.calibrate(errors, speeds, blocks, ranges=4)
     assert np.all(bands.half_widths[:, 0] < 200.0)
 
@@ -83,13 +86,15 @@ def test_the_order_of_rows_does_not_matter() -> None:
     np.testing.assert_allclose(shuffled.half_widths, expected.half_widths, rtol=1e-12)
 
 
-def test_one_error_per_trajectory_gives_the_textbook_quantile() -> None:
-    """Split conformal: the ⌈0.8 · 20⌉ = 16th of 19 errors covers the next with 0.8."""
-    sizes = np.random.default_rng(1).permutation(np.arange(1.0, 20.0))
-    for strict in (False, True):
-        bound, guaranteed = conformal_quantile(sizes, np.arange(19), 0.8, strict=strict)
-        assert bound == 16.0
-        assert guaranteed == pytest.approx(0.8)
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("samples", [1, 50])
+def test_one_error_per_trajectory_gives_the_textbook_quantile(samples: int, strict: bool) -> None:
+    """Split conformal: the ⌈0.8 · 16⌉ = 13th of 15 errors covers the next with 0.8."""
+    sizes = np.random.default_rng(1).permutation(np.arange(1.0, 16.0))
+    repeated, blocks = np.repeat(sizes, samples), np.repeat(np.arange(15), samples)
+    bound, guaranteed = conformal_quantile(repeated, blocks, 0.8, strict=strict)
+    assert bound == 13.0
+    assert guaranteed == pytest.approx(0.8, abs=0.01)
 
 
 def test_a_trajectory_counts_once_however_long_it_is() -> None:
