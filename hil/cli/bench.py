@@ -33,8 +33,8 @@ def bench(
         typer.Option(
             "--seed",
             min=0,
-            help="static, mock_identification, lagrangian: robots; lm: rows; excite: starts. "
-            "Repeatable.",
+            help="static, mock_identification, lagrangian, networks: robots; lm: rows; excite: "
+            "starts. Repeatable.",
         ),
     ] = None,
     json: JsonFlag = False,
