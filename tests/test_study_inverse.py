@@ -138,6 +138,7 @@ def test_every_row_belongs_to_one_family() -> None:
     found = families(ROW_KEYS)
     assert sorted(key for keys in found.values() for key in keys) == sorted(ROW_KEYS)
     assert found["proposed"][0] == "proposed"
+    assert found["ours"] == ("ours", "ours-residual")
     assert {"rc-paper", "rc-history", "rc-motion", "rc-grouped"} < set(found["proposed"])
 
 
@@ -161,5 +162,3 @@ def test_all_see_the_motion_through_the_same_filter_and_smooth_sign() -> None:
         params = unfitted(row, 0, 0.02, filters, 1.0).get_params()
         assert params["filters"] == filters
         assert params.get("sign_width", 0.02) == 0.02
-        inside = params.get("base") or {}
-        assert FilterSettings.model_validate(inside.get("filters", filters)) == filters or row.on

@@ -43,6 +43,10 @@ def test_one_seed_ranks_nothing() -> None:
     assert not apart(found(a=(1.0,), b=(9.0,)), "a", "b")
 
 
+def test_one_seed_says_that_it_is_one() -> None:
+    assert "one seed cannot tell" in told(delan_coulomb=(1.0,), proposed=(9.0,))
+
+
 def test_six_and_proposed_are_not_ranked_when_seeds_disagree() -> None:
     assert "are not ranked" in told(delan_coulomb=(1.0, 1.3), proposed=(1.1, 1.2))
 
@@ -85,7 +89,9 @@ def test_what_sees_torque_is_set_against_repeating_it() -> None:
 
 def test_what_the_loops_add_is_said_with_its_doubt() -> None:
     text = told(proposed_joint=(1.0, 1.1), proposed=(0.8, 1.2))
-    assert "hybrid instead of joint learning leaves 1 N·m, 5 % less, within two seed-σ." in text
+    assert (
+        "hybrid instead of joint learning leaves 1 N·m, 5 % less, by less than two seed-σ." in text
+    )
 
 
 def test_a_load_nobody_told_of_is_set_against_one_that_was_told() -> None:

@@ -58,11 +58,11 @@ def _network(key: str, words: str, **params: Any) -> Row:
     return Row(key, words, NETWORK, params)
 
 
-def _corrected(key: str, words: str, **network: Any) -> Row:
+def _corrected(key: str, words: str, **params: Any) -> Row:
     """A network on the Proposed one, kept wherever it does no harm to the rows it stops by."""
-    torque = network["inputs"] if network["inputs"] != "motion" else ""
-    params = {"network": network, "margin": 0.0}
-    return Row(key, words, RESIDUAL, params, "proposed", sign=False, torque=torque)
+    torque = params["inputs"] if params["inputs"] != "motion" else ""
+    kept = {**params, "margin": 0.0}
+    return Row(key, words, RESIDUAL, kept, "proposed", sign=False, torque=torque)
 
 
 ROWS = {
@@ -95,8 +95,7 @@ ROWS = {
         _corrected("rc-grouped", "Proposed with RC, no torque, joint by joint",
                    inputs="motion", layout="grouped"),
         Row("ours", "ours: friction with memory", OURS, sign=False),
-        Row("ours-residual", "ours, with a residual network", RESIDUAL,
-            {"base": {"estimator": OURS}}, sign=False),
+        Row("ours-residual", "ours, with a residual network", RESIDUAL, on="ours", sign=False),
     )
 }  # fmt: skip
 ROW_KEYS = tuple(ROWS)
@@ -143,6 +142,4 @@ def unfitted(
         if effort != 1.0:
             epochs = max(1, round(effort * USUAL_EPOCHS[row.estimator]))
             shared["training"] = {"epochs": epochs}
-    if "base" in row.params:
-        shared["base"] = {**row.params["base"], "filters": filters.model_dump()}
     return estimator(row.estimator, **{**row.params, **shared})

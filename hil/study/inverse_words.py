@@ -99,7 +99,7 @@ def _order(found: Found) -> Iterator[str]:
     open_ = [pair for pair in pairs if pair not in wrong and not apart(found, *pair)]
     if not wrong and not open_:
         yield "the paper's order holds: Method 4 > Method 5 > Method 6 and Proposed."
-    for told, verb in ((wrong, "does not hold"), (open_, "holds, but by less than two seed-σ")):
+    for told, verb in ((wrong, "does not hold"), (open_, f"holds, but by {_doubt(found)},")):
         if told:
             shown = listed([f"{_short(a)} > {_short(b)}" for a, b in told])
             yield f"the paper's order {verb} in {shown}."
@@ -112,7 +112,7 @@ def _six_or_proposed(found: Found) -> Iterator[str]:
     if not apart(found, "delan-coulomb", "proposed"):
         yield (
             f"Method 6 ({six:.3g} N·m) and Proposed ({proposed:.3g} N·m) are not ranked: their "
-            "errors differ by less than two seed-σ."
+            f"errors differ by {_doubt(found)}."
         )
     elif proposed < six:
         yield f"Proposed ({proposed:.3g} N·m) is ahead of Method 6 ({six:.3g} N·m)."
@@ -125,7 +125,7 @@ def _added(found: Found) -> Iterator[str]:
     for before, after, words in CHANGES:
         if {before, after} <= found.scores.keys():
             reference, error = found.average(before), found.average(after)
-            told = "" if apart(found, before, after) else ", within two seed-σ"
+            told = "" if apart(found, before, after) else f", by {_doubt(found)}"
             yield f"{words} leaves {error:.3g} N·m, {_less(error, reference)}{told}."
 
 
@@ -159,6 +159,12 @@ def _corrected(found: Found) -> Iterator[str]:
                 f"{ROWS[key].words} leaves {error:.3g} N·m; to repeat the torque of "
                 f"{1e3 * latency:.0f} ms ago leaves {repeated:.3g} N·m."
             )
+
+
+def _doubt(found: Found) -> str:
+    return (
+        "less than two seed-σ" if len(found.seen) > 1 else "what one seed cannot tell from chance"
+    )
 
 
 def _less(error: float, reference: float) -> str:
