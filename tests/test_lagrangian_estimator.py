@@ -48,7 +48,7 @@ def test_it_learns_what_an_arm_with_friction_does() -> None:
     steps = {"epochs": 50, "batch_size": 16, "learning_rate": 1e-2, "loss": "huber"}
     model = made(network={"hidden": [32, 32]}, training={**QUICK, **steps}).fit(data, nominal())
     left = (data["effort"] - model.predict(data).effort)[part == JUDGE]
-    assert np.all(np.std(left, axis=0) < 0.1 * np.std(data["effort"], axis=0))
+    assert np.all(np.std(left, axis=0) < 0.2 * np.std(data["effort"], axis=0))
 
 
 def test_a_declared_load_is_added_as_the_robot_model_has_it(fitted) -> None:

@@ -57,12 +57,27 @@ def fitted_lengths(
         robot: Gives the rigid body's columns.
     """
     n = dataset.n_joints
-    known = [_Explained.of(dataset, torque, learn, robot, joint) for joint in range(n)]
+    rigid, qd = _rigid_columns(dataset, learn, robot), dataset["qd_f"][learn]
+    ones = np.ones(len(learn))
+    known = [
+        _Explained(np.column_stack([rigid[:, j], qd[:, j], ones]), torque[:, j]) for j in range(n)
+    ]
     left = np.empty((len(LENGTHS_RAD), n))
     for k, length in enumerate(LENGTHS_RAD):
         states = carried_directions(dataset, np.full(n, length))[learn]
         left[k] = [one.left_with(states[:, j]) for j, one in enumerate(known)]
     return np.asarray(LENGTHS_RAD[np.argmin(left, axis=0)])
+
+
+def _rigid_columns(dataset: Dataset, learn: IntArray, robot: RobotModel) -> FloatArray:
+    """(M, n, b) base regressor of the rows."""
+    base = base_parameters(robot, rotor=True)
+    motion = [dataset[name][learn] for name in ("q_f", "qd_f", "qdd_f")]
+    found = [
+        base.regressor(robot, *(x[first : first + CHUNK] for x in motion))
+        for first in range(0, len(learn), CHUNK)
+    ]
+    return np.concatenate(found).reshape(len(learn), dataset.n_joints, -1)
 
 
 class _Explained:
@@ -72,22 +87,6 @@ class _Explained:
         length = np.linalg.norm(columns, axis=0)
         self._basis = np.linalg.qr(columns[:, length > 0] / length[length > 0])[0]
         self._torque = self._without(torque)
-
-    @staticmethod
-    def of(
-        dataset: Dataset, torque: FloatArray, learn: IntArray, robot: RobotModel, joint: int
-    ) -> _Explained:
-        base = base_parameters(robot, rotor=True)
-        motion = [dataset[name][learn] for name in ("q_f", "qd_f", "qdd_f")]
-        rigid = [
-            base.regressor(robot, *(x[first : first + CHUNK] for x in motion))[
-                joint :: dataset.n_joints
-            ]
-            for first in range(0, len(learn), CHUNK)
-        ]
-        ones = np.ones(len(learn))
-        columns = np.column_stack([np.vstack(rigid), motion[1][:, joint], ones])
-        return _Explained(columns, torque[:, joint])
 
     def left_with(self, state: FloatArray) -> float:
         """Sum of squares that is left when the state (M,) is a column too."""
