@@ -55,7 +55,7 @@ def test_data_without_anything_to_stop_by_are_refused() -> None:
     ("model", "data"),
     [
         (RigidWls(), moving(1, 2)),
-        (RigidHysteresis(friction=("load",), consistent=False), remembering(1, 2)),
+        (RigidHysteresis(consistent=False), remembering(1, 2)),
     ],
 )
 def test_rows_that_are_judged_are_not_learned_from(model, data) -> None:
@@ -65,7 +65,7 @@ def test_rows_that_are_judged_are_not_learned_from(model, data) -> None:
     filtered = model.fit(marked, nominal()).predict(marked).effort
     seen = prepared(marked, getattr(model, "filters_", None) or model.filters)
     spoilt = seen["effort_f"].copy()
-    spoilt[50:100] += 100.0
+    spoilt[50:100] += 1000.0
     again = type(model)(**model.get_params()).fit(seen.with_columns(effort_f=spoilt), nominal())
     assert again.predict(marked).effort == pytest.approx(filtered, abs=1e-9)
     assert rows_to_fit(marked).sum() == len(data) - 50

@@ -94,9 +94,10 @@ class Training:
         return self.load if rigid is None else self.Y @ rigid + self.load
 
     def load_share(self, rigid: FloatArray) -> FloatArray:
-        """(n,) torque through each gear over what the rigid body leaves, root mean squares."""
-        transmitted = np.mean((self.Y @ rigid + self.load) ** 2, axis=0)
-        left = np.mean((self.target - self.Y @ rigid) ** 2, axis=0)
+        """(n,) torque through each gear over what the rigid body leaves, on kept rows, RMS."""
+        Y, target, load = self.Y[self.kept], self.target[self.kept], self.load[self.kept]
+        transmitted = np.mean((Y @ rigid + load) ** 2, axis=0)
+        left = np.mean((target - Y @ rigid) ** 2, axis=0)
         return np.asarray(np.sqrt(transmitted / np.maximum(left, 1e-300)))
 
     def rest(self, rigid: FloatArray, shapes: Shapes) -> list[Part]:
