@@ -28,7 +28,7 @@ def told_of_robots(contests: Sequence[Contest]) -> Section:
         (f"seed {one.seed}", key, told.decided) for one in contests
         for key, told in one.told.items()
     ]  # fmt: skip
-    section.tables.append(_decisions("Mock robots", "N·m, or A where effort is current", rows))
+    section.tables.append(_decisions("Mock robots", "A", rows))
     return section
 
 
