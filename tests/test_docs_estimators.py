@@ -11,10 +11,11 @@ import pytest
 
 from hil import plugins
 from hil.data.filters import FilterSettings
+from hil.data.parts import BY_SAMPLE
 from hil.identify import estimator
 from hil.identify.base import GROUP, HONEST
-from hil.identify.lagrangian.task import BY_SAMPLE
-from hil.identify.residual.settings import ResidualSettings
+from hil.identify.lagrangian.choices import OURS as OURS_LAGRANGIAN
+from hil.identify.residual.settings import TRAINING, ResidualSettings
 from hil.identify.static import PAPER_PROTOCOL
 from hil.spec.yaml_values import scalar
 
@@ -66,6 +67,16 @@ def test_protocol_labels_are_those_of_the_models() -> None:
         ResidualSettings(inputs="history").protocol,
         ResidualSettings(inputs="measured").protocol,
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "used"), [("lagrangian", OURS_LAGRANGIAN), ("residual", TRAINING)]
+)
+def test_the_training_of_a_network_is_told_as_it_is(name: str, used: dict[str, Any]) -> None:
+    row = re.split(r"\n## ", PAGE.split(f"\n## `{name}`\n")[1])[0].partition("| `training` |")[2]
+    told = re.search(r"(\d+) epochs with the loss `(\w+)`", row)
+    assert told is not None
+    assert (int(told[1]), told[2]) == (used["epochs"], used["loss"])
 
 
 def test_parameters_shown_in_the_example_are_accepted() -> None:

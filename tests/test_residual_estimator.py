@@ -12,12 +12,11 @@ from synthetic_motion import LOAD, moving, nominal
 pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.data import Dataset
-from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
+from hil.data.parts import BY_SAMPLE, JUDGE, LEARN, VALIDATE, with_part
 from hil.errors import DataError, FitError
 from hil.evaluate import evaluate
 from hil.identify import estimator
 from hil.identify.base import HONEST
-from hil.identify.lagrangian.task import BY_SAMPLE
 
 
 def test_it_lowers_the_error_on_trajectories_nobody_has_seen() -> None:

@@ -23,6 +23,9 @@ LEARN, VALIDATE, JUDGE = 0.0, 1.0, 2.0
 LAST_SHARE = 0.2
 """Share of a single trajectory, at its end, that takes the place of held-out trajectories."""
 
+BY_SAMPLE = "paper: rows of the same motions to learn from and to judge"
+"""Protocol of a model for which a study tore motions row by row (`told_by_sample`)."""
+
 GAP = 0.02
 """Share of it before that which neither side gets: neighbours in time are nearly the same."""
 
@@ -63,6 +66,14 @@ def rows_to_fit(dataset: Dataset) -> BoolArray:
     if PART in dataset.columns:
         return np.asarray(dataset[PART] != JUDGE)
     return np.ones(len(dataset), dtype=bool)
+
+
+def told_by_sample(dataset: Dataset) -> bool:
+    """Whether rows of one motion are on more than one side of the split that a study told."""
+    if PART not in dataset.columns:
+        return False
+    motions = (rows for condition, rows in dataset.slices() if condition.kind not in AT_REST)
+    return any(len(np.unique(dataset[PART][rows])) > 1 for rows in motions)
 
 
 def with_part(dataset: Dataset, part: FloatArray) -> Dataset:

@@ -9,6 +9,7 @@ method it is; `protocol: paper` takes the paper's settings at their word.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset, SeriesKind, rows_of
 from hil.data.filters import FilterSettings
+from hil.data.parts import BY_SAMPLE, told_by_sample
 from hil.dynamics import RobotModel
 from hil.identify.base import HONEST, prepared
 from hil.identify.checks import (
@@ -27,12 +29,13 @@ from hil.identify.checks import (
 )
 from hil.identify.lagrangian import choices
 from hil.identify.lagrangian.direction import DIRECTION
-from hil.identify.lagrangian.fitted import LagrangianModel, require_torch
+from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.lagrangian.friction_settings import FRICTIONS
-from hil.identify.lagrangian.task import BY_SAMPLE, Preparation, told_by_sample
+from hil.identify.lagrangian.task import Preparation
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, number, settings
+from hil.identify.parameters import choice, number, settings, share
 from hil.identify.plausible import require_plausible
+from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 
 if TYPE_CHECKING:
@@ -94,7 +97,7 @@ class LagrangianEstimator(LagrangianModel):
         self.protocol = choice("protocol", protocol, choices.PROTOCOLS)
         self.network = dict(network or {})
         self.training = dict(training or {})
-        self.validation_share = choices.share("validation_share", validation_share)
+        self.validation_share = share("validation_share", validation_share)
         self.seed = whole("seed", seed, at_least=0)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
         self._settings()
@@ -158,6 +161,8 @@ class LagrangianEstimator(LagrangianModel):
 
     def _settings(self) -> tuple[choices.Design, TrainingSettings]:
         design = choices.design(self.friction, self._settings_of, self.network)
+        friction = replace(design.friction, rest_speed=self.sign_width)
+        design = replace(design, friction=friction)
         training = choices.training_settings(
             self._settings_of, self.loops, self.seed, self.training
         )

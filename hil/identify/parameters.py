@@ -74,6 +74,18 @@ def number(
     return found
 
 
+def share(name: str, value: Any) -> float:
+    """A number above 0 and below 1.
+
+    Raises:
+        SpecError: It is not; the message names the parameter.
+    """
+    found = number(name, value, above=0.0)
+    if found >= 1.0:
+        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint="0.22, say")
+    return found
+
+
 def flag(name: str, value: Any) -> bool:
     """True or False.
 

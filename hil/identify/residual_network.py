@@ -17,12 +17,12 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
+from hil.data.parts import told_by_sample
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.checks import require_clean, require_robot
-from hil.identify.lagrangian.task import told_by_sample
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import number, settings
+from hil.identify.parameters import number, settings, share
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel
@@ -30,7 +30,8 @@ from hil.identify.residual.judged import Judged
 from hil.identify.residual.out_of_fold import Physics, physics_of
 from hil.identify.residual.settings import TRAINING, ResidualSettings
 from hil.identify.residual.stored import made, told
-from hil.identify.residual.words import filters_for, require_torch, words
+from hil.identify.residual.words import filters_for, words
+from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 
 if TYPE_CHECKING:
@@ -180,17 +181,3 @@ class ResidualNetwork(CorrectedModel):
         require_robot(dataset, robot)
         require_clean(dataset, ("t", "q", "effort"))
         require_one_rate(dataset)
-
-
-def share(name: str, value: float) -> float:
-    """A number above 0 and below 1.
-
-    Raises:
-        SpecError: It is not.
-    """
-    found = number(name, value, above=0.0)
-    if found >= 1.0:
-        from hil.errors import SpecError
-
-        raise SpecError(f"{name} is {found:g}, but must be below 1")
-    return found

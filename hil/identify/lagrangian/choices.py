@@ -11,7 +11,7 @@ from hil.data.filters import AT_REST, FilterSettings, sample_rate
 from hil.errors import SpecError
 from hil.identify.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.identify.lagrangian.settings import NetworkSettings
-from hil.identify.parameters import number, settings
+from hil.identify.parameters import settings
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import Stage, hybrid_stages, joint_stages
 
@@ -83,18 +83,6 @@ def training_settings(
     start = TrainingSettings.literal() if paper else TrainingSettings.model_validate(OURS)
     given = start.model_dump() | {"loops": loops, "seed": seed} | dict(changed)
     return settings("training", given, TrainingSettings)
-
-
-def share(name: str, value: Any) -> float:
-    """A number between 0 and 1.
-
-    Raises:
-        SpecError: It is not.
-    """
-    found = number(name, value, above=0.0)
-    if found >= 1.0:
-        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint="0.22, say")
-    return found
 
 
 def require_agreement(protocol: str, direction: str) -> None:

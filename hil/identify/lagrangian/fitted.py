@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +10,12 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
-from hil.errors import PluginError
 from hil.identify.base import RobotEstimator, payload_torque, prepared
 from hil.identify.checks import require_sizes
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.task import MOTION, directions
 from hil.identify.training_loop.curves import Curves
+from hil.identify.training_loop.extra import require_torch
 from hil.payload import Payload
 from hil.typing import FloatArray
 
@@ -139,12 +138,3 @@ class LagrangianModel(RobotEstimator):
         if self.length_ is not None:
             require_sizes(self, length=self.robot_.n)
         self._network()
-
-
-def require_torch() -> None:
-    """Raises PluginError without torch."""
-    if find_spec("torch") is None:
-        raise PluginError(
-            "Lagrangian networks need torch, which is not installed",
-            hint="pip install 'hil[learn]'",
-        )

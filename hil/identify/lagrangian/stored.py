@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.model import NetworkModel
 from hil.typing import FloatArray
@@ -46,16 +47,12 @@ def network_of(design: Design, torque_std: FloatArray, weights: Weights) -> Netw
 
 def named(weights: Weights) -> dict[str, np.ndarray[Any, Any]]:
     """As they stand in a model file."""
-    return {PREFIX + name: value for name, value in weights.items()}
+    return with_prefix(PREFIX, weights)
 
 
 def unnamed(arrays: Weights) -> dict[str, np.ndarray[Any, Any]]:
     """The weights among the arrays of a model file."""
-    return {
-        name.removeprefix(PREFIX): value
-        for name, value in arrays.items()
-        if name.startswith(PREFIX)
-    }
+    return without_prefix(PREFIX, arrays)
 
 
 def _require_alike(name: str, value: np.ndarray[Any, Any], shape: tuple[int, ...]) -> None:

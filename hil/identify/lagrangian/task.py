@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.data.dataset import Dataset, rows_of
-from hil.data.filters import AT_REST, FilterSettings, downsample
-from hil.data.parts import PART, learn_and_validate, rows_to_fit
+from hil.data.filters import FilterSettings, downsample
+from hil.data.parts import learn_and_validate, rows_to_fit
 from hil.dynamics import RobotModel
 from hil.identify.base import payload_torque
 from hil.identify.lagrangian.direction import (
@@ -26,8 +26,6 @@ ROW = "row"
 
 LEAST_STD_NM = 1e-3
 """A joint whose torque hardly changes is learned as if it changed by so much."""
-
-BY_SAMPLE = "paper: rows of the same motions to learn from and to judge"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,11 +103,3 @@ def directions(data: Dataset, width: float, length: FloatArray | None) -> FloatA
     if length is None:
         return smooth_sign(data["qd_f"], width)
     return carried_directions(data, length)
-
-
-def told_by_sample(data: Dataset) -> bool:
-    """Whether rows of one motion are on more than one side of the split that a study told."""
-    if PART not in data.columns:
-        return False
-    motions = (rows for condition, rows in data.slices() if condition.kind not in AT_REST)
-    return any(len(np.unique(data[PART][rows])) > 1 for rows in motions)

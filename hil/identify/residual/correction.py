@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from hil.data.dataset import Dataset
+from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.residual.fit import in_motion
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
-from hil.identify.residual.stored import require_finite_arrays, with_prefix, without_prefix
+from hil.identify.residual.stored import require_finite_arrays
 from hil.identify.residual.trained import TrainedTcn
 from hil.typing import BoolArray, FloatArray
 
@@ -73,7 +74,7 @@ class Correction:
             KeyError, ValueError, DataError: Something is missing or garbled.
         """
         found = [
-            _network(without_prefix(NETWORK.format(k + 1), dict(arrays)), settings)
+            _network(without_prefix(NETWORK.format(k + 1), arrays), settings)
             for k in range(networks)
         ]
         kept, limit = arrays[KEPT], arrays[LIMIT]

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.parts import rows_to_fit
+from hil.data.parts import rows_to_fit, told_by_sample
 from hil.data.splits import group_of, groups
 from hil.identify.base import RobotEstimator
-from hil.identify.lagrangian.task import told_by_sample
 from hil.typing import BoolArray, FloatArray, IntArray
 
 NO_FOLD = -1

@@ -162,11 +162,6 @@ class ResidualSettings:
         }
         return ResidualSettings(**listed)
 
-    @staticmethod
-    def paper(**changed: Any) -> ResidualSettings:
-        """As published: one network for all joints, measured torque among its inputs."""
-        return ResidualSettings.given({"inputs": "measured", "layout": "joint"} | changed)
-
 
 def _several(name: str, values: Any) -> tuple[Any, ...]:
     if not isinstance(values, tuple) or not values:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.dynamics import RobotModel
+from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.base import RobotEstimator, estimator
 from hil.typing import FloatArray
 
@@ -58,16 +59,6 @@ def restored_base(
     require_finite_arrays(own)
     model.restore(own, facts["fitted"])
     return model
-
-
-def with_prefix(prefix: str, arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """The arrays under longer names."""
-    return {prefix + name: values for name, values in arrays.items()}
-
-
-def without_prefix(prefix: str, arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Those arrays whose names begin with the prefix, by the rest of their names."""
-    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
 def require_finite_arrays(arrays: dict[str, FloatArray]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import DataError
+from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.residual.inputs import InputScales, NetworkInputs
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
@@ -81,8 +82,8 @@ class TrainedTcn:
 
     def to_arrays(self) -> dict[str, FloatArray]:
         """For a model file; `settings.to_json()` goes beside them."""
-        scales = {SCALES + name: a for name, a in self.inputs.scales.to_arrays().items()}
-        weights = {WEIGHTS + name: a for name, a in self.weights.to_arrays().items()}
+        scales = with_prefix(SCALES, self.inputs.scales.to_arrays())
+        weights = with_prefix(WEIGHTS, self.weights.to_arrays())
         rates = {"rate_hz": np.array([self.rate_hz]), "f_cut_hz": np.array([self.f_cut_hz])}
         return {"scale": self.scale, **rates, **scales, **weights}
 
@@ -101,8 +102,8 @@ class TrainedTcn:
         scale = np.asarray(arrays["scale"], dtype=np.float64)
         if scale.ndim != 2 or len(scale) != chosen.branches:
             raise DataError(f"the residual network's scale has the shape {scale.shape}")
-        scales = InputScales.from_arrays(_beginning(arrays, SCALES), chosen, scale.shape[1])
-        weights = TcnWeights.from_arrays(_beginning(arrays, WEIGHTS), chosen)
+        scales = InputScales.from_arrays(without_prefix(SCALES, arrays), chosen, scale.shape[1])
+        weights = TcnWeights.from_arrays(without_prefix(WEIGHTS, arrays), chosen)
         weights.require(scale.shape, scales.lowest.shape)
         rate, f_cut = float(arrays["rate_hz"][0]), float(arrays["f_cut_hz"][0])
         return TrainedTcn(NetworkInputs(chosen, scales), weights, scale, rate, f_cut)
@@ -110,7 +111,3 @@ class TrainedTcn:
 
 RATE_TOLERANCE = 0.05
 """Difference of sample rates, as a share, beyond which a network's memory means another time."""
-
-
-def _beginning(arrays: Mapping[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib.util import find_spec
 
 import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST, FilterSettings, sample_rate
-from hil.errors import PluginError
+from hil.data.parts import BY_SAMPLE
 from hil.evaluate.persistence import persistence_rmse
 from hil.identify.base import HONEST
-from hil.identify.lagrangian.task import BY_SAMPLE
 from hil.identify.residual.fit import Learnt
 from hil.identify.residual.judged import Judged
 from hil.identify.residual.out_of_fold import NO_FOLD, Physics
@@ -33,19 +31,6 @@ def filters_for(dataset: Dataset) -> FilterSettings:
     ]
     cutoff = round(min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * min(rates)), 2)
     return FilterSettings(unit="hz", velocity=cutoff, acceleration=cutoff, effort=cutoff)
-
-
-def require_torch() -> None:
-    """Refuse to train without PyTorch.
-
-    Raises:
-        PluginError: The extra `learn` is missing.
-    """
-    if find_spec("torch") is None:
-        raise PluginError(
-            "residual networks are trained by PyTorch, which is not installed",
-            hint="pip install 'hil[learn]'",
-        )
 
 
 def protocol_of(base: str, network: ResidualSettings, *, by_sample: bool) -> str:
