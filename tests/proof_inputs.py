@@ -1,6 +1,6 @@
 """Print a hash of everything the long runs depend on; `make proof` keeps it in proof.lock.
 
-CI runs the long tests again only when this hash is no longer the one they last passed with.
+CI says when this hash is no longer the one the long runs last passed with.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which changes make CI run the long tests again."""
+"""Which changes make the long runs worth running again."""
 
 from __future__ import annotations
 
