@@ -66,6 +66,26 @@ def test_dissipative_friction_starts_as_coulomb_friction_of_a_share_of_each_join
     np.testing.assert_allclose(curve / SCALE, 0.3, atol=0.25)
 
 
+def test_dissipative_friction_comes_up_over_the_width_of_the_smooth_sign() -> None:
+    for width in (0.01, 0.1):
+        network = friction_network("dissipative", 3, SCALE, FrictionSettings(rest_speed=width))
+        with torch.no_grad():
+            network.network[-1].weight.zero_()
+        speeds = width * np.array([[1 / 99], [1], [99]]) * np.ones(3)
+        slow, half, fast = network.curve(speeds)
+        np.testing.assert_allclose(half / fast, 0.5 / 0.99, rtol=1e-4)
+        np.testing.assert_allclose(slow / fast, 0.01 / 0.99, rtol=1e-4)
+
+
+def test_dissipative_friction_is_finite_at_rest_with_a_hard_sign() -> None:
+    network = friction_network("dissipative", 3, SCALE, FrictionSettings(rest_speed=0.0))
+    still = torch.zeros(1, 3)
+    torque = network(still, still, still)
+    torque.sum().backward()
+    assert not torque.any()
+    assert all(bool(torch.isfinite(p.grad).all()) for p in network.parameters())
+
+
 def test_the_paper_has_no_scale_for_each_joint() -> None:
     q, qd = motion()
     for kind in ("dissipative", "unconstrained"):

@@ -261,6 +261,14 @@ def test_every_friction_fits_and_comes_back(friction, tmp_path) -> None:
     assert np.any(model.predict(test).components["friction"]) == (friction != "none")
 
 
+@pytest.mark.parametrize("settings_of", ["ours", "paper"])
+def test_dissipative_friction_has_the_sign_width_of_the_estimator(settings_of, tmp_path) -> None:
+    model = made(friction="dissipative", sign_width=0.04, protocol=settings_of)
+    model.fit(moving(1, 2, 3), nominal())
+    again = load_model_file(save_model(model, tmp_path / "model"))
+    assert (model.design_.friction.rest_speed, again.design_.friction.rest_speed) == (0.04, 0.04)
+
+
 def test_an_arm_without_a_load_is_the_same_as_a_load_of_nothing(fitted) -> None:
     data = moving(9)
     empty = replace(data, conditions=tuple(replace(c, payload=Payload()) for c in data.conditions))

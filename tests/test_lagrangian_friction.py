@@ -89,6 +89,18 @@ def test_the_literal_form_takes_the_hard_sign_whatever_direction_it_is_handed() 
         np.testing.assert_array_equal(smooth, torque_of(network, SPEEDS, np.sign(SPEEDS)))
 
 
+def test_the_stribeck_speed_that_is_told_is_the_one_that_is_used() -> None:
+    network = friction_network("stribeck", 3, SCALE, FrictionSettings.literal()).double()
+    with torch.no_grad():
+        network.f_s.theta.fill_(0.5)
+        network.v_s.theta.copy_(torch.tensor([-0.2, 0.2, 0.0]))
+    values, speeds = network.intrinsic(), SPEEDS[SPEEDS[:, 0] > 0]
+    share = np.exp(-((speeds / values["v_s"]) ** values["delta_s"]))
+    size = share * values["f_s"] + (1 - share) * values["f_c"]
+    expected = size + speeds ** values["alpha"] * values["f_v"]
+    np.testing.assert_allclose(network.curve(speeds), expected, rtol=1e-9)
+
+
 def test_the_literal_form_starts_at_the_same_newton_metres_for_every_joint() -> None:
     values = friction_network("stribeck", 3, SCALE, FrictionSettings.literal()).intrinsic()
     np.testing.assert_allclose(values["f_c"], 0.1, rtol=1e-6)

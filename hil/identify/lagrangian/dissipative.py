@@ -11,9 +11,8 @@ from torch import Tensor, nn
 from hil.identify.lagrangian.friction_settings import FrictionSettings
 from hil.typing import FloatArray
 
-REST_SPEED = 0.01
-"""Below about this speed [rad/s] damping no longer grows as speed falls: the width of the sign that
-all methods have."""
+LEAST_REST_SPEED = 1e-4
+"""Where a hard sign is asked for [rad/s]: at rest 1/|q̇| is no number."""
 
 
 class NoFriction(nn.Module):
@@ -71,13 +70,13 @@ class Dissipative(nn.Module):
 
     Friction hardly depends on the size of a velocity, so damping must go as 1/|q̇|, which a smooth
     network of q̇ cannot learn: its error on left-out trajectories is four times as large. Each row
-    of A therefore has the factor (|q̇ᵢ| + `REST_SPEED`)^−½ and what a network of q and log|q̇| says:
+    of A therefore has the factor (|q̇ᵢ| + `rest_speed`)^−½ and what a network of q and log|q̇| says:
     D stays ⪰ 0, and starts as Coulomb friction of unit·torque_scale in every joint.
 
     Args:
         n: Joints.
         torque_scale: (n,) standard deviation of each joint's torque [N·m].
-        settings: Widths of its hidden layers, and the unit.
+        settings: Widths of its hidden layers, the unit, and below what speed damping stays.
         seed: Of the start weights.
     """
 
@@ -98,11 +97,11 @@ class Dissipative(nn.Module):
         roots = np.sqrt(_scale(n, torque_scale, settings))[rows]
         self.register_buffer("scale", torch.as_tensor(roots, dtype=torch.get_default_dtype()))
         self.register_buffer("places", torch.as_tensor(rows * n + columns))
-        self._n = n
+        self._n, self._rest = n, max(settings.rest_speed, LEAST_REST_SPEED)
 
     def factor(self, q: Tensor, qd: Tensor) -> Tensor:
         """(B, n, n) lower triangle A."""
-        speed = qd.abs() + REST_SPEED
+        speed = qd.abs() + self._rest
         entries: Tensor = self.network(_inputs(q, torch.log(speed))) * self.scale
         flat = entries.new_zeros(len(q), self._n * self._n)
         lower = flat.index_copy(1, self.places, entries).view(-1, self._n, self._n)

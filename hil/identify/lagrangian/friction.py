@@ -7,6 +7,7 @@ is memoryless (a smooth sign of the velocity) or has a hysteresis (Dahl's state)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -129,8 +130,7 @@ class Stribeck(nn.Module):
     def forward(self, q: Tensor, qd: Tensor, direction: Tensor) -> Tensor:
         """(B, n) torque [N·m]."""
         speed = qd.abs().clamp_min(LEAST_SPEED)
-        v_s = self.v_s().abs().clamp_min(LEAST_STRIBECK_SPEED)
-        share = torch.exp(-_power(speed / v_s, self.delta_s()))
+        share = torch.exp(-_power(speed / self._stribeck_speed(), self.delta_s()))
         f_c = self.f_c()
         size = f_c + (self.f_s() - f_c) * share + self.f_v() * _power(speed, self.alpha())
         torque: Tensor = (torch.sign(qd) if self._hard else direction) * size
@@ -142,8 +142,14 @@ class Stribeck(nn.Module):
 
     def intrinsic(self) -> dict[str, FloatArray]:
         """f_s, f_c, f_v, offset [N·m], v_s [rad/s], delta_s, alpha, each (n,)."""
-        names = ("f_s", "f_c", "f_v", "v_s", "delta_s", "alpha", "offset")
-        return _values(**{name: getattr(self, name) for name in names})
+        names = ("f_s", "f_c", "f_v", "delta_s", "alpha", "offset")
+        parameters = {name: getattr(self, name) for name in names}
+        return _values(v_s=self._stribeck_speed, **parameters)
+
+    def _stribeck_speed(self) -> Tensor:
+        """(n,) v_s [rad/s]: a free parameter may be negative or 0, the speed it stands for not."""
+        speed: Tensor = self.v_s().abs().clamp_min(LEAST_STRIBECK_SPEED)
+        return speed
 
 
 def _power(base: Tensor, exponent: Tensor) -> Tensor:
@@ -175,7 +181,7 @@ def _steady(network: nn.Module, speeds: FloatArray) -> FloatArray:
     return np.asarray(torque.double().cpu().numpy())
 
 
-def _values(**parameters: nn.Module | None) -> dict[str, FloatArray]:
+def _values(**parameters: Callable[[], Tensor] | None) -> dict[str, FloatArray]:
     with torch.no_grad():
         return {
             name: np.asarray(parameter().double().cpu().numpy())

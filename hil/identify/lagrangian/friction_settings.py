@@ -48,6 +48,8 @@ class FrictionSettings:
         offset: Stribeck friction has a constant beside eq. 18 (of sensors and drives: the one part
             that is not passive). Coulomb–viscous friction has one by definition, eq. 3.
         hidden: Widths of the hidden layers of a dissipative or an unconstrained network.
+        rest_speed: Below about this speed [rad/s] the damping of a dissipative network no longer
+            grows as speed falls. An estimator hands over the width of its smooth sign.
     """
 
     sign: Sign = "given"
@@ -63,6 +65,7 @@ class FrictionSettings:
     start_exponent: float = 0.8
     offset: bool = True
     hidden: tuple[int, ...] = (128, 128)
+    rest_speed: float = 0.01
 
     def __post_init__(self) -> None:
         choice("sign", self.sign, ("given", "hard"))
@@ -70,6 +73,7 @@ class FrictionSettings:
             flag(name, getattr(self, name))
         for name in ("unit", "start", "start_speed", "start_shape", "start_exponent"):
             number(name, getattr(self, name), above=0.0)
+        number("rest_speed", self.rest_speed, at_least=0.0)
         for pair, start in BOUNDED.items():
             self._set(pair, _bounds(pair, getattr(self, pair)))
             if self.bounded:
