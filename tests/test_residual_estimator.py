@@ -108,6 +108,22 @@ def test_recordings_of_another_rate_are_refused() -> None:
         unfitted().fit(Dataset.concatenate([known(), slow]), nominal())
 
 
+def test_a_short_motion_of_another_rate_is_refused_beside_a_long_one() -> None:
+    short = moving(11, samples=300)
+    short = short.with_columns(t=2.0 * short["t"])
+    with pytest.raises(DataError, match="memory of a residual network counts samples"):
+        model().predict(Dataset.concatenate([unknown(), short]))
+
+
+def test_an_arm_at_rest_may_be_sampled_at_any_rate() -> None:
+    still = moving(15, samples=900)
+    still = replace(still, conditions=(replace(still.conditions[0], kind="dwell"),))
+    still = still.with_columns(t=2.0 * still["t"])
+    alone = model().predict(unknown()).effort
+    beside = model().predict(Dataset.concatenate([unknown(), still])).effort
+    assert np.array_equal(beside[: len(alone)], alone)
+
+
 def test_torque_it_hears_is_told_beside_holding_the_last_torque() -> None:
     heard = unfitted(inputs="history", latency_s=0.03).fit(known(), nominal())
     assert heard.protocol == "honest: torque history ending 30 ms before"

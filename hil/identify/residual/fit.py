@@ -18,7 +18,7 @@ from hil.data.filters import AT_REST
 from hil.data.parts import learn_and_validate
 from hil.data.splits import group_of
 from hil.errors import DataError, FitError
-from hil.identify.residual.motions import Motions
+from hil.identify.residual.motions import Motions, one_rate
 from hil.identify.residual.out_of_fold import Physics
 from hil.identify.residual.settings import ResidualSettings
 from hil.identify.residual.trained import TrainedTcn
@@ -170,22 +170,9 @@ def require_one_rate(data: Dataset) -> None:
     """Refuse series sampled at different rates: a network's memory counts samples.
 
     Raises:
-        FitError: Two series differ by more than 5 %.
+        FitError: Two series differ by more than 5 %, or nothing moves.
     """
-    from hil.data.filters import sample_rate
-    from hil.identify.residual.trained import RATE_TOLERANCE
-
-    rates = [
-        (sample_rate(data["t"][rows]), condition.id)
-        for condition, rows in data.slices()
-        if condition.kind not in AT_REST and rows.stop - rows.start > 1
-    ]
-    if not rates:
-        raise DataError("there is no motion to learn from", hint="give trajectories")
-    (low, slow), (high, quick) = min(rates), max(rates)
-    if high > (1.0 + RATE_TOLERANCE) * low:
-        raise FitError(
-            f"{slow} is sampled at {low:.4g} Hz and {quick} at {high:.4g} Hz, but the memory of "
-            "a residual network counts samples",
-            hint="fit recordings of one rate",
-        )
+    try:
+        one_rate(data)
+    except DataError as error:
+        raise FitError(error.message, hint=error.hint) from error

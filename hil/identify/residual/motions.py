@@ -9,10 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import sample_rate
+from hil.data.filters import AT_REST, sample_rate
 from hil.errors import DataError
 from hil.identify.residual.settings import ResidualSettings
 from hil.typing import FloatArray, IntArray
+
+RATE_TOLERANCE = 0.05
+"""Difference of sample rates, as a share, beyond which a network's memory means another time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,7 +27,7 @@ class Motions:
         base: (N, n) effort the physical model predicts.
         effort: (N, n) measured effort that may be heard, in the unit of `base`; None without.
         offsets: (S + 1,) row at which each series begins; the last entry is N.
-        rate_hz: Samples per second.
+        rate_hz: Samples per second of the series that move.
     """
 
     q: FloatArray
@@ -48,7 +51,7 @@ class Motions:
             settings: Which torque is heard.
 
         Raises:
-            DataError: There is no series of at least two samples.
+            DataError: Nothing moves, or series are sampled at different rates.
         """
         effort = {"motion": None, "history": "effort", "measured": "effort_f"}[settings.inputs]
         return Motions(
@@ -58,7 +61,7 @@ class Motions:
             base=base,
             effort=None if effort is None else dataset[effort],
             offsets=dataset.offsets,
-            rate_hz=_rate(dataset),
+            rate_hz=one_rate(dataset),
         )
 
     def __len__(self) -> int:
@@ -102,10 +105,27 @@ class Motions:
         return out
 
 
-def _rate(dataset: Dataset) -> float:
-    """Samples per second of the longest series."""
-    lengths = np.diff(dataset.offsets)
-    if not len(lengths) or lengths.max() < 2:
-        raise DataError("a residual network needs series of at least two samples")
-    longest = int(np.argmax(lengths))
-    return sample_rate(dataset["t"][dataset.offsets[longest] : dataset.offsets[longest + 1]])
+def one_rate(dataset: Dataset) -> float:
+    """Samples per second of the series that move; those at rest may have any rate.
+
+    Raises:
+        DataError: Nothing moves for at least two samples, or two series differ by more than 5 %.
+    """
+    rates = [
+        (sample_rate(dataset["t"][rows]), condition.id)
+        for condition, rows in dataset.slices()
+        if condition.kind not in AT_REST and rows.stop - rows.start > 1
+    ]
+    if not rates:
+        raise DataError(
+            "a residual network needs a motion of at least two samples, but there is none",
+            hint="give trajectories",
+        )
+    (low, slow), (high, quick) = min(rates), max(rates)
+    if high > (1.0 + RATE_TOLERANCE) * low:
+        raise DataError(
+            f"{slow} is sampled at {low:.4g} Hz and {quick} at {high:.4g} Hz, but the memory of "
+            "a residual network counts samples",
+            hint="use recordings of one rate",
+        )
+    return float(np.median([rate for rate, _ in rates]))

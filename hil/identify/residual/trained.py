@@ -11,7 +11,7 @@ import numpy as np
 from hil.errors import DataError
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.residual.inputs import InputScales, NetworkInputs
-from hil.identify.residual.motions import Motions
+from hil.identify.residual.motions import RATE_TOLERANCE, Motions
 from hil.identify.residual.settings import ResidualSettings
 from hil.identify.residual.weights import TcnWeights
 from hil.typing import FloatArray
@@ -107,7 +107,3 @@ class TrainedTcn:
         weights.require(scale.shape, scales.lowest.shape)
         rate, f_cut = float(arrays["rate_hz"][0]), float(arrays["f_cut_hz"][0])
         return TrainedTcn(NetworkInputs(chosen, scales), weights, scale, rate, f_cut)
-
-
-RATE_TOLERANCE = 0.05
-"""Difference of sample rates, as a share, beyond which a network's memory means another time."""
