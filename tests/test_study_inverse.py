@@ -100,9 +100,13 @@ def test_a_correction_is_judged_on_top_of_its_base() -> None:
 
 
 def test_repeated_torque_stands_beside_what_sees_torque() -> None:
-    names = [row[0] for row in table(made(protocols=["honest"]), "table-honest").rows]
+    methods = ["proposed", "rc-paper", "rc-history", "rc-motion"]
+    found = made(methods=methods, protocols=["honest"])
+    names = [row[0] for row in table(found, "table-honest").rows]
     at = names.index("Proposed with RC, torque until 20 ms before")
     assert names[at + 1] == "the torque of 20 ms ago, repeated"
+    at = names.index(ROWS["rc-paper"].words)
+    assert names[at + 1] == "the torque of 10 ms ago, repeated"
     assert "repeated" not in names[names.index("Proposed with RC, no torque") + 1]
 
 

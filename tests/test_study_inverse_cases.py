@@ -12,11 +12,14 @@ from synthetic_motion import nominal
 
 from hil.data.dataset import Dataset
 from hil.data.parts import JUDGE, PART
+from hil.data.prediction import Prediction
 from hil.data.splits import groups
 from hil.errors import DataError
+from hil.identify.rigid import RigidWls
 from hil.study import inverse_fits
 from hil.study.inverse_cases import Case, honest_case, paper_case, recorded
-from hil.study.inverse_noise import white_noise_left
+from hil.study.inverse_noise import persistence_of, white_noise_left
+from hil.study.inverse_score import judged
 
 
 def case_of(make: Any = honest_case, seed: int = 0) -> Case:
@@ -67,6 +70,32 @@ def test_loads_are_those_motions_that_no_model_has_seen() -> None:
     assert case.loaded is not None
     assert groups(case.loaded, "trajectory") == groups(case.judge, "trajectory")
     assert {c.load for c in case.loaded.conditions} == {1}
+
+
+class WarmingUp(RigidWls):
+    """Least squares that is far off for the first samples of a motion, and says so."""
+
+    def predict(self, dataset: Dataset) -> Prediction:
+        told = super().predict(dataset)
+        cold = np.isin(np.arange(len(dataset)), dataset.offsets[:-1, None] + np.arange(50))
+        effort = told.effort + 1e3 * cold[:, None]
+        return replace(told, effort=effort, valid=told.valid & ~cold[:, None])
+
+
+def test_what_a_model_does_not_vouch_for_is_not_judged_under_a_load_either() -> None:
+    case = case_of()
+    found = judged(WarmingUp(filters=case.filters).fit(case.learn, nominal()), case, 0.0)
+    assert found.known == pytest.approx(5 / 6)
+    assert np.all(found.filtered < 1.0)
+    assert np.all(found.aware[1] < 1.0)
+
+
+def test_how_old_repeated_torque_is_depends_on_the_rate() -> None:
+    held = persistence_of(case_of(), 0.001)
+    assert held.age_s == pytest.approx(0.01)
+    torque = case_of().judge["effort_f"] * case_of().scale
+    expected = np.sqrt(np.mean(np.diff(torque, axis=0) ** 2, axis=0))
+    assert held.error == pytest.approx(expected)
 
 
 def test_white_noise_left_by_the_filter_is_estimated_from_what_it_removed() -> None:

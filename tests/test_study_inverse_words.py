@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.study.inverse_found import Found, Seen
+from hil.study.inverse_noise import Held
 from hil.study.inverse_score import Judged, Shown
 from hil.study.inverse_words import apart, summary
 
@@ -20,7 +21,7 @@ def judged(error: float) -> Judged:
 
 def found(**errors: tuple[float, ...]) -> Found:
     seeds = len(next(iter(errors.values())))
-    held = {0.001: np.full(2, 0.1), 0.02: np.full(2, 0.9)}
+    held = {0.001: Held(0.004, np.full(2, 0.1)), 0.02: Held(0.024, np.full(2, 0.9))}
     one = np.zeros(1), np.zeros((1, 2))
     seen = Seen(*one, *one[1:] * 2, np.full(2, 0.5), np.full(2, 0.2), held)
     scores = {name.replace("_", "-"): [judged(e) for e in told] for name, told in errors.items()}
@@ -84,7 +85,7 @@ def test_a_correction_that_does_harm_is_said_to() -> None:
 
 def test_what_sees_torque_is_set_against_repeating_it() -> None:
     text = told(proposed=(1.0, 1.0), rc_history=(0.8, 0.8))
-    assert "to repeat the torque of 20 ms ago leaves 0.9 N·m" in text
+    assert "to repeat the torque of 24 ms ago leaves 0.9 N·m" in text
 
 
 def test_what_the_loops_add_is_said_with_its_doubt() -> None:

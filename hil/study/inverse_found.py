@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.study.inverse_cases import Case
-from hil.study.inverse_methods import LATENCY_S
-from hil.study.inverse_noise import persistence_of, white_noise_left
+from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S
+from hil.study.inverse_noise import Held, persistence_of, white_noise_left
 from hil.study.inverse_score import Judged, cloud_rows, shown_rows
 from hil.typing import FloatArray
 
@@ -23,7 +23,7 @@ class Seen:
         speeds, cloud: (cloud, n) velocity [rad/s] and filtered torque over all judged rows.
         removed: (n,) RMS of what the filter takes out of the measured torque.
         noise: (n,) RMS of the noise that it leaves, if the noise is white.
-        persistence: By latency [s], (n,) error of repeating the torque of so long ago.
+        persistence: By latency [s], of repeating the newest torque that is so old at least.
     """
 
     t: FloatArray
@@ -32,7 +32,7 @@ class Seen:
     cloud: FloatArray
     removed: FloatArray
     noise: FloatArray
-    persistence: Mapping[float, FloatArray]
+    persistence: Mapping[float, Held]
 
     @staticmethod
     def of(case: Case) -> Seen:
@@ -47,7 +47,7 @@ class Seen:
             torque[cloud],
             removed * case.scale,
             white_noise_left(removed * case.scale, case),
-            {latency: persistence_of(case, latency) for latency in (0.001, LATENCY_S)},
+            {latency: persistence_of(case, latency) for latency in (PREVIOUS_S, LATENCY_S)},
         )
 
 
@@ -95,9 +95,11 @@ class Found:
         """(seeds, n) of an attribute of `Seen` that is (n,)."""
         return np.stack([getattr(seen, what) for seen in self.seen])
 
-    def persistence(self, latency_s: float) -> FloatArray:
-        """(n,) mean over the seeds."""
-        return np.asarray(np.mean([seen.persistence[latency_s] for seen in self.seen], axis=0))
+    def persistence(self, latency_s: float) -> Held:
+        """Repeated torque, in the mean over the seeds."""
+        every = [seen.persistence[latency_s] for seen in self.seen]
+        error = np.mean([one.error for one in every], axis=0)
+        return Held(float(np.mean([one.age_s for one in every])), error)
 
 
 def gathered(

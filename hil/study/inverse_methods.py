@@ -15,6 +15,9 @@ from hil.study.dynamic_methods import METHODS as CLASSICAL
 LATENCY_S = 0.02
 """How old the newest torque is that an observer with history may see."""
 
+PREVIOUS_S = 0.001
+"""How old torque has to be at least to be repeated beside an observer that sees that of now."""
+
 NETWORK, RESIDUAL, OURS = "lagrangian", "residual", "rigid-hysteresis"
 
 USUAL_EPOCHS = {NETWORK: choices.OURS["epochs"], RESIDUAL: TRAINING["epochs"]}

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.signal import butter, freqz
 
 from hil.data.filters import nyquist_fraction, sample_rate
-from hil.evaluate.persistence import persistence_rmse
+from hil.evaluate.persistence import persistence, persistence_rmse
 from hil.study.inverse_cases import Case
 from hil.typing import FloatArray
 
 FREQUENCIES = 1 << 14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """Torque of a moment ago, repeated.
+
+    Attributes:
+        age_s: How old it mostly is: samples come when they come.
+        error: (n,) what that leaves [N·m].
+    """
+
+    age_s: float
+    error: FloatArray
 
 
 def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
@@ -30,7 +45,8 @@ def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
     return np.asarray(share * removed)
 
 
-def persistence_of(case: Case, latency_s: float) -> FloatArray:
-    """(n,) error [N·m] of taking the filtered torque of `latency_s` ago for that of now."""
+def persistence_of(case: Case, latency_s: float) -> Held:
+    """What taking the newest filtered torque that is `latency_s` old for that of now comes to."""
     error = persistence_rmse(case.judge, latency_s, "effort_f", case.rows)
-    return np.asarray(error * case.scale)
+    age = case.judge["t"] - persistence(case.judge, latency_s, "t")
+    return Held(float(np.nanmedian(age[case.rows])), error * case.scale)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from hil.data.dataset import Dataset
 from hil.data.filters import nyquist_fraction, sample_rate, zero_phase
 from hil.data.prediction import Prediction
 from hil.identify.base import RobotEstimator
+from hil.identify.training_loop.curves import Curves
 from hil.study.dynamic_data import MOVING
 from hil.study.dynamic_methods import SHOWN, percent_where, rmse_where
 from hil.study.inverse_cases import Case, forgotten
@@ -89,7 +89,7 @@ def judged(model: RobotEstimator, case: Case, seconds: float) -> Judged:
     """
     data, scale = case.judge, case.scale
     predicted = model.predict(data)
-    torque = np.where(predicted.valid, predicted.effort, np.nan) * scale
+    torque = _told(predicted) * scale
     known = np.isfinite(torque) & case.rows[:, None]
     filtered, raw = data["effort_f"] * scale, data["effort"] * scale
     return Judged(
@@ -132,12 +132,17 @@ def _within(error: FloatArray, deviation: FloatArray, known: BoolArray) -> Float
     return np.where(counts > 0, share, np.nan)
 
 
+def _told(predicted: Prediction) -> FloatArray:
+    """(N, n) effort; NaN where the model does not vouch for it."""
+    return np.where(predicted.valid, predicted.effort, np.nan)
+
+
 def _under_loads(
     model: RobotEstimator, data: Dataset | None, scale: FloatArray
 ) -> dict[int, FloatArray]:
     if data is None:
         return {}
-    torque = model.predict(data).effort * scale
+    torque = _told(model.predict(data)) * scale
     loads = np.array([condition.load for condition in data.conditions])[data.series_index()]
     filtered, known = data["effort_f"] * scale, np.isfinite(torque)
     return {
@@ -147,14 +152,11 @@ def _under_loads(
 
 
 def _curves(model: RobotEstimator) -> dict[str, FloatArray]:
-    told: Any = getattr(model, "curves_", ())
-    trainings = told if isinstance(told, tuple) else (told,)
-    found = {}
-    for number, one in enumerate(trainings, start=1):
-        of = f", network {number}" if len(trainings) > 1 else ""
-        found[f"loss{of}"] = np.asarray(one.loss, dtype=np.float64)
-        found[f"validation{of}"] = np.asarray(one.validation, dtype=np.float64)
-    return found
+    told: Curves | None = getattr(model, "curves_", None)
+    if told is None:
+        return {}
+    both = {"loss": told.loss, "validation": told.validation}
+    return {name: np.asarray(values, dtype=np.float64) for name, values in both.items()}
 
 
 def _shown(predicted: Prediction, torque: FloatArray, case: Case) -> Shown:

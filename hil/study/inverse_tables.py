@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.study.inverse_found import Found
-from hil.study.inverse_methods import LATENCY_S, ROWS
+from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
+from hil.study.inverse_noise import Held
 from hil.study.inverse_printed import PRINTED, PRINTED_AVERAGES
 from hil.study.result import Table, Value
 from hil.study.separation_text import joint_titles, value, with_mean
@@ -115,6 +116,11 @@ def under(found: Found, name: str, load: int, told: str) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
+def repeated(found: Found, name: str) -> Held:
+    """What repeating torque is worth to a row that sees torque."""
+    return found.persistence(PREVIOUS_S if ROWS[name].torque == "measured" else LATENCY_S)
+
+
 def both(found: Sequence[Found]) -> Table:
     """Mean RMSE of every row under every protocol, with its spread."""
     names = [name for name in ROWS if any(name in one.scores for one in found)]
@@ -133,12 +139,11 @@ def both(found: Sequence[Found]) -> Table:
 
 
 def _persistence(found: Found, name: str) -> list[tuple[Value, ...]]:
-    torque = ROWS[name].torque
-    if not torque:
+    if not ROWS[name].torque:
         return []
-    latency = 0.001 if torque == "measured" else LATENCY_S
-    words = f"the torque of {1e3 * latency:.0f} ms ago, repeated"
-    return [(words, *with_mean(found.persistence(latency)), None, None)]
+    held = repeated(found, name)
+    words = f"the torque of {1e3 * held.age_s:.3g} ms ago, repeated"
+    return [(words, *with_mean(held.error), None, None)]
 
 
 def _row(words: str, per_joint: FloatArray, *more: float) -> tuple[Value, ...]:

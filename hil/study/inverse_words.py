@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import ONE_TO_SIX, ROWS
-from hil.study.inverse_tables import carried, under
+from hil.study.inverse_tables import carried, repeated, under
 from hil.study.separation_text import listed
 
 TITLES = {"paper": "As in the paper", "honest": "Whole trajectories held out"}
@@ -22,7 +22,8 @@ TEXTS = {
     "paper": (
         "60/20/20 % of the recorded samples, drawn one by one along whole motions; models that "
         "thin the data learn from every so manyth sample of the same draw. A judged sample's "
-        "neighbours, 1 ms away, were learned from: these errors say little about another motion.",
+        "neighbours, one sample away, were learned from: these errors say little about another "
+        "motion.",
     ),
     "honest": (
         "Nine of twelve trajectories are handed to every method, three are judged; networks hold "
@@ -152,12 +153,10 @@ def _corrected(found: Found) -> Iterator[str]:
             yield f"{ROWS[key].words} leaves {error:.3g} N·m, {_less(error, base)} than Proposed."
     for key in ("rc-paper", "rc-history"):
         if key in found.scores:
-            error = found.average(key)
-            latency = {"rc-paper": 0.001, "rc-history": 0.02}[key]
-            repeated = float(np.mean(found.persistence(latency)))
+            error, held = found.average(key), repeated(found, key)
             yield (
                 f"{ROWS[key].words} leaves {error:.3g} N·m; to repeat the torque of "
-                f"{1e3 * latency:.0f} ms ago leaves {repeated:.3g} N·m."
+                f"{1e3 * held.age_s:.3g} ms ago leaves {float(np.mean(held.error)):.3g} N·m."
             )
 
 
