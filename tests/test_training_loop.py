@@ -115,8 +115,8 @@ def test_nothing_is_differentiated_for_a_frozen_group() -> None:
 
 
 def test_hybrid_stages_take_turns_and_share_the_epochs() -> None:
-    settings = TrainingSettings(epochs=96, patience=7)
-    stages = hybrid_stages(settings, loops=3)
+    settings = TrainingSettings(epochs=96, patience=7, loops=3)
+    stages = hybrid_stages(settings)
     assert [stage.epochs for stage in stages] == [20, 8, 20, 8, 20, 8, 12]
     assert [stage.trains for stage in stages] == [(), ("dynamics",)] * 3 + [("dynamics",)]
     rates = [stage.learning_rate_factor for stage in stages]

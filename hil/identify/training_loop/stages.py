@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.identify.training_loop.settings import TrainingSettings
@@ -35,12 +34,7 @@ def joint_stages(settings: TrainingSettings, name: str = "joint") -> tuple[Stage
     return (Stage(name, (), settings.epochs, settings.patience),)
 
 
-def hybrid_stages(
-    settings: TrainingSettings,
-    loops: int | None = None,
-    *,
-    dynamics: Sequence[str] = (DYNAMICS,),
-) -> tuple[Stage, ...]:
+def hybrid_stages(settings: TrainingSettings) -> tuple[Stage, ...]:
     """Algorithm 1 of the PINN paper: joint learning and dynamics alone in turns, then dynamics.
 
     Lines 4 to 10 are the joint stage of a loop, 11 to 17 its inner stage with frozen friction, 19
@@ -48,12 +42,9 @@ def hybrid_stages(
 
     Args:
         settings: `epochs` is spread over all stages.
-        loops: By default those of the settings.
-        dynamics: Groups that are trained alone.
     """
-    count = settings.loops if loops is None else loops
+    count, alone = settings.loops, (DYNAMICS,)
     unit = settings.epochs / (count * (1.0 + settings.inner_share) + settings.outer_share)
-    alone = tuple(dynamics)
     stages = []
     for loop in range(count):
         factor = settings.loop_rate**loop
