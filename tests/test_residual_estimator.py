@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -98,6 +99,43 @@ def test_a_fitted_model_can_be_corrected() -> None:
     assert fitted.base_ is base
     assert fitted.get_params()["base"]["sign_width"] == 0.02
     assert "may have learned from" in " ".join(fitted.notes_)
+
+
+def _wild(data: Dataset) -> Dataset:
+    effort = data["effort"].copy()
+    effort[7, 2] = 1e6
+    return data.with_columns(effort=effort)
+
+
+def _still(data: Dataset) -> Dataset:
+    q = data["q"].copy()
+    q[:, 4] = 0.3
+    return data.with_columns(q=q)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_wild, "cannot be"),
+        (_still, "never moved"),
+        (lambda _: moving(1, 2, samples=40), "too few"),
+    ],
+)
+def test_data_that_no_physics_would_be_fitted_to_are_not_learned_from(spoil, words) -> None:
+    with pytest.raises(FitError, match=words):
+        unfitted().fit_on(model().base_, spoil(known()), nominal(), refit=False)
+
+
+def test_a_model_of_another_unit_robot_or_none_cannot_be_corrected() -> None:
+    base, fresh, another = model().base_, unfitted(folds=1), copy(nominal())
+    another.name = "another"
+    with pytest.raises(FitError, match="predicts a current, the data hold a torque"):
+        fresh.fit_on(base, moving(1, 2, kind="torque"), nominal())
+    with pytest.raises(FitError, match="for the robot model ur5, not for another"):
+        fresh.fit_on(base, known(), another)
+    with pytest.raises(FitError, match="not fitted yet"):
+        fresh.fit_on(estimator("rigid-wls"), known(), nominal())
+    assert fresh.base == SMOOTH
 
 
 def test_recordings_of_another_rate_are_refused() -> None:

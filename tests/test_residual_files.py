@@ -46,6 +46,8 @@ def test_a_stream_says_what_the_series_pass_says(load) -> None:
         (("base", "estimator"), "rigid-hysteresis"),
         (("base", "fitted", "joint_names"), ["a"] * 6),
         (("networks",), 1000),
+        (("networks",), 1),
+        (("networks",), 0),
         (("residual", "kernel"), 4),
         (("selection", 0, "kept"), None),
         (("curves",), {}),
@@ -61,6 +63,15 @@ def test_garbled_documents_are_refused(tmp_path: Path, keys, value) -> None:
     (folder / "model.json").write_text(json.dumps(document))
     with pytest.raises(DataError):
         load_model_file(folder)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, -100.0, np.inf])
+def test_a_rate_that_cannot_be_is_refused(rate_hz: float) -> None:
+    arrays = model().fitted_arrays() | {"network2.rate_hz": np.array([rate_hz])}
+    fresh = type(model())(**model().get_params())
+    fresh.robot_ = model().robot_
+    with pytest.raises((ValueError, DataError)):
+        fresh.restore(arrays, plain(model().fitted_facts()))
 
 
 @pytest.mark.parametrize(

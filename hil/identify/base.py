@@ -126,8 +126,13 @@ class RobotEstimator(Parametrised):
         self.torque_scale_ = arrays["torque_scale"]
         self.sigma_ = arrays["sigma"]
 
-    def _require_match(self, dataset: Dataset) -> None:
-        """Refuse to predict for another robot or unit than the model was fitted for."""
+    def require_match(self, dataset: Dataset) -> None:
+        """Refuse to predict for another robot or unit than the model was fitted for.
+
+        Raises:
+            FitError: It is not fitted yet.
+            DataError: The data are of another robot, unit or gravity.
+        """
         if not hasattr(self, "sigma_"):
             raise FitError(f"{self.estimator} is not fitted yet", hint="call fit first")
         if dataset.joint_names != self.joint_names_:

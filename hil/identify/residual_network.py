@@ -20,16 +20,17 @@ from hil.data.filters import FilterSettings
 from hil.data.parts import told_by_sample
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator, prepared
-from hil.identify.checks import require_clean, require_robot
+from hil.identify.checks import require_clean, require_motion, require_robot, require_samples
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import number, settings, share
+from hil.identify.plausible import require_plausible
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.residual.judged import Judged
 from hil.identify.residual.out_of_fold import Physics, physics_of
 from hil.identify.residual.settings import TRAINING, ResidualSettings
-from hil.identify.residual.stored import made, told
+from hil.identify.residual.stored import made, require_base, told
 from hil.identify.residual.words import filters_for, words
 from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
 
 BASE = {"estimator": "rigid-hysteresis"}
+
+FEWEST_ROWS = 100
 
 
 class ResidualNetwork(CorrectedModel):
@@ -135,9 +138,11 @@ class ResidualNetwork(CorrectedModel):
                 that has learned from these data to be better than it is, and a note says so.
 
         Raises:
-            FitError, DataError, PluginError: As `fit`.
+            FitError: As `fit`, or `base` is not fitted, or to another robot or unit.
+            DataError, PluginError: As `fit`.
         """
         self._require(dataset, robot)
+        require_base(base, dataset, robot)
         self.base = told(base)
         again = not hasattr(base, "curves_") if refit is None else refit
         return self._correct(base, dataset, robot, self.folds if again else 1)
@@ -180,4 +185,7 @@ class ResidualNetwork(CorrectedModel):
         require_torch()
         require_robot(dataset, robot)
         require_clean(dataset, ("t", "q", "effort"))
+        require_plausible(dataset, robot)
+        require_samples(len(dataset), FEWEST_ROWS, "samples")
+        require_motion(dataset)
         require_one_rate(dataset)

@@ -130,7 +130,7 @@ class RigidHysteresis(RobotEstimator):
         Raises:
             DataError: The data are of another robot or unit, or cannot be filtered.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         data = prepared(dataset, self.filters_)
         motion = tuple(data[name] for name in MOTION)
         load = payload_torque(self.robot_, data, *motion)

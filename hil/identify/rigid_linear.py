@@ -90,7 +90,7 @@ class RigidLinear(WlsEstimator):
         Raises:
             DataError: The data are of another robot or unit, or cannot be filtered.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         data = prepared(dataset, self.filters)
         return self._predict(data, *(data[name] for name in MOTION))
 

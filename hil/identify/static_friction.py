@@ -112,7 +112,7 @@ class StaticFriction(StaticModel):
         Raises:
             DataError: The data are of another robot or unit.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         still, joints = np.zeros_like(dataset["q"]), dataset.n_joints
         base = self._predict(dataset, dataset["q"], still, still)
         parts = {name: np.array(part) for name, part in base.components.items()}

@@ -79,7 +79,7 @@ class StaticModel(WlsEstimator):
             DataError: The data are of another robot or unit.
             FitError: A load is mounted, and the fit knew no drive gains.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         self._require_gains(any(not load_of(c).is_empty for c in dataset.conditions))
         still = np.zeros_like(dataset["q"])
         whole = self._predict(dataset, dataset["q"], still, still)

@@ -51,7 +51,7 @@ class LagrangianModel(RobotEstimator):
         Raises:
             DataError: The data are of another robot or unit, or cannot be filtered.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         data = prepared(dataset, self.filters_)
         return self._predict(data, directions(data, self.sign_width, self.length_))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,8 @@ from hil.typing import BoolArray, FloatArray
 NETWORK = "network{}."
 """Arrays of the network with that number, from 1, begin with it."""
 
+NUMBERED = re.compile(r"network(\d+)\.")
+
 KEPT, LIMIT = "kept", "limit"
 
 
@@ -29,7 +32,7 @@ class Correction:
 
     Attributes:
         settings: Of every network.
-        networks: None where no joint keeps any.
+        networks: At least one, even where no joint keeps it.
         kept: (n,) joints that are corrected.
         limit: (n,) largest correction, in effort units: the largest residual there was to learn.
             Loads and motions that no training has seen can make a network say anything.
@@ -73,6 +76,9 @@ class Correction:
         Raises:
             KeyError, ValueError, DataError: Something is missing or garbled.
         """
+        stored = {int(named[1]) for name in arrays if (named := NUMBERED.match(name))}
+        if not stored or stored != set(range(1, networks + 1)):
+            raise ValueError(f"networks: {networks} where those stored are {sorted(stored)}")
         found = [
             _network(without_prefix(NETWORK.format(k + 1), arrays), settings)
             for k in range(networks)

@@ -57,7 +57,7 @@ class CorrectedModel(RobotEstimator):
         Raises:
             DataError: The data are of another robot, unit or sample rate, or cannot be filtered.
         """
-        self._require_match(dataset)
+        self.require_match(dataset)
         base = self.base_.predict(dataset)
         data = prepared(dataset, self.filters_)
         added = self.correction_.predict(data, base.effort)

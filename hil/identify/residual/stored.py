@@ -1,4 +1,4 @@
-"""A base model inside the file of the model that is built on it."""
+"""A base model: whether it fits the data, and how it lies in the file of the model built on it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
+from hil.errors import DataError, FitError
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.base import RobotEstimator, estimator
 from hil.typing import FloatArray
@@ -24,6 +26,23 @@ def made(base: dict[str, Any]) -> RobotEstimator:
     """
     params = {name: value for name, value in base.items() if name != "estimator"}
     return estimator(str(base["estimator"]), **params)
+
+
+def require_base(model: RobotEstimator, dataset: Dataset, robot: RobotModel) -> None:
+    """Refuse a fitted model that cannot be the physics of these data.
+
+    Raises:
+        FitError: It is not fitted, or is of another robot, unit or gravity.
+    """
+    try:
+        model.require_match(dataset)
+    except DataError as error:
+        raise FitError(f"base: {error.message}", hint=error.hint) from error
+    if model.robot_.name != robot.name:
+        raise FitError(
+            f"base was fitted for the robot model {model.robot_.name}, not for {robot.name}",
+            hint="correct a model of the same robot",
+        )
 
 
 def told(model: RobotEstimator) -> dict[str, Any]:

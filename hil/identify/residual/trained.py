@@ -106,4 +106,6 @@ class TrainedTcn:
         weights = TcnWeights.from_arrays(without_prefix(WEIGHTS, arrays), chosen)
         weights.require(scale.shape, scales.lowest.shape)
         rate, f_cut = float(arrays["rate_hz"][0]), float(arrays["f_cut_hz"][0])
+        if not (np.isfinite(rate) and rate > 0.0):
+            raise DataError(f"the residual network's rate_hz is {rate:g}, but must be above 0")
         return TrainedTcn(NetworkInputs(chosen, scales), weights, scale, rate, f_cut)
