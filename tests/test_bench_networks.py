@@ -143,6 +143,25 @@ def test_a_method_that_failed_is_told_and_wins_nothing(parts) -> None:
     assert "worst_rc_error_to_goal" not in section.ratios
 
 
+@pytest.mark.parametrize("failed", ["ours", "ours-residual", "proposed", "rc-grouped"])
+def test_a_method_that_failed_on_one_robot_misses_its_goals(parts, failed) -> None:
+    errors = {"wls": 1.0, "proposed": 1.0, "rc-grouped": 0.75, "ours": 0.4, "ours-residual": 0.3}
+    both = [contest(parts, errors | {failed: float("nan")}), contest(parts, errors)]
+    ratios = parts.networks_told.told_of_robots(both).ratios
+    rc = failed in {"proposed", "rc-grouped"}
+    missed = {"worst_rc_error_to_goal"} if rc else {
+        f"worst_{failed.replace('-', '_')}_{goal}_to_goal" for goal in ("error", "gap_left")
+    }  # fmt: skip
+    assert {name for name, ratio in ratios.items() if ratio == np.inf} == missed
+    assert len(ratios) == 5
+
+
+def test_where_all_of_six_failed_no_goal_is_met(parts) -> None:
+    one = contest(parts, {"wls": float("nan"), "ours": 0.3})
+    ratios = parts.networks_told.told_of_robots([one]).ratios
+    assert set(ratios.values()) == {np.inf}
+
+
 def test_a_network_on_the_ur10e_is_its_mean_over_seeds_with_their_spread(parts) -> None:
     score = parts.networks_ur10e.Score
     noise = np.full(6, 0.09)

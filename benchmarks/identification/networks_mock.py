@@ -21,7 +21,6 @@ from benchmarks.identification.networks_fits import (
     SIGN_WIDTH,
     computed,
     decided,
-    fitted_family,
     tasks_of,
 )
 from hil.data.dataset import Dataset
@@ -29,6 +28,7 @@ from hil.dynamics import load_model
 from hil.identify.base import RobotEstimator
 from hil.study.dynamic_data import held_out
 from hil.study.inverse_cases import Case, honest_case, recorded
+from hil.study.inverse_fits import fitted_family
 from hil.study.inverse_methods import ONE_TO_SIX, ROWS, unfitted
 from hil.study.inverse_score import Judged, judged, nothing
 from hil.study.separation_tasks import Task
@@ -99,9 +99,9 @@ class Contest:
 
     @property
     def best(self) -> str:
-        """Key of the best of Methods 1 to 6 on the judged trajectories."""
+        """Key of the best of Methods 1 to 6 on the judged trajectories; empty if all failed."""
         known = [key for key in ONE_TO_SIX if np.isfinite(self.error(key))]
-        return min(known, key=self.error)
+        return min(known, key=self.error, default="")
 
     def left(self, key: str) -> float:
         """Error of a method over that of the best of Methods 1 to 6."""

@@ -93,19 +93,25 @@ def _goals(contests: Sequence[Contest], section: Section) -> Table:
         left: list[float] = []
         for key in (mock.OURS, mock.PRODUCT):
             left += [one.left(key), one.gap_left(key)]
-            name = slug(key)
-            worst.setdefault(f"{name}_error_to_goal", []).append(left[-2] / (1.0 - BELOW))
-            worst.setdefault(f"{name}_gap_left_to_goal", []).append(left[-1] / (1.0 - CLOSED))
-        worst.setdefault("rc_error_to_goal", []).append(rc / (1.0 - RC_BELOW))
+            if key in one.told:
+                name = slug(key)
+                worst.setdefault(f"{name}_error_to_goal", []).append(left[-2] / (1.0 - BELOW))
+                worst.setdefault(f"{name}_gap_left_to_goal", []).append(left[-1] / (1.0 - CLOSED))
+        if {mock.CORRECTED, mock.PROPOSED} <= one.told.keys():
+            worst.setdefault("rc_error_to_goal", []).append(rc / (1.0 - RC_BELOW))
         shares = [1.0 - value for value in (*left, rc)]
         table.add(str(one.seed), f"{one.best} {one.error(one.best):.3f}", map(_percent, shares))
         names = ("ours_below", "ours_gap", "residual_below", "residual_gap", "rc_below")
         for name, share in zip(names, shares, strict=True):
             if np.isfinite(share):
                 section.figures[f"seed{one.seed}_{name}"] = share
-    worst = {name: values for name, values in worst.items() if np.all(np.isfinite(values))}
-    section.ratios |= {f"worst_{name}": max(values) for name, values in worst.items()}
+    section.ratios |= {f"worst_{name}": _worst(values) for name, values in worst.items()}
     return table
+
+
+def _worst(ratios: Sequence[float]) -> float:
+    """The largest; infinite where a method that was wanted failed on any robot."""
+    return max(ratio if np.isfinite(ratio) else np.inf for ratio in ratios)
 
 
 def _parts(contests: Sequence[Contest], section: Section) -> Table:
@@ -157,7 +163,7 @@ def _decisions(of: str, unit: str, rows: Sequence[tuple[str, str, str]]) -> Tabl
 def _failed(what: str, reasons: Sequence[str], section: Section) -> None:
     told = [reason for reason in reasons if reason]
     if told:
-        section.skipped[what] = told[0]
+        section.skipped[what] = told[0].partition("\n")[0]
 
 
 def _spread(values: Sequence[float] | np.ndarray) -> str:

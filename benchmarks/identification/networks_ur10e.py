@@ -16,13 +16,13 @@ from benchmarks.identification.networks_fits import (
     SIGN_WIDTH,
     computed,
     decided,
-    fitted_family,
     tasks_of,
 )
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import load_model
 from hil.identify.base import RobotEstimator, estimator
+from hil.study.inverse_fits import fitted_family
 from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, unfitted
 from hil.study.separation_tasks import Task
 from hil.typing import FloatArray

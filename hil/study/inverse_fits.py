@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 from hil import plugins
+from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import HilError
 from hil.identify.base import GROUP, RobotEstimator
@@ -18,6 +19,11 @@ from hil.study.separation_tasks import Task
 
 COSTS = {"lagrangian": 10.0, "rigid-hysteresis": 8.0, "residual": 8.0, "rigid-irls": 2.0}
 """How long fits take compared with the others: the longest begin first."""
+
+New = Callable[[str], RobotEstimator]
+
+Fitted = tuple[str, RobotEstimator | None, float, str]
+"""Key of a row, its model or None, CPU seconds with those of the model it corrects, and why."""
 
 
 def missing(row: Row) -> str:
@@ -49,30 +55,51 @@ def fit_family(
     def new(key: str) -> RobotEstimator:
         return unfitted(ROWS[key], case.seed, sign_width, case.filters, effort)
 
-    begin = time.process_time()
-    base, failed = _tried(lambda: new(root).fit(case.learn, robot))
-    seconds = time.process_time() - begin
-    if base is None:
-        return {key: nothing(robot.n, failed) for key in keys}
-    found = {root: _judged(base, case, robot, seconds)} if root in keys else {}
-    for key in (key for key in keys if key != root):
-        found[key] = _corrected(partial(new, key), base, case, robot, seconds)
-    return {key: found[key] for key in keys}
+    return {
+        key: nothing(robot.n, failed) if model is None else _judged(model, case, robot, seconds)
+        for key, model, seconds, failed in fitted_family(root, keys, new, case.learn, robot)
+    }
+
+
+def fitted_family(
+    root: str, keys: Sequence[str], new: New, learn: Dataset, robot: RobotModel
+) -> Iterator[Fitted]:
+    """The model `root`, and whatever corrects it; a failure is told, not raised.
+
+    Args:
+        root: Key of `ROWS` with a model of its own.
+        keys: Wanted, of those that need it.
+        new: Makes an unfitted estimator by its key.
+        learn: To fit to.
+        robot: Model of the arm.
+    """
+    base, seconds, failed = _timed(lambda: new(root).fit(learn, robot))
+    for key in keys:
+        if key == root or base is None:
+            yield key, base, seconds, failed
+            continue
+        model, more, why = _timed(partial(_corrected, new, key, base, learn, robot))
+        yield key, model, seconds + more, why
 
 
 def _corrected(
-    new: Callable[[], Any], base: RobotEstimator, case: Case, robot: RobotModel, seconds: float
-) -> Judged:
-    begin = time.process_time()
-    model, failed = _tried(lambda: new().fit_on(base, case.learn, robot))
-    if model is None:
-        return nothing(robot.n, failed)
-    return _judged(model, case, robot, seconds + time.process_time() - begin)
+    new: New, key: str, base: RobotEstimator, learn: Dataset, robot: RobotModel
+) -> RobotEstimator:
+    correction: Any = new(key)
+    fitted: RobotEstimator = correction.fit_on(base, learn, robot)
+    return fitted
 
 
 def _judged(model: RobotEstimator, case: Case, robot: RobotModel, seconds: float) -> Judged:
     found, failed = _tried(lambda: judged(model, case, seconds))
     return nothing(robot.n, failed) if found is None else found
+
+
+def _timed(fit: Callable[[], RobotEstimator]) -> tuple[RobotEstimator | None, float, str]:
+    """What is fitted or None, CPU seconds, and why there is nothing."""
+    begin = time.process_time()
+    model, failed = _tried(fit)
+    return model, time.process_time() - begin, failed
 
 
 def _tried(make: Callable[[], Any]) -> tuple[Any, str]:
