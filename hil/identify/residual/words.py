@@ -9,7 +9,8 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST, FilterSettings, sample_rate
 from hil.data.parts import BY_SAMPLE
-from hil.evaluate.persistence import persistence_rmse
+from hil.evaluate.metrics import rmse
+from hil.evaluate.persistence import persistence
 from hil.identify.base import HONEST
 from hil.identify.residual.fit import Learnt
 from hil.identify.residual.judged import Judged
@@ -50,7 +51,7 @@ def words(
         *physics.model.notes_,
         *judged.selection.notes(data.joint_names, data.effort_unit),
         *_seen(physics),
-        *_trivial(data, learnt, judged, network),
+        *_trivial(data, physics, learnt, judged, network),
     )
 
 
@@ -63,17 +64,25 @@ def _seen(physics: Physics) -> Iterator[str]:
 
 
 def _trivial(
-    data: Dataset, learnt: Learnt, judged: Judged, network: ResidualSettings
+    data: Dataset, physics: Physics, learnt: Learnt, judged: Judged, network: ResidualSettings
 ) -> Iterator[str]:
-    """How good torque of a moment ago is by itself, wherever a network hears torque."""
+    """How good torque of a moment ago is by itself, wherever a network hears torque.
+
+    Both errors are of the same rows, and on the torque that is heard: as recorded, or filtered.
+    """
     if network.inputs == "motion":
         return
-    age = network.latency_s if network.inputs == "history" else 1e-3
+    rate = learnt.networks[0].rate_hz
+    lag = max(1, network.lag(rate))
     column = "effort" if network.inputs == "history" else "effort_f"
-    trivial = persistence_rmse(data, age, column, learnt.judged)
-    ours = np.where(judged.selection.kept, judged.selection.corrected, judged.selection.without)
+    # Half a sample less: stamps that jitter must not make it hold an older one.
+    held = persistence(data, (lag - 0.5) / rate, column)
+    rows = learnt.judged & np.all(np.isfinite(held), axis=1)
+    ours = physics.predicted + np.where(judged.selection.kept, learnt.correction, 0.0)
+    trivial, model = (float(np.mean(rmse(data[column][rows], of[rows]))) for of in (held, ours))
+    target = "as recorded" if network.inputs == "history" else "filtered"
     yield (
-        f"holding the torque measured {1e3 * age:g} ms before has an error of "
-        f"{float(np.mean(trivial)):.3g} {data.effort_unit} on left-out trajectories (mean over "
-        f"joints), this model {float(np.mean(ours)):.3g}"
+        f"holding the torque measured {1e3 * lag / rate:.4g} ms before has an error of "
+        f"{trivial:.3g} {data.effort_unit} on left-out trajectories (mean over joints, torque "
+        f"{target}), this model {model:.3g}"
     )
