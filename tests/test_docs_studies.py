@@ -13,7 +13,7 @@ from hil.spec.yaml_values import scalar
 from hil.study.base import GROUP
 from hil.study.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
 from hil.study.dynamic_methods import METHODS as DYNAMIC_METHODS
-from hil.study.inverse_methods import ROW_KEYS, ROWS
+from hil.study.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS
 from hil.study.separation_methods import METHOD_KEYS, known_methods
 from hil.study.static_separation import TABLE_3
 
@@ -23,7 +23,7 @@ IN_WORDS = {
     "the eight of Table 3": TABLE_3,
     "all": METHOD_KEYS,
     "all methods": DYNAMIC_KEYS,
-    "all rows": ROW_KEYS,
+    "all rows but `proposed-literal`": DEFAULT_KEYS,
     "none": None,
 }
 

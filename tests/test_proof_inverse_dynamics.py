@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.study.inverse_methods import ROW_KEYS, ROWS
+from hil.study.inverse_methods import DEFAULT_KEYS, ROWS
 from hil.study.result import StudyResult, Table
 from hil.study.store import read_study, study_files
 
@@ -47,7 +47,7 @@ def table(study: StudyResult, key: str) -> Table:
 
 @pytest.mark.parametrize("key", ["paper", "honest"])
 def test_every_method_has_finite_errors_of_every_joint(study: StudyResult, key: str) -> None:
-    names = [ROWS[row].words for row in ROW_KEYS]
+    names = [ROWS[row].words for row in DEFAULT_KEYS]
     for name in (f"table-{key}", f"table-{key}-mep"):
         rows = {row[0]: row[1:8] for row in table(study, name).rows}
         assert set(names) <= set(rows)

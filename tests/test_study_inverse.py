@@ -99,6 +99,22 @@ def test_a_correction_is_judged_on_top_of_its_base() -> None:
     assert cell(shown, "Proposed with RC, no torque", "mean") == pytest.approx(base / 2)
 
 
+def test_settings_as_printed_are_an_optional_row_for_as_many_epochs_as_the_others() -> None:
+    assert "proposed-literal" not in study("inverse-dynamics").get_params()["methods"]
+    rows = {key: unfitted(ROWS[key], 0, 0.01, FilterSettings(), 1.0).get_params()
+            for key in ("proposed", "proposed-literal")}  # fmt: skip
+    assert rows["proposed-literal"]["protocol"] == "paper"
+    assert rows["proposed-literal"]["training"] == {"epochs": USUAL_EPOCHS["lagrangian"]}
+    found = made(methods=["proposed", "proposed-literal"], protocols=["paper"])
+    assert "Proposed, settings as printed" in str(table(found, "table-paper").rows)
+
+
+def test_what_the_filter_takes_out_is_not_said_to_be_noise_alone() -> None:
+    found = made(methods=["wls"], protocols=["honest"])
+    assert "signal above its cut-off" in table(found, "table-honest").note
+    assert "signal above its cut-off" in table(found, "table-honest-raw").note
+
+
 def test_repeated_torque_stands_beside_what_sees_torque() -> None:
     methods = ["proposed", "rc-paper", "rc-history", "rc-motion"]
     found = made(methods=methods, protocols=["honest"])

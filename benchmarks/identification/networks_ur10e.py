@@ -23,7 +23,7 @@ from hil.data.filters import FilterSettings
 from hil.dynamics import load_model
 from hil.identify.base import RobotEstimator, estimator
 from hil.study.inverse_fits import fitted_family
-from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, unfitted
+from hil.study.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
 from hil.study.separation_tasks import Task
 from hil.typing import FloatArray
 
@@ -32,7 +32,7 @@ RIGID = ("wls", "ours")
 """Methods without chance that stand beside the networks."""
 
 PRODUCT = "ours-residual"
-KEYS = (*RIGID, *(key for key in ROW_KEYS if ROWS[key].learns))
+KEYS = (*RIGID, *(key for key in DEFAULT_KEYS if ROWS[key].learns))
 QUICK_KEYS = ("wls", "delan-coulomb")
 SEEDS, QUICK_SEEDS = (0, 1, 2), (0,)
 """Of start weights, mini-batches and what is held out to stop by."""

@@ -22,7 +22,7 @@ from hil.study.base import Progress, Study, silent
 from hil.study.inverse_cases import CASES, load_names, recorded
 from hil.study.inverse_fits import family_task, missing
 from hil.study.inverse_found import Found, Seen, gathered
-from hil.study.inverse_methods import RESIDUAL, ROW_KEYS, ROWS, families
+from hil.study.inverse_methods import DEFAULT_KEYS, RESIDUAL, ROW_KEYS, ROWS, families
 from hil.study.inverse_words import LABELS, TEXTS, TITLES, summary
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.separation_parameters import words
@@ -53,7 +53,7 @@ class InverseDynamics(Study):
         self,
         *,
         protocols: Sequence[str] = tuple(CASES),
-        methods: Sequence[str] = ROW_KEYS,
+        methods: Sequence[str] = DEFAULT_KEYS,
         seeds: int = 3,
         seed: int = 0,
         effort: float = 1.0,
@@ -111,7 +111,7 @@ class InverseDynamics(Study):
         notes = [*of.notes, *_absent(absent), *_failures(found), *_partly(found)]
         return StudyResult(
             self.study,
-            "Inverse dynamics: Table II of the PINN paper, as printed and honestly",
+            "Inverse dynamics: Table II of the PINN paper, under two protocols",
             tuple(summary(found)),
             self._parts(found),
             self.get_params(),

@@ -48,8 +48,9 @@ _NOTE = (
     "Against the filtered torque; mean over the seeds, each of which draws the split and the "
     "networks anew; SD: of the mean over the joints. CPU s: the model that is corrected included. "
     "Repeated torque is no model: it is what torque history is worth by itself; a method that is "
-    "given the torque of the very instant would have an error of 0 by repeating it. Rows of the "
-    "paper are of a ROKAE XB7S, the stray 0 taken out of its figures."
+    "given the torque of the very instant would have an error of 0 by repeating it. Noise: from "
+    "what the filter takes out, which also holds signal above its cut-off. Rows of the paper are "
+    "of a ROKAE XB7S, the stray 0 taken out of its figures."
 )
 
 
@@ -76,6 +77,7 @@ def measured(found: Found, key: str, measure: str, note: str = "") -> Table:
     ]
     if measure == "raw":
         rows.append(_beside("what the filter takes out", found.beside("removed")))
+        note = "What the filter takes out is noise, and signal above its cut-off."
     unit = "" if measure == "within" else " [N·m]"
     columns = ("method", *joint_titles(found.n), "mean", "SD over seeds")
     return Table(key, MEASURES[measure] + unit, columns, tuple(rows), note)
