@@ -89,8 +89,10 @@ def test_rows_drawn_one_by_one_are_labelled_as_the_papers_protocol() -> None:
     part = np.random.default_rng(0).choice([LEARN, VALIDATE, JUDGE], len(known()))
     torn = unfitted().fit(with_part(known(), part), nominal())
     assert torn.protocol == BY_SAMPLE
+    assert "brought their torque into these" in " ".join(torn.notes_)
     assert len(torn.correction_.networks) == 1
     assert model().protocol == HONEST
+    assert "brought their torque" not in " ".join(model().notes_)
 
 
 def test_a_fitted_model_can_be_corrected() -> None:

@@ -13,6 +13,7 @@ from hil.identify.residual.split import motion_frequency, slow_and_fast
 T = np.arange(4000) / 1000.0
 HEARD = ("motion", "history", "measured")
 STEADY = np.array([0, 4000])
+ALL = np.ones(4000, dtype=bool)
 
 
 def swinging(*waves: tuple[float, float]) -> Motions:
@@ -22,29 +23,45 @@ def swinging(*waves: tuple[float, float]) -> Motions:
 
 
 def test_the_motions_frequency_is_that_of_its_fastest_wave() -> None:
-    assert motion_frequency(swinging((1.0, 0.5), (1.0, 3.0))) == pytest.approx(3.0, abs=0.6)
+    assert motion_frequency(swinging((1.0, 0.5), (1.0, 3.0)), ALL) == pytest.approx(3.0, abs=0.6)
 
 
 def test_waves_of_no_consequence_do_not_count_as_motion() -> None:
-    assert motion_frequency(swinging((1.0, 3.0), (0.01, 80.0))) == pytest.approx(3.0, abs=0.6)
+    assert motion_frequency(swinging((1.0, 3.0), (0.01, 80.0)), ALL) == pytest.approx(3.0, abs=0.6)
 
 
 def test_a_motion_that_is_none_has_no_frequency() -> None:
     with pytest.raises(DataError, match="no joint moves"):
-        motion_frequency(swinging((0.0, 1.0)))
+        motion_frequency(swinging((0.0, 1.0)), ALL)
+
+
+def test_series_that_teach_nothing_have_no_say_in_the_motions_frequency() -> None:
+    slow, fast = swinging((1.0, 0.5)), swinging((1.0, 20.0))
+    qd = np.concatenate([slow.qd, fast.qd])
+    both = Motions(qd, qd, qd, qd, None, np.array([0, 4000, 8000]), 1000.0)
+    found = motion_frequency(both, np.arange(8000) < 4000)
+    assert found == pytest.approx(motion_frequency(slow, ALL))
+
+
+def test_waves_are_parted_where_rows_to_learn_from_are_drawn_one_by_one() -> None:
+    slow, fast = np.sin(2 * np.pi * 0.5 * T), 0.2 * np.sin(2 * np.pi * 25 * T)
+    learn = np.random.default_rng(0).random(4000) < 0.6
+    parts = slow_and_fast((slow + fast)[:, None], swinging((1.0, 0.5)), 5.0, learn)
+    inner = learn & (T > 0.5) & (T < 3.5)
+    assert parts[0, inner, 0] == pytest.approx(slow[inner], abs=0.02)
 
 
 def test_slow_and_fast_waves_are_parted() -> None:
     waves = swinging((1.0, 0.5))
     slow, fast = np.sin(2 * np.pi * 0.5 * T), 0.2 * np.sin(2 * np.pi * 60 * T)
-    parts = slow_and_fast((slow + fast)[:, None], waves, 6.0)[:, 500:-500, 0]
+    parts = slow_and_fast((slow + fast)[:, None], waves, 6.0, ALL)[:, 500:-500, 0]
     assert parts[0] == pytest.approx(slow[500:-500], abs=5e-3)
     assert parts[1] == pytest.approx(fast[500:-500], abs=5e-3)
 
 
 def test_what_is_slow_is_slow_where_a_series_begins_and_ends_as_well() -> None:
     slow = np.sin(2 * np.pi * 0.125 * T)[:, None]
-    fast = slow_and_fast(slow, swinging((1.0, 0.125)), 0.6)[1]
+    fast = slow_and_fast(slow, swinging((1.0, 0.125)), 0.6, ALL)[1]
     assert np.abs(fast[:500]).max() < 0.02
     assert np.abs(fast[-500:]).max() < 0.02
 
@@ -52,7 +69,8 @@ def test_what_is_slow_is_slow_where_a_series_begins_and_ends_as_well() -> None:
 @pytest.mark.parametrize("f_cut_hz", [0.2, 5.0, 450.0])
 def test_slow_and_fast_add_up(f_cut_hz) -> None:
     residual = np.random.default_rng(0).normal(size=(ROWS, 2))
-    parts = slow_and_fast(residual, motions(), f_cut_hz)
+    learn = np.random.default_rng(1).random(ROWS) < 0.6
+    parts = slow_and_fast(residual, motions(), f_cut_hz, learn)
     assert parts.sum(axis=0) == pytest.approx(residual, abs=1e-12)
 
 

@@ -45,18 +45,43 @@ def test_the_loss_is_the_mean_square_of_errors_over_the_residuals_size() -> None
     assert made.loss(torch.arange(made.samples)).item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_rows_to_stop_by_do_not_teach() -> None:
+@pytest.mark.parametrize("layout", ["grouped", "joint"])
+def test_rows_to_stop_by_do_not_teach(layout) -> None:
     recorded = motions()
     other = {name: getattr(recorded, name).copy() for name in ("q", "qd", "qdd", "base", "effort")}
     for values in other.values():
         values[OFFSETS[2] :] = values[OFFSETS[2] :] * 3.0 + 1.0
+        values[OFFSETS[2] :: 2] *= -1.0
     learn = np.arange(ROWS) < OFFSETS[1]
-    weights = []
-    for found in (recorded, replace(recorded, **other)):
-        made = _with_rows(found, learn, np.arange(ROWS) >= OFFSETS[2])
-        stepped(made)
-        weights.append(made.trained().to_arrays())
-    assert all(np.array_equal(weights[0][name], weights[1][name]) for name in weights[0])
+    taught = [
+        _taught(
+            found,
+            learn,
+            np.arange(ROWS) >= OFFSETS[2],
+            small(layout=layout, split=True, inputs="history"),
+        )
+        for found in (recorded, replace(recorded, **other))
+    ]
+    assert all(np.array_equal(taught[0][name], taught[1][name]) for name in taught[0])
+
+
+@pytest.mark.parametrize("torn", [True, False])
+def test_torque_of_rows_that_are_not_learned_from_does_not_teach(torn) -> None:
+    """Within one series: rows drawn one by one, or its end."""
+    recorded = motions(offsets=np.array([0, ROWS]))
+    learn = np.random.default_rng(2).random(ROWS) < 0.6 if torn else np.arange(ROWS) < 400
+    effort = np.where(learn[:, None], recorded.effort, 3.0 * recorded.effort + 1.0)
+    taught = [
+        _taught(found, learn, ~learn, small(layout="joint"))
+        for found in (recorded, replace(recorded, effort=effort))
+    ]
+    assert all(np.array_equal(taught[0][name], taught[1][name]) for name in taught[0])
+
+
+def _taught(found, learn, validate, settings):
+    made = ResidualProblem(found, found.effort - found.base, learn, validate, settings)
+    stepped(made)
+    return made.trained().to_arrays()
 
 
 def _with_rows(found, learn, validate):

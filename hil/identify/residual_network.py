@@ -4,7 +4,9 @@ Any estimator can be the physics; by default `rigid-hysteresis`. What it leaves 
 was not fitted to is learned, at the full recorded rate, by a causal convolutional network (PINN
 paper, section III-C): by default one per joint, which sees the motion of that joint and no torque.
 Joint by joint, the network is kept if it lowers the error on trajectories that neither it nor the
-physics has seen; the same errors give the bands that predictions carry.
+physics was fitted to; the same errors give the bands that predictions carry. These trajectories
+chose the epoch at which the network stopped, too, so errors, bands and `coverage_` are slightly
+better than those on trajectories that had no part in it: an estimate, not a guarantee.
 """
 
 from __future__ import annotations
@@ -56,7 +58,7 @@ class ResidualNetwork(CorrectedModel):
         folds: Parts the trajectories are dealt into; the physics and a network are fitted without
             each. With 1 a single network is trained on what the physics leaves of its own data.
         margin: Share of a joint's error that its network must save on left-out trajectories.
-        coverage: Share of samples that the bands are to hold.
+        coverage: Share of samples that the bands are made for; an estimate.
         validation_share: Of the trajectories, to stop by where there are no folds.
         filters: Of the network's inputs and of what it learns; the physics has its own.
         seed: Of folds, start weights and mini-batches.

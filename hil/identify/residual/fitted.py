@@ -34,7 +34,7 @@ class CorrectedModel(RobotEstimator):
         correction_: The networks, and the joints they were kept for.
         selection_: The errors that decided it.
         bands_: Half widths per joint and speed range.
-        coverage_: What such bands hold of left-out trajectories.
+        coverage_: What such bands hold of left-out trajectories, by which networks were stopped.
         curves_: How the training of the first network went.
         filters_: Of the network's inputs and of what it learned.
         by_sample_: Whether rows to learn from and to judge were drawn from the same motions.

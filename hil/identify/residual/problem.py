@@ -37,7 +37,8 @@ class ResidualProblem:
     Args:
         motions: All series, no rows left out.
         residual: (N, n) measured minus predicted effort.
-        learn: (N,) rows to learn from; statistics are of these alone.
+        learn: (N,) rows to learn from; scales, the cut-off between slow and fast, and the two
+            parts are of these alone. What smoothed the residual before is not known here.
         validate: (N,) rows to stop by.
         settings: The network's.
         loss: Of errors over the size of the residual, or of its slow and fast part each.
@@ -71,10 +72,10 @@ class ResidualProblem:
         _require_usable(motions, residual, learn, validate)
         self.settings, self.motions = settings, motions
         self.inputs = NetworkInputs.scaled_to(motions, learn, settings)
-        self.f_cut_hz = _cut_off(motions, settings)
+        self.f_cut_hz = _cut_off(motions, learn, settings)
         parts = residual[None]
         if settings.parted:
-            parts = slow_and_fast(residual, motions, self.f_cut_hz)
+            parts = slow_and_fast(residual, motions, self.f_cut_hz, learn)
         self.scale = sizes(parts, learn)
         self._size = sizes(residual[None], learn)[0]
         self._learn = Segments.of(motions, learn, settings)
@@ -145,10 +146,10 @@ class ResidualProblem:
         return y.flatten(1, 2).unflatten(1, self.scale.shape).permute(0, 3, 1, 2)
 
 
-def _cut_off(motions: Motions, settings: ResidualSettings) -> float:
+def _cut_off(motions: Motions, learn: BoolArray, settings: ResidualSettings) -> float:
     if not settings.parted:
         return 0.0
-    return motion_frequency(motions) if settings.f_cut_hz == "auto" else settings.f_cut_hz
+    return settings.f_cut_hz if settings.f_cut_hz != "auto" else motion_frequency(motions, learn)
 
 
 def _require_usable(

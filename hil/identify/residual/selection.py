@@ -1,4 +1,4 @@
-"""Does a network for what physics leaves help? Whole trajectories it has not seen say so.
+"""Does a network for what physics leaves help? Whole trajectories it was not fitted to say so.
 
 A network that does not lower the error of a joint there is dropped for that joint: what physics
 leaves of it is noise, or nothing that other motions share.

@@ -1,16 +1,20 @@
 """The slow and the fast part of a residual (PINN paper, eq. 24).
 
 What is slow has the frequencies of the motion; what is fast comes from reversals. The parts are
-labels to learn from: the filter may look ahead, since nothing that predicts ever runs it.
+labels to learn from: the filter may look ahead, since nothing that predicts ever runs it. But it
+must not look at what is judged: it runs from the first row of a series that is learned from to the
+last, and rows between them that are not are bridged by straight lines.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
 from hil.errors import DataError
 from hil.identify.residual.motions import Motions
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 POWER_SHARE = 0.99
 """Of the joints' velocities that lies below the motion's highest frequency."""
@@ -22,15 +26,17 @@ MOST_OF_NYQUIST = 0.8
 """A cut-off above leaves nothing that is fast."""
 
 
-def motion_frequency(motions: Motions) -> float:
+def motion_frequency(motions: Motions, learn: BoolArray) -> float:
     """The frequency [Hz] below which the motion's velocities have 99 % of their power.
 
-    Every joint counts alike, however quick it is; series are weighted by their length.
+    Every joint counts alike, however quick it is; series are weighted by their length. Only rows
+    that are learned from (N,) have a say.
 
     Raises:
         DataError: Nothing moves.
     """
-    found = (_cumulative(motions.qd[rows]) for rows in motions.slices())
+    bridged = _bridged(motions.qd, motions, learn)
+    found = (_cumulative(bridged[rows]) for rows in _spans(motions, learn))
     shares = [share for share in found if share is not None]
     if not shares:
         raise DataError("no joint moves, so the motion has no frequency", hint="set f_cut_hz")
@@ -42,19 +48,43 @@ def motion_frequency(motions: Motions) -> float:
     return float(0.5 * motions.rate_hz * grid[np.argmax(mean >= POWER_SHARE)])
 
 
-def slow_and_fast(residual: FloatArray, motions: Motions, f_cut_hz: float) -> FloatArray:
+def slow_and_fast(
+    residual: FloatArray, motions: Motions, f_cut_hz: float, learn: BoolArray
+) -> FloatArray:
     """(2, N, n): what a zero-phase low-pass filter lets through, and the rest; they add up.
 
     Args:
         residual: (N, n).
         motions: Says where series begin and how fast they were sampled.
         f_cut_hz: Cut-off [Hz].
+        learn: (N,) rows to learn from: their parts depend on no other row. Parts of the others
+            are good for nothing but their sum.
     """
     slow = np.array(residual, dtype=np.float64)
     fraction = f_cut_hz / (0.5 * motions.rate_hz)
-    for rows in motions.slices():
-        slow[rows] = _low_pass(residual[rows], fraction)
+    bridged = _bridged(residual, motions, learn)
+    for rows in _spans(motions, learn):
+        slow[rows] = _low_pass(bridged[rows], fraction)
     return np.stack([slow, residual - slow])
+
+
+def _spans(motions: Motions, learn: BoolArray) -> Iterator[slice]:
+    """From the first row to the last that is learned from, of each series that has any."""
+    for rows in motions.slices():
+        known = np.flatnonzero(learn[rows])
+        if len(known):
+            yield slice(rows.start + int(known[0]), rows.start + int(known[-1]) + 1)
+
+
+def _bridged(values: FloatArray, motions: Motions, learn: BoolArray) -> FloatArray:
+    """(N, n) with straight lines where rows within a span are not learned from."""
+    out = np.array(values, dtype=np.float64)
+    for rows in _spans(motions, learn):
+        at = np.arange(rows.start, rows.stop)
+        known = learn[rows]
+        for j in range(values.shape[1]):
+            out[rows, j] = np.interp(at, at[known], values[rows, j][known])
+    return out
 
 
 def _low_pass(values: FloatArray, fraction: float) -> FloatArray:
