@@ -110,6 +110,12 @@ def test_ours_is_set_against_the_best_of_one_to_six_and_the_noise() -> None:
     assert "closes 90 % of the gap to the noise, if that is white" in text
 
 
+def test_without_ours_nobody_of_six_is_said_to_be_the_best() -> None:
+    text = told(wls=(1.0, 1.0), irls=(1.1, 1.1))
+    assert "the least error of Methods 1 to 6 is 1 N·m (Method 1: WLS)." in text
+    assert "best" not in text
+
+
 def test_ours_is_not_ahead_of_six_when_seeds_disagree() -> None:
     text = told(wls=(1.0, 1.2, 1.4), ours=(0.9, 1.3, 1.0))
     assert "1.2 N·m (not told apart: they differ by less than two seed-σ)." in text

@@ -70,7 +70,7 @@ def _ours(found: Found) -> Iterator[str]:
     best = min(known, key=found.average)
     least = found.average(best)
     if ours is None:
-        yield f"the best of Methods 1 to 6 is {ROWS[best].words}: {least:.3g} N·m."
+        yield f"the least error of Methods 1 to 6 is {least:.3g} N·m ({ROWS[best].words})."
         return
     error = found.average(ours)
     noise = float(np.mean(found.beside("noise")))
