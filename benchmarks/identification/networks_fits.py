@@ -45,6 +45,6 @@ def decided(model: RobotEstimator) -> str:
     if selection is None:
         return ""
     return " ".join(
-        f"{name}:{'kept' if one['kept'] else 'dropped'} {one['without']:.3g}→{one['with']:.3g}"
-        for name, one in zip(model.joint_names_, selection.facts(model.joint_names_), strict=True)
+        f"J{j}:{'kept' if one['kept'] else 'dropped'} {one['without']:.3g}→{one['with']:.3g}"
+        for j, one in enumerate(selection.facts(model.joint_names_), start=1)
     )
