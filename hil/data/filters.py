@@ -24,7 +24,13 @@ from hil.data.filtering.butterworth import (
     zero_phase,
 )
 from hil.data.filtering.derivative import derivative, local_slope
-from hil.data.filtering.downsampling import AT_REST, downsample, kept_rows, stride_of
+from hil.data.filtering.downsampling import (
+    AT_REST,
+    downsample,
+    kept_rows,
+    motion_rates,
+    stride_of,
+)
 from hil.data.filtering.settings import PRESETS, FilterSettings
 from hil.errors import DataError
 from hil.typing import FloatArray
@@ -42,6 +48,7 @@ __all__ = [
     "is_prepared",
     "kept_rows",
     "local_slope",
+    "motion_rates",
     "nyquist_fraction",
     "prepare",
     "require_finite",

@@ -50,6 +50,19 @@ def stride_of(dataset: Dataset, rows: slice) -> float:
     return float(dataset.columns[STRIDE][rows.start]) if STRIDE in dataset.columns else 1.0
 
 
+def motion_rates(dataset: Dataset) -> list[tuple[float, str]]:
+    """Samples per second and id of every series of at least two samples that does not rest.
+
+    Raises:
+        DataError: Time does not increase.
+    """
+    return [
+        (sample_rate(dataset["t"][rows]), condition.id)
+        for condition, rows in dataset.slices()
+        if condition.kind not in AT_REST and rows.stop - rows.start > 1
+    ]
+
+
 def _kept(dataset: Dataset, stride: FloatArray) -> BoolArray:
     within = np.arange(len(dataset)) - dataset.offsets[:-1][dataset.series_index()]
     return np.asarray(within % stride == 0)

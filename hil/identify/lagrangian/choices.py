@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST, FilterSettings, sample_rate
+from hil.data.filters import FilterSettings, motion_rates
 from hil.errors import SpecError
 from hil.identify.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.identify.lagrangian.settings import NetworkSettings
@@ -115,12 +115,7 @@ FAST_HZ = 150.0
 
 def filters_for(dataset: Dataset) -> FilterSettings:
     """Filters by the rate of the slowest motion."""
-    rates = [
-        sample_rate(dataset["t"][rows])
-        for condition, rows in dataset.slices()
-        if condition.kind not in AT_REST and rows.stop - rows.start > 1
-    ]
-    slowest = min(rates, default=0.0)
+    slowest = min((rate for rate, _ in motion_rates(dataset)), default=0.0)
     if slowest < FAST_HZ:
         return FilterSettings()
     cuts = dict.fromkeys(("velocity", "acceleration", "effort"), CUTOFF_HZ)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST, sample_rate
+from hil.data.filters import motion_rates
 from hil.errors import DataError
 from hil.identify.residual.settings import ResidualSettings
 from hil.typing import FloatArray, IntArray
@@ -111,11 +111,7 @@ def one_rate(dataset: Dataset) -> float:
     Raises:
         DataError: Nothing moves for at least two samples, or two series differ by more than 5 %.
     """
-    rates = [
-        (sample_rate(dataset["t"][rows]), condition.id)
-        for condition, rows in dataset.slices()
-        if condition.kind not in AT_REST and rows.stop - rows.start > 1
-    ]
+    rates = motion_rates(dataset)
     if not rates:
         raise DataError(
             "a residual network needs a motion of at least two samples, but there is none",

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import AT_REST, FilterSettings, sample_rate
+from hil.data.filters import FilterSettings, motion_rates
 from hil.data.parts import BY_SAMPLE, told_by_sample
 from hil.evaluate.metrics import rmse
 from hil.evaluate.persistence import persistence
@@ -25,12 +25,8 @@ MOST_OF_NYQUIST = 0.4
 
 def filters_for(dataset: Dataset) -> FilterSettings:
     """50 Hz over everything, less where samples are few."""
-    rates = [
-        sample_rate(dataset["t"][rows])
-        for condition, rows in dataset.slices()
-        if condition.kind not in AT_REST and rows.stop - rows.start > 1
-    ]
-    cutoff = round(min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * min(rates)), 2)
+    slowest = min(rate for rate, _ in motion_rates(dataset))
+    cutoff = round(min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * slowest), 2)
     return FilterSettings(unit="hz", velocity=cutoff, acceleration=cutoff, effort=cutoff)
 
 
