@@ -119,7 +119,7 @@ def test_repeated_torque_stands_beside_what_sees_torque() -> None:
     methods = ["proposed", "rc-paper", "rc-history", "rc-motion"]
     found = made(methods=methods, protocols=["honest"])
     names = [row[0] for row in table(found, "table-honest").rows]
-    at = names.index("Proposed with RC, torque until 20 ms before")
+    at = names.index("Proposed with RC, torque history until 20 ms before")
     assert names[at + 1] == "the torque of 20 ms ago, repeated"
     at = names.index(ROWS["rc-paper"].words)
     assert names[at + 1] == "the torque of 10 ms ago, repeated"

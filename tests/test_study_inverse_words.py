@@ -25,7 +25,7 @@ def found(**errors: tuple[float, ...]) -> Found:
     seeds = len(next(iter(errors.values())))
     held = {0.001: Held(0.004, np.full(2, 0.1)), 0.02: Held(0.024, np.full(2, 0.9))}
     one = np.zeros(1), np.zeros((1, 2))
-    seen = Seen(*one, *one[1:] * 2, np.full(2, 0.5), np.full(2, 0.2), held)
+    seen = Seen(*one, *one[1:] * 2, np.full(2, 0.5), np.full(2, 0.2), held, 125.0)
     scores = {name.replace("_", "-"): [judged(e) for e in told] for name, told in errors.items()}
     return Found("honest", scores, {}, [seen] * seeds, {})
 
@@ -134,7 +134,15 @@ def test_a_correction_whose_seeds_disagree_is_not_told_apart() -> None:
 
 def test_what_sees_torque_is_set_against_repeating_it() -> None:
     text = told(proposed=(1.0, 1.0), rc_history=(0.8, 0.8))
+    assert "torque history until 24 ms before leaves 0.8 N·m; to repeat the torque of" in text
     assert "to repeat the torque of 24 ms ago leaves 0.9 N·m" in text
+
+
+@pytest.mark.parametrize(("rate_hz", "ms"), [(1000.0, "20"), (125.0, "24"), (500.0, "20")])
+def test_a_history_is_as_old_as_whole_samples_of_the_data_are(rate_hz: float, ms: str) -> None:
+    words = ROWS["rc-history"].words_at(rate_hz)
+    assert words == f"Proposed with RC, torque history until {ms} ms before"
+    assert ROWS["rc-motion"].words_at(rate_hz) == ROWS["rc-motion"].words
 
 
 def test_what_the_loops_add_is_said_with_its_doubt() -> None:

@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from hil.study.inverse_found import Found
-from hil.study.inverse_methods import ROWS
 from hil.study.inverse_score import Shown, evenly
 from hil.study.inverse_tables import carried, under
 from hil.study.result import Curve, Figure, Panel
@@ -36,7 +35,7 @@ def torques(found: Found, key: str) -> Figure:
     for j, title in enumerate(joint_titles(found.n)):
         curves = [_line("measured", seen.t, seen.measured[:, j])]
         curves += [
-            _line(ROWS[name].words, seen.t, found.scores[name][0].shown.torque[:, j])
+            _line(found.words(name), seen.t, found.scores[name][0].shown.torque[:, j])
             for name in chosen
         ]
         panels.append(Panel(title, "time [s]", "torque [N·m]", tuple(curves)))
@@ -56,11 +55,11 @@ def friction(found: Found, key: str) -> Figure | None:
         curves = [_line("measured without the rigid body", speed, left, points=True)]
         for name in chosen:
             values = _shown(found, name).friction[:, j]
-            curves.append(_line(ROWS[name].words, speed, values, points=True))
+            curves.append(_line(found.words(name), speed, values, points=True))
         panels.append(Panel(title, "velocity [rad/s]", "friction [N·m]", tuple(curves)))
     caption = (
         f"Judged samples, first seed (Fig. 5 of the paper). The rigid body is that of "
-        f"“{ROWS[chosen[0]].words}”; a constant may be part of friction or of gravity."
+        f"“{found.words(chosen[0])}”; a constant may be part of friction or of gravity."
     )
     return Figure(key, "Friction against velocity", caption, tuple(panels), 2)
 
@@ -76,7 +75,7 @@ def residuals(found: Found, key: str) -> Figure | None:
         for band, words in enumerate(("low", "high")):
             curves = [_line("left by Proposed", seen.t, left[band, :, j])]
             curves += [
-                _line(ROWS[name].words, seen.t, _shown(found, name).residual[band, :, j])
+                _line(found.words(name), seen.t, _shown(found, name).residual[band, :, j])
                 for name in chosen
             ]
             heading = f"{title}, {words} frequency"
@@ -96,7 +95,7 @@ def bars(found: Found, key: str) -> Figure:
             every = np.stack([getattr(score, measure) for score in scores])
             spread = np.std(every, axis=0, ddof=1) if len(every) > 1 else np.zeros(found.n)
             heights = _floats(every.mean(axis=0))
-            curves.append(Curve(ROWS[name].words, joints, heights, "bars", _floats(spread)))
+            curves.append(Curve(found.words(name), joints, heights, "bars", _floats(spread)))
         panels.append(Panel(title.split(" ")[0], "joint", title, tuple(curves)))
     caption = "Bars: standard deviation over the seeds (Fig. 7 of the paper)."
     return Figure(key, "Errors per joint", caption, tuple(panels), 1)
@@ -111,7 +110,7 @@ def loads(found: Found) -> Figure | None:
     panels = []
     for told in ("unaware", "aware"):
         curves = [
-            Curve(ROWS[key].words, names, tuple(under(found, key, load, told) for load in known),
+            Curve(found.words(key), names, tuple(under(found, key, load, told) for load in known),
                   "bars")
             for key in _some(BARS, found.scores)
         ]  # fmt: skip
@@ -132,7 +131,7 @@ def learning(found: Found, key: str) -> Figure | None:
             if len(values)
         ]
         if curves:
-            panels.append(Panel(ROWS[name].words, "epoch", "loss", tuple(curves)))
+            panels.append(Panel(found.words(name), "epoch", "loss", tuple(curves)))
     if not panels:
         return None
     return Figure(key, "Learning curves", "First seed.", tuple(panels), 2)

@@ -164,7 +164,7 @@ def _decisions(found: Found) -> Iterator[str]:
     for key in (key for key in found.scores if ROWS[key].estimator == RESIDUAL):
         for i, score in enumerate(found.scores[key]):
             told = (note for note in score.notes if note.startswith(RESIDUAL))
-            yield from (f"{ROWS[key].words}, draw {i + 1}: {note}" for note in told)
+            yield from (f"{found.words(key)}, draw {i + 1}: {note}" for note in told)
 
 
 def _absent(absent: dict[str, str]) -> Iterator[str]:
@@ -177,7 +177,7 @@ def _partly(found: Sequence[Found]) -> Iterator[str]:
             least = min(score.known for score in scores)
             if least < 0.999:
                 yield (
-                    f"{ROWS[key].words}, {one.protocol}: judged on {100 * least:.1f} % of the "
+                    f"{one.words(key)}, {one.protocol}: judged on {100 * least:.1f} % of the "
                     "samples, where it says something"
                 )
 
@@ -189,7 +189,7 @@ def _failures(found: Sequence[Found]) -> list[str]:
         FitError: None is left.
     """
     notes = [
-        f"{ROWS[key].words} ({ROWS[key].estimator}), {one.protocol}: left out, {reason}"
+        f"{one.words(key)} ({ROWS[key].estimator}), {one.protocol}: left out, {reason}"
         for one in found
         for key, reason in one.failed.items()
     ]

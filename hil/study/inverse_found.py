@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.identify.residual.motions import one_rate
 from hil.study.inverse_cases import Case
-from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S
+from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.study.inverse_noise import Held, persistence_of, white_noise_left
 from hil.study.inverse_score import Judged, cloud_rows, shown_rows
 from hil.typing import FloatArray
@@ -24,6 +25,7 @@ class Seen:
         removed: (n,) RMS of what the filter takes out of the measured torque.
         noise: (n,) RMS of the noise that it leaves, if the noise is white.
         persistence: By latency [s], of repeating the newest torque that is so old at least.
+        rate_hz: Samples per second, as recorded.
     """
 
     t: FloatArray
@@ -33,6 +35,7 @@ class Seen:
     removed: FloatArray
     noise: FloatArray
     persistence: Mapping[float, Held]
+    rate_hz: float
 
     @staticmethod
     def of(case: Case) -> Seen:
@@ -48,6 +51,7 @@ class Seen:
             removed * case.scale,
             white_noise_left(removed * case.scale, case),
             {latency: persistence_of(case, latency) for latency in (PREVIOUS_S, LATENCY_S)},
+            one_rate(data),
         )
 
 
@@ -73,6 +77,10 @@ class Found:
     def n(self) -> int:
         """Joints."""
         return len(self.seen[0].noise)
+
+    def words(self, key: str) -> str:
+        """What a row is called, with the latency that it has at the rate of these data."""
+        return ROWS[key].words_at(self.seen[0].rate_hz)
 
     def mean(self, key: str, measure: str) -> FloatArray:
         """(n,) mean over the seeds."""

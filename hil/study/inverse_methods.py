@@ -9,11 +9,11 @@ from typing import Any
 from hil.data.filters import FilterSettings
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.lagrangian import choices
-from hil.identify.residual.settings import TRAINING
+from hil.identify.residual.settings import TRAINING, ResidualSettings
 from hil.study.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02
-"""How old the newest torque is that an observer with history may see."""
+"""How old the newest torque is at least that an observer with history may see."""
 
 PREVIOUS_S = 0.001
 """How old torque has to be at least to be repeated beside an observer that sees that of now."""
@@ -34,7 +34,7 @@ class Row:
 
     Attributes:
         key: In the spec.
-        words: In tables.
+        words: For people; tables of data have `words_at`.
         estimator: Name it is registered under.
         params: Of the estimator, beside those all share.
         on: Key of the row whose fitted model it corrects; empty for a model of its own.
@@ -54,6 +54,16 @@ class Row:
     def learns(self) -> bool:
         """Whether it draws numbers: a network has a seed and can be trained longer."""
         return self.estimator in USUAL_EPOCHS
+
+    def words_at(self, rate_hz: float) -> str:
+        """Its words where samples come at this rate.
+
+        A latency is a whole number of samples, so a history ends somewhat earlier than asked for.
+        """
+        if self.torque != "history":
+            return self.words
+        lag = ResidualSettings(inputs="history", latency_s=self.params["latency_s"]).lag(rate_hz)
+        return f"{self.words} until {1e3 * lag / rate_hz:.3g} ms before"
 
 
 def _classical(key: str) -> Row:
@@ -98,7 +108,7 @@ ROWS = {
                  friction="stribeck", direction="dahl"),
         _corrected("rc-paper", "Proposed with RC, measured torque (as in the paper)",
                    inputs="measured", layout="joint"),
-        _corrected("rc-history", "Proposed with RC, torque until 20 ms before",
+        _corrected("rc-history", "Proposed with RC, torque history",
                    inputs="history", layout="joint", latency_s=LATENCY_S),
         _corrected("rc-motion", "Proposed with RC, no torque", inputs="motion", layout="joint"),
         _corrected("rc-grouped", "Proposed with RC, no torque, joint by joint",

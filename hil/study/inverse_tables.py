@@ -29,7 +29,7 @@ def errors(found: Found, key: str, what: str) -> Table:
     rows: list[tuple[Value, ...]] = []
     for name in found.scores:
         seconds = float(np.mean([score.seconds for score in found.scores[name]]))
-        rows.append(_row(ROWS[name].words, found.mean(name, "filtered"),
+        rows.append(_row(found.words(name), found.mean(name, "filtered"),
                          found.spread(name, "filtered"), seconds))  # fmt: skip
         rows += _persistence(found, name)
     noise = _beside("noise that the filter leaves, if white", found.beside("noise"))
@@ -57,7 +57,7 @@ _NOTE = (
 def largest(found: Found, key: str, what: str) -> Table:
     """MEP per joint."""
     rows = tuple(
-        _row(ROWS[name].words, found.mean(name, "percent"), found.spread(name, "percent"))
+        _row(found.words(name), found.mean(name, "percent"), found.spread(name, "percent"))
         for name in found.scores
     )
     columns = ("method", *joint_titles(found.n), "mean", "SD over seeds")
@@ -71,7 +71,7 @@ def largest(found: Found, key: str, what: str) -> Table:
 def measured(found: Found, key: str, measure: str, note: str = "") -> Table:
     """Another measure per joint; rows for which nobody knows it are left out."""
     rows = [
-        _row(ROWS[name].words, found.mean(name, measure), found.spread(name, measure))
+        _row(found.words(name), found.mean(name, measure), found.spread(name, measure))
         for name in found.scores
         if np.any(np.isfinite(found.mean(name, measure)))
     ]
@@ -93,7 +93,7 @@ def under_loads(found: Found) -> Table | None:
         cells: list[Value] = [value(found.average(name))]
         for load in loads:
             cells += [value(under(found, name, load, told)) for told in ("unaware", "aware")]
-        rows.append((ROWS[name].words, *cells))
+        rows.append((found.words(name), *cells))
     columns = ["method", "no other load"]
     for load in loads:
         columns += [f"{found.loads[load]} unaware", f"{found.loads[load]} aware"]
@@ -133,7 +133,7 @@ def both(found: Sequence[Found]) -> Table:
             known = name in one.scores
             cells += [value(one.average(name)) if known else None,
                       value(one.spread(name, "filtered")) if known else None]  # fmt: skip
-        rows.append((ROWS[name].words, *cells))
+        rows.append((found[0].words(name), *cells))
     columns = ["method"]
     for one in found:
         columns += [one.protocol, f"{one.protocol}: SD"]

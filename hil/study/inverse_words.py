@@ -70,15 +70,16 @@ def _ours(found: Found) -> Iterator[str]:
     best = min(known, key=found.average)
     least = found.average(best)
     if ours is None:
-        yield f"the least error of Methods 1 to 6 is {least:.3g} N·m ({ROWS[best].words})."
+        yield f"the least error of Methods 1 to 6 is {least:.3g} N·m ({found.words(best)})."
         return
     error = found.average(ours)
     noise = float(np.mean(found.beside("noise")))
-    name = f"the best of Methods 1 to 6, {ROWS[best].words}, {least:.3g} N·m"
-    yield f"{ROWS[ours].words} leaves {error:.3g} N·m, {beside(found, ours, best, name)}."
+    name = f"the best of Methods 1 to 6, {found.words(best)}, {least:.3g} N·m"
+    yield f"{found.words(ours)} leaves {error:.3g} N·m, {beside(found, ours, best, name)}."
     if least > noise and apart(found, ours, best):
         closed = 100 * (least - error) / (least - noise)
-        yield f"{ROWS[ours].words} closes {closed:.0f} % of the gap to the noise, if that is white."
+        gap = f"closes {closed:.0f} % of the gap to the noise, if that is white"
+        yield f"{found.words(ours)} {gap}."
 
 
 def _order(found: Found) -> Iterator[str]:
@@ -129,12 +130,12 @@ def _corrected(found: Found) -> Iterator[str]:
     for key in ("rc-motion", "rc-grouped"):
         if {key, "proposed"} <= found.scores.keys():
             told = beside(found, key, "proposed", "Proposed")
-            yield f"{ROWS[key].words} leaves {found.average(key):.3g} N·m, {told}."
+            yield f"{found.words(key)} leaves {found.average(key):.3g} N·m, {told}."
     for key in ("rc-paper", "rc-history"):
         if key in found.scores:
             error, held = found.average(key), repeated(found, key)
             yield (
-                f"{ROWS[key].words} leaves {error:.3g} N·m; to repeat the torque of "
+                f"{found.words(key)} leaves {error:.3g} N·m; to repeat the torque of "
                 f"{1e3 * held.age_s:.3g} ms ago leaves {float(np.mean(held.error)):.3g} N·m."
             )
 
@@ -167,7 +168,7 @@ def _least(found: Found, keys: Sequence[str], load: int, told: str) -> str:
     if not errors:
         return ""
     best = min(errors, key=lambda key: errors[key])
-    return f"{errors[best]:.3g} N·m ({ROWS[best].words})"
+    return f"{errors[best]:.3g} N·m ({found.words(best)})"
 
 
 def _is_known(found: Found, key: str) -> bool:
