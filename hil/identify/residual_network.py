@@ -26,7 +26,6 @@ from hil.identify.checks import require_clean, require_motion, require_robot, re
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import number, settings, share
 from hil.identify.plausible import require_plausible
-from hil.identify.residual.correction import Correction
 from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.residual.judged import Judged
@@ -170,11 +169,8 @@ class ResidualNetwork(CorrectedModel):
         judged = Judged.of(data, physics, learnt, self.margin, self.coverage)
         self.base_, self.by_sample_ = physics.model, told_by_sample(data)
         self.selection_, self.bands_ = judged.selection, judged.bands
-        self.correction_ = Correction(
-            self._network, learnt.networks, judged.selection.kept, judged.limit
-        )
-        self.coverage_, self.sigma_ = judged.coverage, judged.sigma
-        self.curves_ = learnt.curves[0]
+        self.correction_, self.coverage_ = judged.correction, judged.coverage
+        self.sigma_, self.curves_ = judged.sigma, learnt.curves[0]
         self.samples_ = int(np.count_nonzero(learnt.used))
         self.notes_ = words(data, physics, learnt, judged, self._network)
 

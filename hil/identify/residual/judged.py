@@ -1,18 +1,21 @@
 """What left-out rows say: which joints keep their network, and how wide the bands are.
 
+Corrections are judged as predictions give them, within their limits.
+
 Nothing was fitted to these rows, but they chose the epoch at which a network stopped: what they
 say of it is a little too good.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.identify.conformal import SpeedBands
+from hil.identify.residual.correction import Correction
 from hil.identify.residual.fit import Learnt, trajectory_numbers
 from hil.identify.residual.out_of_fold import Physics
 from hil.identify.residual.selection import Selection, select
@@ -25,18 +28,18 @@ class Judged:
 
     Attributes:
         selection: Which joints keep their network.
+        correction: What predictions are corrected by: where it is kept, and how large at most.
         bands: From errors on measured effort, as recorded.
         coverage: What bands made without them hold of left-out trajectories; empty where there
             is one only.
         sigma: (n,) root-mean-square error on measured effort.
-        limit: (n,) largest residual there was to learn, filtered.
     """
 
     selection: Selection
+    correction: Correction
     bands: SpeedBands
     coverage: dict[str, Any]
     sigma: FloatArray
-    limit: FloatArray
 
     @staticmethod
     def of(
@@ -53,17 +56,25 @@ class Judged:
         """
         rows = learnt.judged
         left = (data["effort_f"] - physics.predicted)[rows]
-        added, blocks = learnt.correction[rows], trajectory_numbers(data)[rows]
-        selection = select(left, left - added, blocks, margin)
-        predicted = physics.predicted[rows] + np.where(selection.kept, added, 0.0)
+        said, blocks = learnt.correction[rows], trajectory_numbers(data)[rows]
+        everywhere = _correction(learnt, np.max(np.abs(left), axis=0))
+        selection = select(left, left - everywhere.bounded(said), blocks, margin)
+        correction = replace(everywhere, kept=selection.kept)
+        predicted = physics.predicted[rows] + correction.bounded(said)
         errors, speeds = data["effort"][rows] - predicted, data["qd_f"][rows]
         return Judged(
             selection,
+            correction,
             SpeedBands.calibrate(errors, speeds, blocks, coverage),
             _coverage(errors, speeds, blocks, _parts(physics.fold[rows], blocks), coverage),
             np.sqrt(np.mean(errors**2, axis=0)),
-            np.max(np.abs(left), axis=0),
         )
+
+
+def _correction(learnt: Learnt, limit: FloatArray) -> Correction:
+    """All networks in all joints."""
+    kept = np.ones(len(limit), dtype=bool)
+    return Correction(learnt.networks[0].settings, learnt.networks, kept, limit)
 
 
 def _parts(fold: IntArray, blocks: IntArray) -> IntArray:

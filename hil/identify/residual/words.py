@@ -85,7 +85,7 @@ def _trivial(
     # Half a sample less: stamps that jitter must not make it hold an older one.
     held = persistence(data, (lag - 0.5) / rate, column)
     rows = learnt.judged & np.all(np.isfinite(held), axis=1)
-    ours = physics.predicted + np.where(judged.selection.kept, learnt.correction, 0.0)
+    ours = physics.predicted + judged.correction.bounded(learnt.correction)
     trivial, model = (float(np.mean(rmse(data[column][rows], of[rows]))) for of in (held, ours))
     target = "as recorded" if network.inputs == "history" else "filtered"
     yield (
