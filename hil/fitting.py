@@ -27,7 +27,7 @@ from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
 from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
-from hil.identify.training_loop.attached import attach
+from hil.identify.training_loop.attached import attach, keeps_checkpoints
 from hil.identify.training_loop.problem import Watch
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -135,9 +135,26 @@ def fit_sources(
 
 
 def fit_dataset(
-    dataset: Dataset, estimator: str, robot: RobotModel, *, out: Path, **params: Any
+    dataset: Dataset,
+    estimator: str,
+    robot: RobotModel,
+    *,
+    out: Path,
+    watch: Watch | None = None,
+    checkpoints: Path | None = None,
+    **params: Any,
 ) -> Fitted:
     """Fit an estimator to a dataset and store the model under `out`.
+
+    Args:
+        dataset: To fit to.
+        estimator: Name in `hil.estimators`.
+        robot: Model of the arm.
+        out: Folder in which the model's folder is made.
+        watch: Told every epoch of estimators that train networks.
+        checkpoints: Folder to keep their training in, and to take it up from; other estimators
+            keep nothing.
+        **params: The estimator's own parameters.
 
     Raises:
         FitError: The data do not allow it.
@@ -145,7 +162,9 @@ def fit_dataset(
     """
     sources = dict.fromkeys(condition.source for condition in dataset.conditions)
     serial = _one_serial([Path(source) for source in sources if source and Path(source).exists()])
-    return _fit(make_estimator(estimator, **params), dataset, robot, out, serial)
+    model = make_estimator(estimator, **params)
+    attach(model, watch, checkpoints if keeps_checkpoints(model) else None)
+    return _fit(model, dataset, robot, out, serial)
 
 
 def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ from hil.campaign.attempt import Recorded
 from hil.campaign.experiment import Experiment
 from hil.campaign.judging import judge_run
 from hil.campaign.studies import run_studies
+from hil.campaign.trainings import are_kept
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
@@ -35,14 +36,22 @@ def _judge(
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:
-        judge_run(recorded.directory, experiment.spec, recorded.counts)
+        judge_run(recorded.directory, experiment.spec, recorded.counts, watching.publish)
     except (Exception, StopSignal) as error:
         if signals.seen:
-            return signals.stopped()
+            return _stopped(recorded, signals)
         if isinstance(error, HilError):
             return error
         raise
     return None
+
+
+def _stopped(recorded: Recorded, signals: SignalWatch) -> Stopped:
+    """What a signal during the fits leaves, and how to go on."""
+    path = recorded.directory.path
+    kept = "; the training is kept" if are_kept(path) else ""
+    told = f"{signals.reason} during the fits; the recording is complete{kept}"
+    return Stopped(told, hint=f"go on with: hil resume {path}", by_signal=True)
 
 
 def _is_whole(recorded: Recorded) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.parts import Parts, hold_out
+from hil.campaign.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
 from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
@@ -43,13 +44,15 @@ class Judged:
 
 
 def judge_run(
-    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int]
+    directory: RunDirectory, spec: ExperimentSpec, counts: Mapping[str, int], tell: Tell = nobody
 ) -> bool | None:
     """Judge a completed run: its recording, and every estimator of the spec on what was held out.
 
     Each estimator is fitted by itself, on the series of the kinds it learns from: one that fails
     leaves the others as they are. Writes `fit/…` and `verdict.json` into the run directory. A
     model that follows a paper's protocol instead of an honest one is reported, but never judged.
+
+    How far fits are is told as `hil.campaign.trainings` says.
 
     Returns:
         Whether all criteria are met; None when there are none for a model, or when no criterion
@@ -64,10 +67,12 @@ def judge_run(
     judged: list[Judged] = []
     problems: list[FailedFit] = []
     data = _loaded(directory, problems)
-    for fit in spec.fit if data is not None else ():
+    for number, fit in enumerate(spec.fit if data is not None else (), start=1):
         assert data is not None
+        news = FitNews(fit.estimator, number, len(spec.fit), tell)
         try:
-            judged.append(_judge_one(directory, data, fit, spec))
+            with news.ended():
+                judged.append(_judge_one(directory, data, fit, spec, news))
         except HilError as error:
             problems.append(FailedFit(fit.estimator, error))
         # Estimators are plug-ins: whatever one of them raises must not cost the others.
@@ -75,6 +80,7 @@ def judge_run(
             problems.append(FailedFit(fit.estimator, _as_fit_error(fit.estimator, error)))
     document = _verdict_document(judged, problems, spec, counts)
     directory.write_json("verdict.json", document)
+    forget(directory.path)
     if problems:
         raise _all_in_one(problems, directory)
     passed: bool | None = document["passed"]
@@ -114,13 +120,20 @@ def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | Non
         return None
 
 
-def _judge_one(directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec) -> Judged:
+def _judge_one(
+    directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec, news: FitNews
+) -> Judged:
     usable = usable_part(data, estimator(fit.estimator, **fit.parameters))
     parts = hold_out(usable, spec.validation.hold_out)
     robot = load_model(data.robot, gravity=data.gravity)
-    fitted = fit_dataset(
-        parts.train, fit.estimator, robot, out=directory.path / "fit", **fit.parameters
-    )
+
+    def fitted_from(checkpoints: Path) -> Fitted:
+        return fit_dataset(
+            parts.train, fit.estimator, robot, out=directory.path / "fit", watch=news.epoch,
+            checkpoints=checkpoints, **fit.parameters,
+        )  # fmt: skip
+
+    fitted = fit_or_go_on(directory.path, fit, fitted_from)
     held_out = evaluate(fitted.model, parts.test, fitted.train_std)
     trained = evaluate(fitted.model, parts.train, fitted.train_std)
     protocol = fitted.model.protocol

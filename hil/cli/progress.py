@@ -12,8 +12,10 @@ import time
 from hil.cli.excitation_line import ExcitationLine
 from hil.cli.output import duration, fold, width_of
 from hil.cli.study_progress import StudyBar
+from hil.cli.training_line import TrainingLine
 from hil.engine.observers import Event
 from hil.excite.setting import Advance
+from hil.identify.training_loop.problem import Told
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, state_words, step_words
 from hil.preflight.robot_checks import OWN
@@ -35,6 +37,7 @@ class ProgressLines:
         self._pausing = ""
         self._studies = StudyBar()
         self._excitation = ExcitationLine()
+        self._training = TrainingLine()
 
     def notify(self, event: Event) -> None:
         """Print the event if it is news, and where the run stands if it is time to."""
@@ -49,7 +52,14 @@ class ProgressLines:
             self._excitation(Advance.from_event(event))
             return
         self._excitation.end()
-        if kind == "stage":
+        if kind == "training":
+            self._end_line()
+            self._training(Told(**event["epoch"]))
+            return
+        self._training.end()
+        if kind == "fitted":
+            self._line(_fitted(event))
+        elif kind == "stage":
             self._line(f"{self._standing.stage} …")
         elif kind == "state":
             self._state()
@@ -123,6 +133,12 @@ class ProgressLines:
             sys.stderr.write("\n")
             sys.stderr.flush()
         self._open = False
+
+
+def _fitted(event: Event) -> str:
+    failed = " failed" if event["failed"] else ""
+    which = f"fit {event['number']} of {event['total']}: {event['estimator']}"
+    return f"{which}{failed} ({duration(event['seconds'])})"
 
 
 def _progress(run: Standing) -> str:

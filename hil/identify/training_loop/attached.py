@@ -9,6 +9,11 @@ from hil.errors import SpecError
 from hil.identify.training_loop.problem import Watch
 
 
+def keeps_checkpoints(model: Any) -> bool:
+    """Whether a fit of the estimator can be taken up again."""
+    return hasattr(model, "checkpoints_")
+
+
 def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = None) -> None:
     """Set the `watch_` and `checkpoints_` of an estimator that has them.
 
@@ -19,7 +24,7 @@ def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = No
         model.watch_ = watch
     if checkpoints is None:
         return
-    if not hasattr(model, "checkpoints_"):
+    if not keeps_checkpoints(model):
         raise SpecError(
             f"{model.estimator} keeps no checkpoints: its fit is one computation",
             hint="leave --checkpoints out; networks trained by gradient take it, such as "
