@@ -16,7 +16,7 @@ from hil import plugins
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import FitError, SpecError
-from hil.study.base import GROUP, Progress, Study, silent
+from hil.study.base import GROUP, Ended, Progress, Study, silent, tell_ended
 from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
 
 
@@ -35,6 +35,7 @@ class Counted(Study):
         """Tables of counts; NaN where a number is not known."""
         for done in range(self.rounds):
             progress("counting", done + 1, self.rounds)
+            tell_ended(progress, Ended(done + 1, self.rounds, "a round", 0.5))
         if self.ending == "fails":
             raise FitError("there are too few poses", hint="record more poses")
         if self.ending == "breaks":

@@ -76,6 +76,14 @@ def test_a_run_makes_the_studies_of_its_spec(done: RunReport) -> None:
     assert (found.study, found.parameters) == ("counted", {"rounds": 2, "ending": ""})
 
 
+def test_whoever_watches_a_run_is_told_fits_that_are_done(done: RunReport) -> None:
+    told = [event["ended"] for event in SEEN if "ended" in event]
+    assert [(one["number"], one["total"], one["name"]) for one in told] == [
+        (1, 2, "a round"),
+        (2, 2, "a round"),
+    ]
+
+
 def test_a_study_sees_the_moves_between_the_poses(done: RunReport) -> None:
     (found,) = studied(done)
     (table,) = found.parts[0].tables

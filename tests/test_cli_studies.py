@@ -57,6 +57,7 @@ def test_sentences_and_tables_are_printed_and_the_page_is_written(run: Path) -> 
     assert "Counts again (paper protocol): Series by kind" in done.stdout
     assert f"report: {run / 'report.html'}" in done.stdout
     assert "counted: counting 1/3" in done.stderr
+    assert "fit 3 of 3: a round (0.5 s)" in done.stderr
 
 
 def test_json_is_one_document_without_nan(run: Path) -> None:
@@ -121,6 +122,28 @@ def test_a_terminal_shows_a_bar_that_goes_away(monkeypatch: pytest.MonkeyPatch) 
     assert text.endswith("writing the report …\n")
     hidden, back = (terminal.getvalue().rfind(f"\x1b[?25{end}") for end in "lh")
     assert back >= hidden, "the cursor stays hidden"
+
+
+ENDED = {"number": 7, "total": 54, "name": "lagrangian (proposed), seed 2", "seconds": 63.0}
+LINE = "fit 7 of 54: lagrangian (proposed), seed 2 (63.0 s)"
+
+
+def test_every_fit_of_a_study_leaves_a_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    event = {"kind": "study_fit", "study": "counted", "ended": ENDED}
+    ProgressLines().notify(event)
+    assert capsys.readouterr().err == f"{LINE}\n"
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    lines = ProgressLines()
+    lines.notify({"kind": "study", "study": "counted", "what": "fits", "done": 6, "total": 54})
+    lines.notify(event)
+    lines.notify({"kind": "study", "study": ""})
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.getvalue())
+    assert f"{LINE}\n" in text.replace("\r", "")
 
 
 def test_in_a_pipe_lines_come_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:

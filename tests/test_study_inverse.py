@@ -18,7 +18,7 @@ from hil.errors import FitError
 from hil.identify.base import estimator
 from hil.identify.model_file import json_bytes
 from hil.study import inverse_fits
-from hil.study.base import study
+from hil.study.base import Ended, study
 from hil.study.inverse_cases import honest_case, recorded
 from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
 from hil.study.inverse_printed import PRINTED, PRINTED_AVERAGES
@@ -86,6 +86,22 @@ def test_a_forgotten_load_costs_the_torque_of_that_load() -> None:
     assert cell(shown, "Method 1: WLS", "2 kg unaware") == pytest.approx(expected, rel=0.02)
     aware = cell(shown, "Method 1: WLS", "2 kg aware")
     assert aware == pytest.approx(cell(shown, "Method 1: WLS", "no other load"), rel=0.05)
+
+
+def test_every_fit_is_named_by_its_rows_protocol_and_seed() -> None:
+    heard = []
+
+    class Listening:
+        def __call__(self, *_: object) -> None:
+            pass
+
+        def ended(self, ended: Ended) -> None:
+            heard.append(ended.name)
+
+    asked = SMALL | {"methods": ["wls", "proposed", "rc-motion"], "protocols": ["honest"]}
+    study("inverse-dynamics", **asked, seed=5).run(run_of(), nominal(), Listening())
+    assert heard == ["rigid-wls (wls), honest, seed 5",
+                     "lagrangian (proposed, rc-motion), honest, seed 5"]  # fmt: skip
 
 
 def test_corrections_share_the_model_of_their_seed() -> None:

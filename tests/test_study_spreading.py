@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_info
 from hil.errors import FitError, SpecError
 from hil.executor import BLAS_VARIABLES, one_thread, spread_over
 from hil.study import spreading
-from hil.study.base import silent
+from hil.study.base import Ended, silent
 from hil.study.separation_tasks import Task, run_tasks
 
 
@@ -70,6 +70,32 @@ def test_the_longest_begin_first() -> None:
     tasks = [Task(partial(begun.append, k), cost=cost) for k, cost in enumerate((1, 3, 2))]
     run_tasks(tasks, 1, "noting", silent, Watched())
     assert begun == [1, 2, 0]
+
+
+class Listening:
+    """A progress that is told fits that are done."""
+
+    def __init__(self) -> None:
+        self.heard: list[Ended] = []
+        self.counts: list[int] = []
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        self.counts.append(done)
+
+    def ended(self, ended: Ended) -> None:
+        self.heard.append(ended)
+
+
+@pytest.mark.parametrize("executor", [None, Watched()])
+def test_every_task_with_a_name_is_told_once_when_it_is_done(executor: Executor | None) -> None:
+    naps = [Task(partial(time.sleep, 0.02), 1.0, "short"), Task(partial(time.sleep, 0.04), 9.0, "")]
+    told = Listening()
+    run_tasks([*naps, Task(partial(time.sleep, 0.0), 0.1, "none")], 1, "napping", told, executor)
+    names = [(one.number, one.total, one.name) for one in told.heard]
+    assert names == ([(1, 3, "short"), (3, 3, "none")] if executor is None else
+                     [(2, 3, "short"), (3, 3, "none")])  # fmt: skip
+    assert 0.02 <= told.heard[0].seconds < 0.04
+    assert told.counts[-1] == 3
 
 
 def test_no_more_tasks_are_under_way_than_an_executor_allows(

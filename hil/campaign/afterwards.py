@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from hil.campaign.attempt import Recorded
 from hil.campaign.experiment import Experiment
 from hil.campaign.judging import judge_run
@@ -10,6 +12,7 @@ from hil.campaign.trainings import are_kept
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
+from hil.study.base import Ended
 
 
 def judge_and_study(
@@ -69,13 +72,16 @@ def _study(
         event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
         watching.publish(event)
 
+    def fitted(name: str, ended: Ended) -> None:
+        watching.publish({"kind": "study_fit", "study": name, "ended": asdict(ended)})
+
     path, entries = recorded.directory.path, experiment.spec.study
     if not entries:
         return None
     names = ", ".join(entry.study for entry in entries)
     watching.publish({"kind": "stage", "stage": f"studying the run: {names}"})
     try:
-        return run_studies(path, entries, watch).error
+        return run_studies(path, entries, watch, fitted).error
     except (Exception, StopSignal) as error:
         if signals.seen:
             told = f"{signals.reason} during the studies; the run and its models are complete"

@@ -18,7 +18,7 @@ from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import StudyEntry
 from hil.spec.load import load_spec
-from hil.study.base import GROUP, Study, study
+from hil.study.base import GROUP, Ended, Study, study
 from hil.study.result import StudyResult
 from hil.study.store import STUDIES, folder_of, write_problem, write_study
 
@@ -64,6 +64,14 @@ def unwatched(name: str, what: str, done: int, total: int) -> None:
     """Studies that nobody watches."""
 
 
+Told = Callable[[str, Ended], None]
+"""Told the study, and which of its fits is done."""
+
+
+def unheard(name: str, ended: Ended) -> None:
+    """Fits that nobody is told of."""
+
+
 def entries_for(
     run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
 ) -> tuple[StudyEntry, ...]:
@@ -100,7 +108,9 @@ def entries_for(
     return (StudyEntry(study=entry.study, **{**entry.parameters, **parameters}),)
 
 
-def run_studies(run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatched) -> Studied:
+def run_studies(
+    run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatched, told: Told = unheard
+) -> Studied:
     """Make studies of a run; one that fails leaves the run and the others as they are.
 
     The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
@@ -110,6 +120,7 @@ def run_studies(run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatch
         run: The run directory.
         entries: Which studies, with their parameters.
         watch: Told how far they are.
+        told: Told every fit that is done, of studies that spread theirs.
 
     Raises:
         SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
@@ -123,7 +134,7 @@ def run_studies(run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatch
         folder = run / STUDIES / folder_of(name, one.get_params())
         try:
             of = of or _loaded(run)
-            made.append((folder, _make(name, one, folder, of, watch)))
+            made.append((folder, _make(one, folder, of, _Throttled(name, watch, told))))
         except HilError as error:
             problems.append((name, error))
             write_problem(name, error.message, error.hint, folder)
@@ -136,24 +147,24 @@ def _loaded(run: Path) -> tuple[Dataset, RobotModel]:
 
 
 def _make(
-    name: str, one: Study, folder: Path, of: tuple[Dataset, RobotModel], watch: Watch
+    one: Study, folder: Path, of: tuple[Dataset, RobotModel], progress: _Throttled
 ) -> StudyResult:
     from threadpoolctl import threadpool_limits
 
     begin = time.perf_counter()
     try:
         with threadpool_limits(_blas_threads()):
-            found = one.run(*of, _Throttled(name, watch))
+            found = one.run(*of, progress)
         seconds = time.perf_counter() - begin
         asked: dict[str, Any] = plain(one.get_params())
-        found = replace(found, study=name, parameters=asked, seconds=seconds)
+        found = replace(found, study=progress.name, parameters=asked, seconds=seconds)
         write_study(found, folder)
     except (HilError, OSError):
         raise
     # Studies are plug-ins: whatever one of them raises must not cost the others.
     except Exception as error:
         raise FitError(
-            f"{name} broke down: {type(error).__name__}: {error}",
+            f"{progress.name} broke down: {type(error).__name__}: {error}",
             hint="this is a fault of the study: report it to whoever wrote it",
         ) from error
     return found
@@ -169,8 +180,8 @@ def _blas_threads() -> int:
 class _Throttled:
     """Progress of one study, without the thousands of steps between two looks at a screen."""
 
-    def __init__(self, name: str, watch: Watch) -> None:
-        self._name, self._watch = name, watch
+    def __init__(self, name: str, watch: Watch, told: Told) -> None:
+        self.name, self._watch, self._told = name, watch, told
         self._what, self._next = "", 0.0
 
     def __call__(self, what: str, done: int, total: int) -> None:
@@ -178,4 +189,8 @@ class _Throttled:
         if what == self._what and now < self._next and done < total:
             return
         self._what, self._next = what, now + EVERY_S
-        self._watch(self._name, what, done, total)
+        self._watch(self.name, what, done, total)
+
+    def ended(self, ended: Ended) -> None:
+        """A fit that is done: none of them is left out."""
+        self._told(self.name, ended)

@@ -19,6 +19,7 @@ from hil.identify.training_loop.problem import Told
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, state_words, step_words
 from hil.preflight.robot_checks import OWN
+from hil.study.base import Ended
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1
@@ -45,6 +46,9 @@ class ProgressLines:
         kind = event.get("kind")
         if kind == "study" and event.get("study"):
             self._studies.show(event["study"], event["what"], event["done"], event["total"])
+            return
+        if kind == "study_fit":
+            self._studies.ended(event["study"], Ended(**event["ended"]))
             return
         self._studies.end()
         if kind == "excitation":

@@ -43,7 +43,7 @@ def study(
     path, bar = find_run(run, runs), StudyBar()
     entries = entries_for(path, name or None, api.parse_parameters(options or ()))
     try:
-        done = run_studies(path, entries, bar.show)
+        done = run_studies(path, entries, bar.show, bar.ended)
     except KeyboardInterrupt:
         told = "interrupted; studies that were made before are kept"
         raise Stopped(told, hint=f"hil study {path}", by_signal=True) from None

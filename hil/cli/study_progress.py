@@ -6,8 +6,12 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from hil.cli.output import duration
+
 if TYPE_CHECKING:
     from rich.progress import Progress
+
+    from hil.study.base import Ended
 
 PIPED_EVERY_S = 10.0
 NEWS_EVERY_S = 1.0
@@ -28,6 +32,16 @@ class StudyBar:
             self._move(f"{study}: {what}", done, total)
         else:
             self._line(f"{study}: {what}", done, total)
+
+    def ended(self, study: str, ended: Ended) -> None:
+        """Leave a line for a fit that is done, above the bar."""
+        done = f"{ended.number} of {ended.total}"
+        text = f"fit {done}: {ended.name} ({duration(ended.seconds)})"
+        if self._bar is not None:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        else:
+            sys.stderr.write(f"{text}\n")
+            sys.stderr.flush()
 
     def end(self) -> None:
         """Take the bar away; the next `show` makes a new one."""

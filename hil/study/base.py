@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
 from hil import plugins
@@ -21,6 +22,29 @@ Progress: TypeAlias = Callable[[str, int, int], None]
 
 def silent(what: str, done: int, total: int) -> None:
     """Progress that nobody watches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A fit of a study that is done.
+
+    Attributes:
+        number: How many are done with it.
+        total: How many there are.
+        name: What was fitted, for people.
+        seconds: How long it took by itself [s].
+    """
+
+    number: int
+    total: int
+    name: str
+    seconds: float
+
+
+def tell_ended(progress: Progress, ended: Ended) -> None:
+    """Tell a fit that is done to a progress that has a method `ended`; others do not hear of it."""
+    if (listener := getattr(progress, "ended", None)) is not None:
+        listener(ended)
 
 
 class Study(Parametrised):

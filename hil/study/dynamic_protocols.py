@@ -101,10 +101,11 @@ class Protocol:
         """Every fit, in the order `gather` wants their results."""
         return [
             Task(
-                partial(fit_and_score, method, parts, self._robot, self._sign_width, self._filters)
+                partial(fit_and_score, method, parts, self._robot, self._sign_width, self._filters),
+                name=f"{method.key}, {self.name}, draw {number}",
             )
             for method in self._methods
-            for parts in self._splits
+            for number, parts in enumerate(self._splits, start=1)
         ]
 
     def gather(self, results: Iterator[Score]) -> Found:

@@ -38,8 +38,9 @@ def family_task(
 ) -> Task:
     """Fit the model `root` and whatever corrects it; the result is a `Judged` by key of `keys`."""
     cost = sum(COSTS.get(ROWS[key].estimator, 1.0) for key in {root, *keys})
+    name = f"{ROWS[root].estimator} ({', '.join(keys)}), {case.protocol}, seed {case.seed}"
     run = partial(fit_family, root, tuple(keys), case, robot, sign_width, effort)
-    return Task(run, cost)
+    return Task(run, cost, name)
 
 
 def fit_family(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from typing import Any
 
 from hil.errors import FitError
 from hil.executor import chosen, one_thread, processes
-from hil.study.base import Progress
+from hil.study.base import Ended, Progress, tell_ended
 from hil.study.spreading import spread
 
 
@@ -20,10 +23,12 @@ class Task:
     Attributes:
         run: Without arguments; its result is sent back.
         cost: How long it takes compared with the others.
+        name: For people, who are told when it is done; nothing is said of tasks without.
     """
 
     run: Callable[[], Any]
     cost: float = 1.0
+    name: str = ""
 
 
 def run_tasks(
@@ -60,24 +65,48 @@ def run_tasks(
 
 
 def _here(tasks: Sequence[Task], what: str, progress: Progress) -> list[Any]:
-    results = []
-    for task in tasks:
+    results: dict[int, Any] = {}
+    news = _News(tasks, what, progress)
+    for i, task in enumerate(tasks):
         with one_thread():  # as in the processes, so that results are equal to the bit
-            results.append(task.run())
-        progress(what, len(results), len(tasks))
-    return results
+            results[i] = _timed(task.run)
+        news(results)
+    return [result for result, _ in results.values()]
 
 
 def _elsewhere(
     tasks: Sequence[Task], executor: Executor, given: Executor | None, what: str, progress: Progress
 ) -> list[Any]:
     try:
-        runs, costs = [task.run for task in tasks], [task.cost for task in tasks]
-        results = spread(runs, costs, executor, lambda done: progress(what, done, len(tasks)))
+        runs = [partial(_timed, task.run) for task in tasks]
+        costs = [task.cost for task in tasks]
+        results = spread(runs, costs, executor, _News(tasks, what, progress))
     except BaseException:
         if given is None:
             executor.shutdown(wait=False, cancel_futures=True)
         raise
     if given is None:
         executor.shutdown()
-    return results
+    return [result for result, _ in results]
+
+
+def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
+    """What comes of it, and how long it took [s], wherever it is computed."""
+    begin = time.perf_counter()
+    return run(), time.perf_counter() - begin
+
+
+class _News:
+    """Tells every task that is done, once, and how many are."""
+
+    def __init__(self, tasks: Sequence[Task], what: str, progress: Progress) -> None:
+        self._tasks, self._what, self._progress = tasks, what, progress
+        self._told = 0
+
+    def __call__(self, results: Mapping[int, tuple[Any, float]]) -> None:
+        total = len(self._tasks)
+        for i, (_, seconds) in islice(results.items(), self._told, None):
+            self._told += 1
+            if name := self._tasks[i].name:
+                tell_ended(self._progress, Ended(self._told, total, name, seconds))
+        self._progress(self._what, self._told, total)

@@ -6,7 +6,7 @@ import multiprocessing
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from typing import Any
 
@@ -28,7 +28,7 @@ def spread(
     runs: Sequence[Callable[[], Any]],
     costs: Sequence[float],
     executor: Executor,
-    ended: Callable[[int], None],
+    ended: Callable[[Mapping[int, Any]], None],
 ) -> list[Any]:
     """Results of the runs, in their order.
 
@@ -36,7 +36,7 @@ def spread(
         runs: Independent of each other, and able to travel to another process.
         costs: How long each takes compared with the others; the longest begin first.
         executor: Stays open; after an error or Ctrl-C what has not begun is cancelled.
-        ended: Told how many are done.
+        ended: Told the results so far by the number of their run, in the order they came.
 
     Raises:
         FitError: Workers died again and again, or none is left.
@@ -49,7 +49,7 @@ def spread(
             while order and len(going.futures) < getattr(executor, "ahead", len(runs)):
                 going.begin(order.popleft())
             order.extendleft(going.take())
-            ended(len(going.results))
+            ended(going.results)
     except BaseException:
         for future in going.futures:
             future.cancel()
