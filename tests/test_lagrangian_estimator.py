@@ -225,7 +225,12 @@ def test_without_torch_the_extra_is_named(monkeypatch) -> None:
         ({"loops": 0}, "loops is 0"),
         ({"sign_width": -1.0}, "sign_width"),
         ({"validation_share": 2}, "validation_share is 2"),
-        ({"protocol": "paper", "direction": "dahl"}, "hard sign"),
+        ({"protocol": "paper", "direction": "dahl"}, "protocol is 'paper'.* hard sign"),
+        ({"friction_settings": {"unt": 0.2}}, "friction_settings: .* no parameter 'unt'"),
+        ({"friction_settings": {"unit": 0}}, "friction_settings: unit is 0"),
+        ({"friction_settings": {"speed_bounds": [0.1, 0.2]}}, "settings: start_speed is 0.08"),
+        ({"friction_settings": ["offset"]}, r"friction_settings is \['offset'\]"),
+        ({"friction_settings": {"sign": "hard"}, "direction": "dahl"}, "settings has a hard sign"),
     ],
 )
 def test_parameters_are_checked_before_anything_is_computed(params, told) -> None:
@@ -242,6 +247,20 @@ def test_protocol_paper_takes_the_papers_settings(fitted) -> None:
     assert (design.friction.sign, design.friction.offset) == ("hard", False)
     assert model.protocol == HONEST
     assert fitted.design_.network.activation != "relu"
+
+
+def test_settings_of_the_friction_are_laid_over_those_of_the_protocol(tmp_path) -> None:
+    changed = {"offset": False, "speed_bounds": [0.01, 0.5], "rest_speed": 0.2}
+    model = made(friction_settings=changed).fit(moving(1, 2, 3), nominal())
+    assert set(model.intrinsic_) == {"f_s", "f_c", "f_v", "v_s", "delta_s", "alpha"}
+    again = load_model_file(save_model(model, tmp_path / "model"))
+    assert again.get_params()["friction_settings"] == changed
+    friction = again.design_.friction
+    assert (friction.speed_bounds, friction.rest_speed) == ((0.01, 0.5), 0.2)
+    usual = made(sign_width=0.03)._settings()[0].friction
+    assert (usual.offset, usual.rest_speed) == (True, 0.03)
+    paper = made(protocol="paper", friction_settings={"offset": True})._settings()[0].friction
+    assert (paper.sign, paper.scaled, paper.offset) == ("hard", False, True)
 
 
 def test_parameters_can_be_changed_one_by_one() -> None:

@@ -9,7 +9,6 @@ method it is; `protocol: paper` takes the paper's settings at their word.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -33,7 +32,7 @@ from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.lagrangian.friction_settings import FRICTIONS
 from hil.identify.lagrangian.task import Preparation
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, number, settings, share
+from hil.identify.parameters import choice, mapping, number, settings, share
 from hil.identify.plausible import require_plausible
 from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
@@ -56,6 +55,7 @@ class LagrangianEstimator(LagrangianModel):
         sign_width: Of the smooth sign [rad/s]; 0 for the hard sign.
         protocol: Whose settings: `ours`, or `paper` for all it prints, word by word.
         network: `NetworkSettings` that are to be others.
+        friction_settings: `FrictionSettings` that are to be others.
         training: `TrainingSettings` that are to be others.
         validation_share: Of the trajectories, held out to stop by.
         seed: Of the start, the mini-batches and the trajectories held out.
@@ -84,6 +84,7 @@ class LagrangianEstimator(LagrangianModel):
         sign_width: float = 0.01,
         protocol: str = "ours",
         network: Mapping[str, Any] | None = None,
+        friction_settings: Mapping[str, Any] | None = None,
         training: Mapping[str, Any] | None = None,
         validation_share: float = 0.22,
         seed: int = 0,
@@ -96,12 +97,13 @@ class LagrangianEstimator(LagrangianModel):
         self.sign_width = number("sign_width", sign_width, at_least=0.0)
         self.protocol = choice("protocol", protocol, choices.PROTOCOLS)
         self.network = dict(network or {})
+        self.friction_settings = mapping("friction_settings", friction_settings)
         self.training = dict(training or {})
         self.validation_share = share("validation_share", validation_share)
         self.seed = whole("seed", seed, at_least=0)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
-        self._settings()
-        choices.require_agreement(self._settings_of, self.direction)
+        design, _ = self._settings()
+        choices.require_agreement(self._settings_of, self.direction, design.friction)
 
     @property
     def protocol(self) -> str:
@@ -160,9 +162,10 @@ class LagrangianEstimator(LagrangianModel):
         self.sigma_ = np.sqrt(np.mean((held_out["effort"] - found.effort) ** 2, axis=0))
 
     def _settings(self) -> tuple[choices.Design, TrainingSettings]:
-        design = choices.design(self.friction, self._settings_of, self.network)
-        friction = replace(design.friction, rest_speed=self.sign_width)
-        design = replace(design, friction=friction)
+        friction = choices.friction_settings(
+            self._settings_of, self.sign_width, self.friction_settings
+        )
+        design = choices.design(self.friction, self._settings_of, self.network, friction)
         training = choices.training_settings(
             self._settings_of, self.loops, self.seed, self.training
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import Any, Self, TypeVar
 
@@ -108,6 +108,22 @@ def choice(name: str, value: Any, known: Sequence[str]) -> Any:
         hint = did_you_mean(value, known) if isinstance(value, str) else ""
         raise SpecError(f"{name} is {value!r}, but must be {listed}", hint=hint)
     return value
+
+
+def mapping(name: str, value: Any) -> dict[str, Any]:
+    """Settings by name, as a spec has them; None is none.
+
+    Raises:
+        SpecError: It is something else.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise SpecError(
+            f"{name} is {value!r:.60}, but must be settings by name",
+            hint=f"{name}: {{NAME: VALUE}}",
+        )
+    return dict(value)
 
 
 def settings(name: str, value: Any, kind: type[Settings]) -> Settings:

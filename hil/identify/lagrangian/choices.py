@@ -60,8 +60,19 @@ class Design:
         return Design(facts["kind"], network, FrictionSettings.given(dict(facts["friction"])))
 
 
-def design(kind: FrictionKind, protocol: str, network: Mapping[str, Any]) -> Design:
+def design(
+    kind: FrictionKind,
+    protocol: str,
+    network: Mapping[str, Any],
+    friction: FrictionSettings | None = None,
+) -> Design:
     """The design a protocol stands for, with some settings of the network changed.
+
+    Args:
+        kind: Of the friction.
+        protocol: Whose settings.
+        network: Settings of the network that are to be others.
+        friction: By default that of the protocol.
 
     Raises:
         SpecError: A setting is unknown or cannot be.
@@ -69,7 +80,24 @@ def design(kind: FrictionKind, protocol: str, network: Mapping[str, Any]) -> Des
     paper = protocol == "paper"
     start = NetworkSettings.literal() if paper else NetworkSettings()
     changed = settings("network", start.model_dump() | dict(network), NetworkSettings)
-    return Design(kind, changed, FrictionSettings.literal() if paper else FrictionSettings())
+    usual = FrictionSettings.literal() if paper else FrictionSettings()
+    return Design(kind, changed, friction or usual)
+
+
+def friction_settings(
+    protocol: str, sign_width: float, changed: Mapping[str, Any]
+) -> FrictionSettings:
+    """The friction a protocol stands for, with some settings changed.
+
+    Raises:
+        SpecError: A setting is unknown or cannot be.
+    """
+    start = FrictionSettings.literal() if protocol == "paper" else FrictionSettings()
+    given = asdict(start) | {"rest_speed": sign_width} | dict(changed)
+    try:
+        return FrictionSettings.given(given)
+    except SpecError as error:
+        raise SpecError(f"friction_settings: {error.message}", hint=error.hint) from error
 
 
 def training_settings(
@@ -86,16 +114,19 @@ def training_settings(
     return settings("training", given, TrainingSettings)
 
 
-def require_agreement(protocol: str, direction: str) -> None:
-    """Refuse a friction state that the paper's hard sign would leave unused.
+def require_agreement(protocol: str, direction: str, friction: FrictionSettings) -> None:
+    """Refuse a friction state that a hard sign, such as the paper's, would leave unused.
 
     Raises:
         SpecError: Both are asked for.
     """
-    if protocol == "paper" and direction == "dahl":
+    if friction.sign == "hard" and direction == "dahl":
+        paper = protocol == "paper"
+        whose = "protocol is 'paper', whose friction has" if paper else "friction_settings has"
         raise SpecError(
-            "protocol is 'paper', whose friction has a hard sign, but direction is 'dahl'",
-            hint="use protocol: ours with a state, or direction: smooth",
+            f"{whose} a hard sign, but direction is 'dahl'",
+            hint=f"use {'protocol: ours' if paper else 'sign: given'} with a state, or "
+            "direction: smooth",
         )
 
 
