@@ -19,6 +19,7 @@ FILES = (
     "tests/test_proof_identification.py",
     "tests/test_proof_inverse_dynamics.py",
     "tests/test_proof_loads.py",
+    "tests/test_proof_networks.py",
     "tests/test_proof_recording.py",
     "tests/test_proof_separation.py",
     "tests/test_proof_ur.py",

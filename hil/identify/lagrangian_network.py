@@ -152,8 +152,9 @@ class LagrangianEstimator(LagrangianModel):
         )  # fmt: skip
         task = preparation.task(data, self.torque_scale_, self.robot_)
         stages = choices.stages(self.learning, self.friction, training)
+        trials = choices.trials(self.friction, self._settings_of, training)
         self.weights_, self.curves_ = fit_network(
-            task, design, stages, training, self.watch_, self.checkpoints_
+            task, design, stages, trials, self.watch_, self.checkpoints_
         )
         self.design_, self.torque_std_, self.length_ = design, task.torque_std, task.length
         self.samples_ = int(np.sum(task.learn))

@@ -78,16 +78,30 @@ def fit_network(
     task: Task,
     design: Design,
     stages: Sequence[Stage],
-    training: TrainingSettings,
+    trials: Sequence[TrainingSettings],
     watch: Watch | None = None,
     checkpoints: Path | None = None,
 ) -> tuple[dict[str, np.ndarray[Any, Any]], Curves]:
-    """Weights by name, and the learning curves.
+    """Weights by name and the learning curves of the trial that validates best.
+
+    Args:
+        task: Rows to learn from and to stop by.
+        design: What the network looks like.
+        stages: Of every trial.
+        trials: Settings to try, each from the same start; one is usual.
+        watch: Told every epoch.
+        checkpoints: Folder to keep the training in; each of several trials has one inside it.
 
     Raises:
-        FitError: The training diverges.
+        FitError: A training diverges.
         SpecError: There is no such device.
     """
-    posed = problem(task, design, training)
-    curves = train(posed, stages, training, watch or unwatched, checkpoints)
-    return weights_of(posed.module), curves
+    found = []
+    for number, training in enumerate(trials, start=1):
+        posed = problem(task, design, training)
+        kept = checkpoints
+        if kept is not None and len(trials) > 1:
+            kept = kept / f"trial-{number}"
+        curves = train(posed, stages, training, watch or unwatched, kept)
+        found.append((weights_of(posed.module), curves))
+    return min(found, key=lambda one: one[1].best)
