@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hil.data.importing.import_map import load_map
 from hil.errors import SpecError
 from hil.spec import load_spec, load_station
+from hil.spec.series import load_series_spec
 from hil.spec.yaml_source import parse
 
 ROOT = Path(__file__).parents[1] / "experiments"
@@ -28,6 +29,7 @@ def shipped(pattern: str) -> list[bytes]:
 KINDS: dict[str, tuple[list[bytes], Load]] = {
     "spec": (shipped("*.yaml"), load_spec),
     "station": (shipped("stations/*.yaml"), load_station),
+    "series": ([text for text in shipped("*.yaml") if b"\nhil_series:" in text], load_series_spec),
     "map": (shipped("maps/*.yaml"), load_map),
 }
 kinds = pytest.mark.parametrize("kind", sorted(KINDS))

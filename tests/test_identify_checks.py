@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bad_networks import LAGRANGIAN, RESIDUAL
 from synthetic_motion import GAINS, dwelling, moving, nominal
 
 from hil.dynamics import RobotModel
@@ -19,11 +20,14 @@ FITS = [
     ("static-inverse", {}),
     ("static-mlp-lm", {"layers": (4, 3, 1), "epochs": 2}),
     ("rigid-wls", {}),
+    ("rigid-hysteresis", {}),
+    ("lagrangian", LAGRANGIAN),
+    ("residual", RESIDUAL),
 ]
 
 
 def data_for(name):
-    return moving(1, samples=100) if name == "rigid-wls" else dwelling(60)
+    return dwelling(60) if name.startswith("static") else moving(1, samples=100)
 
 
 def fit(name, params, data):

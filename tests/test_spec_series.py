@@ -99,3 +99,27 @@ def test_every_shipped_series_runs_on_mocks(path: Path) -> None:
     series = load_series(path)
     assert {each.robot.driver for each in series.experiments} == {"mock"}
     assert series.spec.name == path.stem.replace("_", "-")
+
+
+def test_a_series_that_names_itself_is_no_experiment(folder: Path) -> None:
+    (line,) = refusal(written(folder, "series: [{spec: series.yaml}]\n"))
+    assert line.endswith("this file is a series of experiments, but an experiment is needed here")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"hil_series: 1\nname: \xff\n", "f.yaml:2:7: byte 0xff is not UTF-8"),
+        (b"hil_series: 2\nname: a\nseries: []\n", "reads format 1, not 2"),
+        (
+            b"hil_series: 1\nname: a\nseries: [{spec: x, to: 1}]\n",
+            "series.0.to: unknown key",
+        ),
+        (b"hil_series: 1\nname: a\nseries: &a [*a]\n", "an alias contains itself"),
+        (b"", "the file is empty"),
+    ],
+)
+def test_what_is_no_series_is_told_by_line(folder: Path, content: bytes, words: str) -> None:
+    path = folder / "f.yaml"
+    path.write_bytes(content)
+    assert words in "\n".join(refusal(path))

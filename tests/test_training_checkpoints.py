@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
 import pytest
 
-from hil.errors import DataError
+from hil.errors import DataError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
+from safetensors.torch import load, save  # noqa: E402
+
+from hil.identify.model_file import json_bytes  # noqa: E402
 from hil.identify.training_loop import checkpoint  # noqa: E402
 from hil.identify.training_loop.checkpoint import FILE, Checkpoints  # noqa: E402
 from hil.identify.training_loop.curves import Curves  # noqa: E402
@@ -165,3 +169,73 @@ def test_writes_wait_for_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(Checkpoints, "write", lambda self: written.append(1))
     trained(tmp_path)
     assert len(written) == 1  # At the end; twelve epochs take less than ten seconds.
+
+
+def refused(folder: Path) -> None:
+    with pytest.raises(DataError) as caught:
+        trained(folder)
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"[]", b"\xff", b"[" * 100_000, b"null", b"{}", b'{"hil_checkpoint": 1}']
+)
+def test_a_document_that_is_none_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / FILE).write_bytes(content)
+    refused(tmp_path)
+
+
+@pytest.mark.parametrize("value", [-1, 99, 10**400, 1e308, float("nan"), None, "x", [], {}, True])
+@pytest.mark.parametrize("key", ["stage", "epoch", "curves"])
+def test_facts_that_were_altered_are_refused(tmp_path: Path, key: str, value: object) -> None:
+    interrupted(tmp_path, 3)
+    document = json.loads((tmp_path / FILE).read_bytes())
+    document["facts"][key] = value
+    (tmp_path / FILE).write_text(json.dumps(document))
+    refused(tmp_path)
+
+
+def resealed(folder: Path, facts: dict[str, object], **tensors: torch.Tensor | None) -> None:
+    """Change a checkpoint and its digests."""
+    document = json.loads((folder / FILE).read_bytes())
+    path = folder / document["tensors"]
+    found = {**load(path.read_bytes()), **tensors}
+    content = save({name: value for name, value in found.items() if value is not None})
+    path.write_bytes(content)
+    document["tensors_sha256"] = hashlib.sha256(content).hexdigest()
+    document["facts"].update(facts)
+    document["facts_sha256"] = hashlib.sha256(json_bytes(document["facts"])).hexdigest()
+    (folder / FILE).write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("facts", "tensors"),
+    [
+        ({"stage": -1}, {}),
+        ({"stage": 4}, {}),
+        ({"epoch": -1}, {}),
+        ({"epoch": 5}, {}),
+        ({}, {"weights/friction": None}),
+        ({}, {"best/friction": torch.zeros(3)}),
+        ({}, {"stage_best/friction": torch.full((2,), torch.nan)}),
+        ({}, {"weights/friction": torch.full((2,), torch.inf)}),
+        ({}, {"adam/0/exp_avg": None}),
+        ({}, {"adam/0/exp_avg": torch.zeros(3)}),
+        ({}, {"adam/99/step": torch.zeros(())}),
+        ({}, {"random/order": torch.zeros(3)}),
+    ],
+)
+def test_a_state_that_is_not_of_this_network_is_refused(tmp_path: Path, facts, tensors) -> None:
+    interrupted(tmp_path, 3)
+    resealed(tmp_path, {})
+    trained_on = json.loads((tmp_path / FILE).read_bytes())
+    assert trained_on["facts"]["epoch"] == 2
+    resealed(tmp_path, facts, **tensors)
+    refused(tmp_path)
+
+
+def test_rates_of_groups_that_there_are_not_are_refused() -> None:
+    settings = SETTINGS.model_copy(update={"group_rates": {"fricton": 2.0}})
+    with pytest.raises(SpecError, match="group_rates has 'fricton'") as caught:
+        train(SmallProblem(), STAGES, settings)
+    assert "friction" in caught.value.hint

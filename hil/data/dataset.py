@@ -20,6 +20,9 @@ from hil.typing import BoolArray, FloatArray, IntArray
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
 
+OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", "q_f", "qd_f", "qdd_f", "effort_f"})
+"""Columns that a model reads: (N, n) wherever they are."""
+
 SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]
 
 
@@ -92,6 +95,14 @@ class Dataset:
             raise DataError(f"dataset lacks the columns {sorted(missing)}")
         if len(set(rows.values())) != 1:
             raise DataError(f"dataset columns differ in length: {rows}")
+        shapes = {name: np.shape(self.columns[name]) for name in ("t", *OF_JOINTS & rows.keys())}
+        joints = dict.fromkeys(shapes, (rows["t"], self.n_joints)) | {"t": (rows["t"],)}
+        for name, shape in shapes.items():
+            if shape != joints[name]:
+                raise DataError(
+                    f"the column {name} of a dataset has the shape {shape}, not {joints[name]}",
+                    hint="give one value per row and joint: (N, n), and t as (N,)",
+                )
         if len(self.offsets) != len(self.conditions) + 1 or self.offsets[-1] != rows["t"]:
             raise DataError("dataset offsets do not match its conditions and rows")
         if self.arrivals is not None and len(self.arrivals) != len(self.conditions):

@@ -13,6 +13,11 @@ from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError
 from hil.typing import FloatArray
 
+NO_EFFORT = 1e-12
+"""Not even the resolution of a sensor, in any unit."""
+
+PREPARED = ("q_f", "qd_f", "qdd_f", "effort_f")
+
 STILL_RAD = 1e-3
 """A joint whose position spans less than this never moved."""
 
@@ -72,15 +77,18 @@ def require_robot(dataset: Dataset, robot: RobotModel) -> None:
 def require_clean(dataset: Dataset, columns: Sequence[str]) -> None:
     """Refuse NaN and infinity in the columns a fit uses, and an effort that is 0 throughout.
 
+    Those of a dataset that was prepared already are looked at too.
+
     Raises:
         FitError: A value is not finite, or no effort was measured.
     """
-    for name in columns:
+    filtered = [name for name in PREPARED if name in dataset.columns]
+    for name in (*columns, *filtered):
         try:
             require_finite(name, dataset[name])
         except DataError as error:
             raise FitError(error.message, hint=error.hint) from error
-    if "effort" in columns and len(dataset) and not np.any(dataset["effort"]):
+    if "effort" in columns and len(dataset) and not np.any(np.abs(dataset["effort"]) > NO_EFFORT):
         raise FitError(
             "the effort is 0 in every row and joint, so none was measured",
             hint="look at the columns of `effort` in the import map, or at what the driver reads",

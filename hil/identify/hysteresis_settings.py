@@ -9,7 +9,7 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST, FilterSettings, derivative, sample_rate
 from hil.dynamics import RobotModel
-from hil.errors import SpecError
+from hil.errors import DataError, SpecError
 from hil.identify.friction.library import CORE, groups
 from hil.suggest import did_you_mean
 from hil.typing import FloatArray
@@ -55,6 +55,11 @@ def _bandwidth(velocity: FloatArray, t: FloatArray) -> float:
 
     rate = sample_rate(t)
     length = min(len(t), int(4.0 * rate))
+    if length < 2:
+        raise DataError(
+            f"samples at {rate:.3g} Hz are too slow to tell how quick a motion is",
+            hint="look at the unit of the time stamps: they have to be seconds",
+        )
     frequency, power = welch(velocity, rate, nperseg=length, axis=0)
     share = np.cumsum(power, axis=0) / np.maximum(np.sum(power, axis=0), 1e-300)
     return float(np.median(frequency[np.argmax(share >= ENERGY, axis=0)]))

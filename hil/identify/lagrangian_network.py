@@ -32,7 +32,7 @@ from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.lagrangian.friction_settings import FRICTIONS
 from hil.identify.lagrangian.task import Preparation
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, mapping, number, settings, share
+from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share
 from hil.identify.plausible import require_plausible
 from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
@@ -92,15 +92,15 @@ class LagrangianEstimator(LagrangianModel):
     ) -> None:
         self.friction = choice("friction", friction, FRICTIONS)
         self.learning = choice("learning", learning, choices.LEARNING)
-        self.loops = whole("loops", loops, at_least=1)
+        self.loops = whole("loops", loops, at_least=1, at_most=1000)
         self.direction = choice("direction", direction, choices.DIRECTIONS)
         self.sign_width = number("sign_width", sign_width, at_least=0.0)
         self.protocol = choice("protocol", protocol, choices.PROTOCOLS)
-        self.network = dict(network or {})
+        self.network = mapping("network", network)
         self.friction_settings = mapping("friction_settings", friction_settings)
-        self.training = dict(training or {})
+        self.training = mapping("training", training)
         self.validation_share = share("validation_share", validation_share)
-        self.seed = whole("seed", seed, at_least=0)
+        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
         design, _ = self._settings()
         choices.require_agreement(self._settings_of, self.direction, design.friction)
@@ -132,11 +132,12 @@ class LagrangianEstimator(LagrangianModel):
         """
         require_torch()
         require_robot(dataset, robot)
-        self._remember(dataset, robot, torque_scale(dataset))
+        scale = torque_scale(dataset)
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
         require_samples(len(dataset), FEWEST_ROWS, "samples")
         require_motion(dataset)
+        self._remember(dataset, robot, scale)
         self.filters_ = self.filters or choices.filters_for(dataset)
         self._learn(prepared(dataset, self.filters_))
         return self

@@ -18,6 +18,7 @@ import numpy as np
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.robot_file import URDF_FILE, restore_robot, store_robot
+from hil.identify.sound import require_sound, text
 from hil.identify.training import ROWS_ARRAY, Training
 from hil.typing import FloatArray
 
@@ -79,10 +80,10 @@ def load_model_file(folder: Path) -> RobotEstimator:
     document = _read_document(folder / MODEL_FILE)
     arrays = _read_arrays(folder / ARRAYS_FILE, str(document.get("arrays_sha256", "")))
     try:
-        model = estimator(_text(document["estimator"]), **document["parameters"])
+        model = estimator(text(document["estimator"]), **document["parameters"])
         model.robot_ = restore_robot(document["robot"], folder)
         model.restore(arrays, document["fitted"])
-        _require_sound(model)
+        require_sound(model)
         # Models of an older hil do not say what they were trained on.
         if document.get("training"):
             model.training_ = Training.restored(document["training"], arrays)
@@ -93,33 +94,11 @@ def load_model_file(folder: Path) -> RobotEstimator:
     return model
 
 
-PREDICTING = frozenset({"coefficients", "rigid", "gear_rigid", "friction", "inertial", "exponent"})
-"""Arrays of models that predictions come from: never without a number."""
-
 _GARBLED = (
-    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, SpecError,
+    KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, MemoryError,
+    SpecError,
 )  # fmt: skip
 """What reading a damaged document may end with; estimators are plug-ins and check little."""
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r:.60} is no text")
-    return value
-
-
-def _require_sound(model: RobotEstimator) -> None:
-    """Refuse names and units that are none before a prediction stumbles over them."""
-    names = [_text(name) for name in model.joint_names_]
-    if not len(names) == len(model.sigma_) == len(model.torque_scale_):
-        raise ValueError(f"joint_names: {len(names)} for {len(model.sigma_)} joints")
-    if not (np.all(np.isfinite(model.torque_scale_)) and np.all(model.torque_scale_ > 0)):
-        raise ValueError(f"torque_scale: {model.torque_scale_.tolist()!s:.60}")
-    for name, values in model.fitted_arrays().items():
-        if name in PREDICTING and not np.all(np.isfinite(values)):
-            raise ValueError(f"{name}: it holds values that are not finite")
-    if model.effort_kind_ not in ("current", "torque"):
-        raise ValueError(f"effort_kind: {model.effort_kind_!r:.60}")
 
 
 def json_bytes(document: Mapping[str, Any]) -> bytes:
@@ -163,10 +142,15 @@ def _read_document(path: Path) -> dict[str, Any]:
             hint="name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hysteresis-…",
         ) from error
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{path} is not valid JSON: {error}") from error
+        raise DataError(
+            f"{path} is not valid JSON: {error}", hint="copy the model folder again"
+        ) from error
     version = document.get("hil_model") if isinstance(document, dict) else None
-    if not isinstance(version, int):
-        raise DataError(f"{path} does not say which model format it has (hil_model)")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise DataError(
+            f"{path} does not say which model format it has (hil_model)",
+            hint="copy the model folder again, or fit the model again",
+        )
     if version > MODEL_FORMAT:
         raise DataError(
             f"{path} was written by a newer hil: format {version}, known here {MODEL_FORMAT}",
@@ -177,16 +161,29 @@ def _read_document(path: Path) -> dict[str, Any]:
 
 
 def _read_arrays(path: Path, digest: str) -> dict[str, FloatArray]:
+    from safetensors import SafetensorError
     from safetensors.numpy import load
 
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror}", hint="copy the model folder again"
+        ) from error
     if hashlib.sha256(content).hexdigest() != digest:
         raise DataError(
             f"{path} does not belong to the {MODEL_FILE} beside it, or is damaged",
             hint="copy the model folder again, or fit the model again",
         )
-    arrays: dict[str, FloatArray] = load(content)
+    try:
+        arrays: dict[str, FloatArray] = load(content)
+    except (SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise DataError(
+            f"{path} is no safetensors file of numbers: {error!s:.100}", hint="fit the model again"
+        ) from error
+    for name, values in arrays.items():
+        if values.dtype.kind not in "fiu":
+            raise DataError(
+                f"{path}: {name} holds {values.dtype}, no real numbers", hint="fit the model again"
+            )
     return arrays

@@ -13,6 +13,9 @@ from pydantic import BaseModel, ValidationError
 from hil.errors import SpecError
 from hil.suggest import did_you_mean
 
+MOST_SEED = 2**32 - 1
+"""The largest that every generator of random numbers takes."""
+
 
 class Parametrised:
     """Keyword-only constructor parameters that can be read, set and stored.
@@ -54,7 +57,12 @@ Settings = TypeVar("Settings", bound=BaseModel)
 
 
 def number(
-    name: str, value: Any, *, at_least: float | None = None, above: float | None = None
+    name: str,
+    value: Any,
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    at_most: float | None = None,
 ) -> float:
     """A finite number within its limits.
 
@@ -63,15 +71,27 @@ def number(
     """
     limits = [f"at least {at_least:g}"] if at_least is not None else []
     limits += [f"above {above:g}"] if above is not None else []
-    found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    limits += [f"at most {at_most:g}"] if at_most is not None else []
+    found = _float(value)
     if (
         not math.isfinite(found)
         or (at_least is not None and found < at_least)
         or (above is not None and found <= above)
+        or (at_most is not None and found > at_most)
     ):
-        wanted = " ".join(["a number", *limits])
-        raise SpecError(f"{name} is {value!r}, but must be {wanted}")
+        wanted = " and ".join(limits)
+        raise SpecError(f"{name} is {value!r:.60}, but must be a number {wanted}".rstrip())
     return found
+
+
+def _float(value: Any) -> float:
+    """NaN for what is no number, or larger than any."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
 
 
 def share(name: str, value: Any) -> float:

@@ -22,6 +22,12 @@ LEAST_GAIN = 0.1
 UNKNOWN_LIMIT_NM = 1e4
 """For models that declare no torque limit: more than any joint's of an arm."""
 
+IMPOSSIBLE = {
+    "q": 1e6, "qd": 1e6, "effort": 1e12, "q_f": 1e6, "qd_f": 1e6, "qdd_f": 1e9, "effort_f": 1e12,
+}  # fmt: skip
+"""Beyond this nothing is a position [rad], velocity [rad/s], acceleration [rad/s²] or effort, in
+whatever unit."""
+
 NORMAL = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
 
@@ -32,8 +38,10 @@ def require_plausible(dataset: Dataset, robot: RobotModel) -> None:
     One of them moves every parameter of a fit by least squares, and nothing else would tell.
 
     Raises:
-        FitError: A joint's effort is beyond ten times its limit and far off all others.
+        FitError: A joint's effort is beyond ten times its limit and far off all others, or a
+            position, velocity or effort is beyond everything.
     """
+    _require_possible(dataset)
     effort = dataset["effort"]
     wild = np.abs(effort) > TIMES_LIMIT * _limit(dataset, robot)
     for joint in np.flatnonzero(wild.any(axis=0)):
@@ -49,6 +57,21 @@ def require_plausible(dataset: Dataset, robot: RobotModel) -> None:
                 f"beyond {TIMES_LIMIT:g} times what the joint can make",
                 hint="leave the series out; for an imported file give the effort a `limit` in the "
                 "import map and import it with --drop-bad-rows",
+            )
+
+
+def _require_possible(dataset: Dataset) -> None:
+    for name, most in IMPOSSIBLE.items():
+        if name not in dataset.columns:
+            continue
+        # What is not finite is told elsewhere.
+        values = np.abs(dataset[name])
+        for row, joint in np.argwhere(np.isfinite(values) & (values > most))[:1]:
+            series = dataset.conditions[int(dataset.series_index()[row])]
+            raise FitError(
+                f"{name} of {dataset.joint_names[joint]} cannot be {dataset[name][row, joint]:.3g} "
+                f"(row {row + 1}, series {series.id})",
+                hint="look at the columns and units of the import map, or leave the series out",
             )
 
 

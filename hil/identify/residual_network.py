@@ -22,9 +22,15 @@ from hil.data.filters import FilterSettings
 from hil.data.parts import told_by_sample
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator, prepared
-from hil.identify.checks import require_clean, require_motion, require_robot, require_samples
+from hil.identify.checks import (
+    require_clean,
+    require_motion,
+    require_robot,
+    require_samples,
+    torque_scale,
+)
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import number, settings, share
+from hil.identify.parameters import MOST_SEED, mapping, number, settings, share
 from hil.identify.plausible import require_plausible
 from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel
@@ -88,16 +94,16 @@ class ResidualNetwork(CorrectedModel):
         filters: FilterSettings | dict[str, Any] | None = None,
         seed: int = 0,
     ) -> None:
-        self.base = dict(BASE if base is None else base)
+        self.base = mapping("base", BASE if base is None else base)
         self.inputs, self.layout, self.latency_s = inputs, layout, latency_s
-        self.network = dict(network or {})
-        self.training = TRAINING | dict(training or {})
+        self.network = mapping("network", network)
+        self.training = TRAINING | mapping("training", training)
         self.folds = whole("folds", folds, at_least=1)
         self.margin = number("margin", margin, at_least=0.0)
         self.coverage = share("coverage", coverage)
         self.validation_share = share("validation_share", validation_share)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
-        self.seed = whole("seed", seed, at_least=0)
+        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED)
         self._settings()
         made(self.base)
 
@@ -182,6 +188,7 @@ class ResidualNetwork(CorrectedModel):
     def _require(self, dataset: Dataset, robot: RobotModel) -> None:
         require_torch()
         require_robot(dataset, robot)
+        torque_scale(dataset)
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
         require_samples(len(dataset), FEWEST_ROWS, "samples")

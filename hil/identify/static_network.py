@@ -163,7 +163,9 @@ class StaticMlpLm(StaticModel):
                 "knows the motion only",
                 hint="fit with inputs from q alone, or predict whole datasets",
             )
-        return MemorylessStream(self._parts_and_friction, self._load_effort, payload or Payload())
+        return MemorylessStream(
+            self.robot_.n, self._parts_and_friction, self._load_effort, payload or Payload()
+        )
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of gravity and offset, and the networks' weights and scaling."""

@@ -62,7 +62,7 @@ class WlsEstimator(RobotEstimator):
 
     def stream(self, payload: Payload | None = None) -> Stream:
         """A predictor for one sample at a time; it has no memory, so samples stand alone."""
-        return MemorylessStream(self._parts, self._load_effort, payload or Payload())
+        return MemorylessStream(self.robot_.n, self._parts, self._load_effort, payload or Payload())
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Coefficients, their errors, gains and residual deviations."""

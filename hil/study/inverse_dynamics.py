@@ -15,7 +15,7 @@ from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
 from hil.identify.lm.settings import whole
-from hil.identify.parameters import flag, number
+from hil.identify.parameters import MOST_SEED, flag, number
 from hil.study import inverse_drawn as drawn
 from hil.study import inverse_tables as tables
 from hil.study.base import Progress, Study, silent
@@ -66,14 +66,14 @@ class InverseDynamics(Study):
     ) -> None:
         self.protocols = words("protocols", protocols, tuple(CASES))
         self.methods = words("methods", methods, ROW_KEYS)
-        self.seeds = whole("seeds", seeds, at_least=1)
-        self.seed = whole("seed", seed, at_least=0)
-        self.effort = number("effort", effort, above=0.0)
+        self.seeds = whole("seeds", seeds, at_least=1, at_most=1000)
+        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED - 1000)
+        self.effort = number("effort", effort, above=0.0, at_most=1000.0)
         self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
         self.rate_hz = number("rate_hz", rate_hz, above=0.0)
         self.sign_width = number("sign_width", sign_width, at_least=0.0)
         self.figures = flag("figures", figures)
-        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1, at_most=4096)
         self.dask = checked_address("dask", dask)
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:

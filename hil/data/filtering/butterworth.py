@@ -10,6 +10,9 @@ from hil.typing import BoolArray, FloatArray
 MAX_NYQUIST_FRACTION = 0.8
 """Above this the bilinear transform squeezes the stop band to nothing."""
 
+MIN_NYQUIST_FRACTION = 1e-6
+"""Below this nothing passes, and soon the filter cannot be computed."""
+
 PAUSE_STEPS = 3.0
 """A step in time longer than this many median steps is a pause: no filter may run across it."""
 
@@ -26,7 +29,10 @@ def sample_rate(t: FloatArray) -> float:
     """
     steps = np.diff(t)
     if len(steps) == 0 or not np.all(steps > 0):
-        raise DataError("the sample rate needs at least two strictly increasing time stamps")
+        raise DataError(
+            "the sample rate needs at least two strictly increasing time stamps",
+            hint="import the file again with --drop-bad-rows, or leave the series out",
+        )
     return float(1.0 / np.mean(steps[~is_pause(steps)]))
 
 
@@ -42,9 +48,15 @@ def nyquist_fraction(cutoff: float, unit: str, rate_hz: float) -> float:
     """The cut-off as a fraction of the Nyquist frequency.
 
     Raises:
-        DataError: It lies above 0.8 of the Nyquist frequency.
+        DataError: It lies above 0.8 of the Nyquist frequency, or below a millionth.
     """
     fraction = cutoff if unit == "nyquist" else cutoff / (0.5 * rate_hz)
+    if 0 < fraction < MIN_NYQUIST_FRACTION:
+        raise DataError(
+            f"a cut-off at {cutoff:.4g} {unit} lets nothing through of samples at {rate_hz:.4g} Hz",
+            hint="look at the unit of the time stamps: they have to be seconds; or raise the "
+            "cut-off",
+        )
     if not 0 < fraction <= MAX_NYQUIST_FRACTION:
         highest = 0.5 * MAX_NYQUIST_FRACTION * rate_hz
         raise DataError(

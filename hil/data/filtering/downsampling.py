@@ -57,10 +57,17 @@ def motion_rates(dataset: Dataset) -> list[tuple[float, str]]:
         DataError: Time does not increase.
     """
     return [
-        (sample_rate(dataset["t"][rows]), condition.id)
+        (_rate(dataset, condition, rows), condition.id)
         for condition, rows in dataset.slices()
         if condition.kind not in AT_REST and rows.stop - rows.start > 1
     ]
+
+
+def _rate(dataset: Dataset, condition: Conditions, rows: slice) -> float:
+    try:
+        return sample_rate(dataset["t"][rows])
+    except DataError as error:
+        raise DataError(f"series {condition.id}: {error.message}", hint=error.hint) from error
 
 
 def _kept(dataset: Dataset, stride: FloatArray) -> BoolArray:

@@ -9,6 +9,7 @@ import numpy as np
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.friction.motion import FrictionMotion
+from hil.identify.stream import one_sample
 from hil.typing import FloatArray
 
 Torque = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
@@ -31,8 +32,12 @@ class RememberingStream:
         self._last: FloatArray | None = None
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds."""
-        motion = tuple(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd))
+        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds.
+
+        Raises:
+            DataError: An input is not one number per joint.
+        """
+        motion = one_sample(len(self._scale), q, qd, qdd)
         step = carried_step(motion[0], self._last, motion[1])
         self._last = motion[0]
         length = self._law.shapes.length

@@ -10,6 +10,7 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
+from hil.errors import DataError
 from hil.identify.base import RobotEstimator, payload_torque, prepared
 from hil.identify.checks import require_sizes
 from hil.identify.lagrangian.choices import Design
@@ -67,9 +68,19 @@ class LagrangianModel(RobotEstimator):
         )
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """M(q) (N, n, n) as learned, symmetric and positive definite, at q (N, n) [kg·m²]."""
+        """M(q) (N, n, n) as learned, symmetric and positive definite, at q (N, n) [kg·m²].
+
+        Raises:
+            DataError: The positions are not one number per joint.
+        """
         from hil.identify.lagrangian.predict import mass_matrix
 
+        n = self.robot_.n
+        if np.ndim(q) != 2 or np.shape(q)[1] != n:
+            raise DataError(
+                f"positions have the shape {np.shape(q)}, but must be (N, {n})",
+                hint="give a row per pose and a number per joint",
+            )
         return mass_matrix(self._network(), q)
 
     def _predict(self, data: Dataset, direction: FloatArray) -> Prediction:
@@ -122,6 +133,7 @@ class LagrangianModel(RobotEstimator):
         """Take over what `fitted_arrays` and `fitted_facts` wrote.
 
         Raises:
+            KeyError, TypeError, ValueError, SpecError: Something is missing or cannot be.
             PluginError: The extra `learn` is missing.
         """
         require_torch()
@@ -136,5 +148,10 @@ class LagrangianModel(RobotEstimator):
         self.weights_ = stored.unnamed(arrays)
         require_sizes(self, torque_std=self.robot_.n)
         if self.length_ is not None:
-            require_sizes(self, length=self.robot_.n)
+            _require_lengths(self.length_, self.robot_.n)
         self._network()
+
+
+def _require_lengths(length: FloatArray, n: int) -> None:
+    if length.shape != (n,) or not np.all(np.isfinite(length) & (length > 0.0)):
+        raise ValueError(f"length: {length.tolist()!s:.60}")

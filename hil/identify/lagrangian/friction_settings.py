@@ -72,14 +72,16 @@ class FrictionSettings:
         for name in ("scaled", "bounded", "offset"):
             flag(name, getattr(self, name))
         for name in ("unit", "start", "start_speed", "start_shape", "start_exponent"):
-            number(name, getattr(self, name), above=0.0)
-        number("rest_speed", self.rest_speed, at_least=0.0)
+            self._set(name, number(name, getattr(self, name), above=0.0))
+        self._set("rest_speed", number("rest_speed", self.rest_speed, at_least=0.0))
         for pair, start in BOUNDED.items():
             self._set(pair, _bounds(pair, getattr(self, pair)))
             if self.bounded:
                 _require_inside(start, getattr(self, start), pair, getattr(self, pair))
         widths = _sequence("hidden", self.hidden)
-        self._set("hidden", tuple(whole("hidden", width, at_least=1) for width in widths))
+        self._set(
+            "hidden", tuple(whole("hidden", width, at_least=1, at_most=4096) for width in widths)
+        )
 
     @staticmethod
     def literal() -> FrictionSettings:

@@ -10,6 +10,7 @@ import torch
 from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.lagrangian.direction import smooth_sign
 from hil.identify.lagrangian.model import NetworkModel, Torques
+from hil.identify.stream import one_sample
 from hil.identify.training_loop.device import reproducible
 from hil.typing import FloatArray
 
@@ -68,8 +69,12 @@ class NetworkStream:
         self._last: FloatArray | None = None
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds."""
-        motion = tuple(np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd))
+        """Predicted effort (n,) for one sample, each input (n,); qd of exactly 0 holds.
+
+        Raises:
+            DataError: An input is not one number per joint.
+        """
+        motion = one_sample(len(self._scale), q, qd, qdd)
         direction = self._direction(motion[0], motion[1])
         with torch.inference_mode():
             inputs = (_tensor(self._module, values) for values in (*motion, direction))

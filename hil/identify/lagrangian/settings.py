@@ -11,6 +11,12 @@ Gain = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
 
 
+Layers = Annotated[
+    tuple[Annotated[int, Field(strict=True, ge=1, le=4096)], ...], Field(strict=False)
+]
+"""Lists of a YAML file become tuples."""
+
+
 class NetworkSettings(BaseModel):
     """Structure and start of the network behind M(q) and g(q).
 
@@ -34,9 +40,9 @@ class NetworkSettings(BaseModel):
         diagonal_bias: … but those of L's diagonal.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    hidden: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = (128, 128, 128)
+    hidden: Layers = (128, 128, 128)
     activation: Activation = "softplus"
     features: Literal["sincos", "raw"] = "sincos"
     gravity: Literal["potential", "head"] = "potential"

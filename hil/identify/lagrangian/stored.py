@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,16 +32,20 @@ def network_of(design: Design, torque_std: FloatArray, weights: Weights) -> Netw
     Raises:
         ValueError: Weights are missing, too many, of another shape or not finite.
     """
+    _require_room(design, weights)
     module = NetworkModel(design, torque_std)
     wanted = module.state_dict()
     if wanted.keys() != weights.keys():
         odd = sorted(wanted.keys() ^ weights.keys())
         raise ValueError(f"weights: {odd[0]} is missing or does not belong to the network")
     for name, value in weights.items():
-        _require_alike(name, value, tuple(wanted[name].shape))
+        _require_alike(name, value, wanted[name].numpy())
     doubled = any(value.dtype == np.float64 for value in weights.values())
     module.to(torch.float64 if doubled else torch.float32)
     module.load_state_dict({name: torch.as_tensor(value) for name, value in weights.items()})
+    for name, scale in module.named_buffers():
+        if not torch.all(torch.isfinite(scale)):
+            raise ValueError(f"torque_std: {name} is not finite")
     module.eval()
     return module
 
@@ -55,8 +60,24 @@ def unnamed(arrays: Weights) -> dict[str, np.ndarray[Any, Any]]:
     return without_prefix(PREFIX, arrays)
 
 
-def _require_alike(name: str, value: np.ndarray[Any, Any], shape: tuple[int, ...]) -> None:
-    if value.shape != shape:
-        raise ValueError(f"weights: {name} is {value.shape}, the network needs {shape}")
+def _require_room(design: Design, weights: Weights) -> None:
+    """Refuse a design far larger than its weights before it takes up memory."""
+    layers = [design.network.hidden]
+    if design.kind in ("dissipative", "unconstrained"):
+        layers.append(design.friction.hidden)
+    needed = sum(sum(units) + sum(a * b for a, b in pairwise(units)) for units in layers)
+    stored = sum(value.size for value in weights.values())
+    if needed > stored:
+        raise ValueError(f"hidden: a network of at least {needed} weights, {stored} are stored")
+
+
+def _require_alike(name: str, value: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
+    if value.shape != wanted.shape:
+        raise ValueError(f"weights: {name} is {value.shape}, the network needs {wanted.shape}")
+    if value.dtype.kind != wanted.dtype.kind:
+        raise ValueError(f"weights: {name} holds {value.dtype}, the network {wanted.dtype}")
+    # Whole numbers are places in a matrix: they follow from the design.
+    if wanted.dtype.kind == "i" and not np.array_equal(value, wanted):
+        raise ValueError(f"weights: {name} is not that of the network")
     if not np.all(np.isfinite(value)):
         raise ValueError(f"weights: {name} holds values that are not finite")

@@ -74,13 +74,13 @@ class Settings:
         return Settings(**settings)
 
 
-def whole(name: str, value: Any, *, at_least: int) -> int:
-    """A whole number of at least so much.
+def whole(name: str, value: Any, *, at_least: int, at_most: float | None = None) -> int:
+    """A whole number of at least so much, and at most so much.
 
     Raises:
         SpecError: It is not; the message names the parameter.
     """
-    number(name, value, at_least=at_least)
+    number(name, value, at_least=at_least, at_most=at_most)
     if int(value) != value:
         raise SpecError(f"{name} is {value!r}, but must be a whole number")
     return int(value)

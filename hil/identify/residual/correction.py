@@ -77,13 +77,13 @@ class Correction:
             KeyError, ValueError, DataError: Something is missing or garbled.
         """
         stored = {int(named[1]) for name in arrays if (named := NUMBERED.match(name))}
-        if not stored or stored != set(range(1, networks + 1)):
+        if not stored or networks != len(stored) or networks != max(stored) or min(stored) < 1:
             raise ValueError(f"networks: {networks} where those stored are {sorted(stored)}")
         found = [
             _network(without_prefix(NETWORK.format(k + 1), arrays), settings)
             for k in range(networks)
         ]
-        kept, limit = arrays[KEPT], arrays[LIMIT]
+        kept, limit = (np.asarray(arrays[name], dtype=np.float64) for name in (KEPT, LIMIT))
         if not np.all(np.isin(kept, (0.0, 1.0))) or not np.all(np.isfinite(limit) & (limit >= 0)):
             raise ValueError(f"{KEPT}, {LIMIT}: {kept.tolist()!s:.60}, {limit.tolist()!s:.60}")
         if not all(network.n == len(kept) == len(limit) for network in found):

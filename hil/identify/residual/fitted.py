@@ -12,6 +12,7 @@ from hil.data.prediction import Prediction, Stream
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.conformal import SpeedBands
+from hil.identify.lm.settings import whole
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.selection import Selection
 from hil.identify.residual.settings import ResidualSettings
@@ -63,7 +64,9 @@ class CorrectedModel(RobotEstimator):
         added = self.correction_.predict(data, base.effort)
         parts = {**base.components, RESIDUAL: added}
         std = self.bands_.deviation(data["qd_f"])
-        return Prediction(base.effort + added, std, base.valid, parts)
+        effort = base.effort + added
+        # What is missing in one row is missing in the memory of those after it.
+        return Prediction(effort, std, base.valid & np.isfinite(effort), parts)
 
     def stream(self, payload: Payload | None = None) -> Stream:
         """A predictor for one sample at a time; nothing is filtered.
@@ -103,7 +106,7 @@ class CorrectedModel(RobotEstimator):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         self._restore_common(arrays, facts)
         self.base_ = restored_base(arrays, facts["base"], self.robot_)
-        count = int(facts["networks"])
+        count = whole("networks", facts["networks"], at_least=1)
         self.correction_ = Correction.from_arrays(arrays, facts["residual"], count)
         self._network = self.correction_.settings
         self.bands_ = SpeedBands.from_arrays(arrays)

@@ -20,6 +20,9 @@ CHANNELS: dict[Layout, int] = {"grouped": 12, "joint": 48}
 APART_HZ = 249.0
 """Instants learned from are no rarer: five times the band of motions and efforts at 50 Hz."""
 
+MOST_SAMPLES = 100_000
+"""That a network reaches back, or predicts at once: 100 s at 1 kHz, and far more than pays."""
+
 TRAINING: dict[str, Any] = {
     "epochs": 60,
     "batch_size": 16,
@@ -75,13 +78,21 @@ class ResidualSettings:
         choice("inputs", self.inputs, get_args(Heard))
         choice("layout", self.layout, get_args(Layout))
         choice("activation", self.activation, get_args(Activation))
-        number("latency_s", self.latency_s, above=0.0)
-        whole("kernel", self.kernel, at_least=2)
-        whole("crop", self.crop, at_least=1)
+        number("latency_s", self.latency_s, above=0.0, at_most=60.0)
+        self._whole("kernel", at_least=2, at_most=MOST_SAMPLES)
+        self._whole("crop", at_least=1, at_most=MOST_SAMPLES)
         if self.channels is not None:
-            whole("channels", self.channels, at_least=1)
+            self._whole("channels", at_least=1, at_most=4096)
+        dilations = _several("dilations", self.dilations)
+        self._set("dilations", tuple(whole("dilations", d, at_least=1) for d in dilations))
+        if self.window > MOST_SAMPLES:
+            raise SpecError(
+                f"kernel {self.kernel} and dilations {', '.join(map(str, self.dilations))} reach "
+                f"back {self.window} samples, but at most {MOST_SAMPLES} are allowed",
+                hint="give fewer or smaller dilations",
+            )
         if self.every is not None:
-            whole("every", self.every, at_least=1)
+            self._whole("every", at_least=1)
             if self._common % self.every:
                 raise SpecError(
                     f"every is {self.every}, but must divide the dilations "
@@ -92,10 +103,14 @@ class ResidualSettings:
         flag("base_input", self.base_input)
         if self.f_cut_hz != "auto":
             number("f_cut_hz", self.f_cut_hz, above=0.0)
-        for dilation in _several("dilations", self.dilations):
-            whole("dilations", dilation, at_least=1)
         for width in _several("sign_widths", self.sign_widths):
             number("sign_widths", width, above=0.0)
+
+    def _whole(self, name: str, *, at_least: int, at_most: float | None = None) -> None:
+        self._set(name, whole(name, getattr(self, name), at_least=at_least, at_most=at_most))
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)  # what counts must be an int, not 5.0
 
     @property
     def window(self) -> int:

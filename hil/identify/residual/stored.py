@@ -8,9 +8,10 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError
+from hil.errors import DataError, FitError, SpecError
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.base import RobotEstimator, estimator
+from hil.identify.sound import require_sound
 from hil.typing import FloatArray
 
 BASE = "base."
@@ -22,10 +23,15 @@ def made(base: dict[str, Any]) -> RobotEstimator:
 
     Raises:
         PluginError: There is no estimator of that name.
-        SpecError: It has no such parameter, or does not accept the value.
+        SpecError: It is not named, has no such parameter, or does not accept the value.
     """
+    if not isinstance(base.get("estimator"), str):
+        raise SpecError(
+            f"base is {base!r:.60}, but must name the physics with `estimator`",
+            hint="base: {estimator: rigid-hysteresis}",
+        )
     params = {name: value for name, value in base.items() if name != "estimator"}
-    return estimator(str(base["estimator"]), **params)
+    return estimator(base["estimator"], **params)
 
 
 def require_base(model: RobotEstimator, dataset: Dataset, robot: RobotModel) -> None:
@@ -77,6 +83,7 @@ def restored_base(
     own = without_prefix(BASE, arrays)
     require_finite_arrays(own)
     model.restore(own, facts["fitted"])
+    require_sound(model)
     return model
 
 

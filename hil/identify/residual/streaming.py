@@ -24,7 +24,11 @@ class CorrectedStream:
         self._rings = [RingTcn(network) for network in wanted]
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,)."""
+        """Predicted effort (n,) for one sample, each input (n,).
+
+        Raises:
+            DataError: An input is not one number per joint.
+        """
         effort = self._base.step(q, qd, qdd)
         if not self._rings:
             return effort

@@ -26,7 +26,8 @@ MOST_OF_NYQUIST = 0.4
 def filters_for(dataset: Dataset) -> FilterSettings:
     """50 Hz over everything, less where samples are few."""
     slowest = min(rate for rate, _ in motion_rates(dataset))
-    cutoff = round(min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * slowest), 2)
+    highest = min(CUTOFF_HZ, 0.5 * MOST_OF_NYQUIST * slowest)
+    cutoff = round(highest, 2) or highest
     return FilterSettings(unit="hz", velocity=cutoff, acceleration=cutoff, effort=cutoff)
 
 

@@ -31,6 +31,11 @@ SAME = 1e-3
 
 State = dict[str, torch.Tensor]
 
+_GARBLED = (
+    OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError,
+)  # fmt: skip
+"""What reading a damaged document may end with."""
+
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
@@ -69,14 +74,18 @@ class Checkpoints:
         Raises:
             DataError: It is of another training, or damaged.
         """
+        from safetensors import SafetensorError
+
         path = self._folder / FILE
         if not path.exists():
             return None
         try:
             found = json.loads(path.read_bytes())
             self._require_same(found["training"], found["start"], int(found["hil_checkpoint"]))
+            if _digest(found["facts"]) != found["facts_sha256"]:
+                raise ValueError("its facts are damaged")
             return Snapshot(self._tensors(found), found["facts"])
-        except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        except (*_GARBLED, SafetensorError) as error:
             raise DataError(
                 f"{path} cannot be read: {error}", hint="delete it to start this training anew"
             ) from error
@@ -121,6 +130,7 @@ class Checkpoints:
             "training": self._training,
             "start": self._start,
             "facts": snapshot.facts,
+            "facts_sha256": _digest(snapshot.facts),
             "tensors": tensors.name,
             "tensors_sha256": digest,
         }
@@ -162,6 +172,11 @@ class Checkpoints:
                 f"{self._folder} holds the checkpoint of another training: {'; '.join(differing)}",
                 hint="name another folder for this training, or go on with what the other had",
             )
+
+
+def _digest(facts: Mapping[str, Any]) -> str:
+    """Of the facts as JSON: one digit of a learning curve decides where a training ends."""
+    return hashlib.sha256(json_bytes(facts)).hexdigest()
 
 
 def _close(before: object, now: float) -> bool:

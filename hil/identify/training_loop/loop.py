@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -13,7 +13,7 @@ from hil.identify.training_loop.checkpoint import Checkpoints
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.device import device_of, reproducible
 from hil.identify.training_loop.problem import Problem, Told, Watch, unwatched
-from hil.identify.training_loop.progress import Progress, copied, first_loss, identity
+from hil.identify.training_loop.progress import Progress, copied, first_loss, identity, unfit
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import Stage
 from hil.identify.training_loop.steps import Steps, everything
@@ -78,7 +78,7 @@ class _Training:
         torch.manual_seed(self.settings.seed)
         self.checkpoints = Checkpoints(folder, told, start)
         if found := self.checkpoints.read():
-            self.at.restore(found)
+            self.at.restore(found, len(self.stages))
 
     def run(self) -> Curves:
         """All stages from where the training stands."""
@@ -101,7 +101,7 @@ class _Training:
     def _run_stage(self, stage: Stage) -> None:
         per_epoch = math.ceil(self.problem.samples / self.settings.batch_size)
         steps = Steps(self.problem.groups(), stage, self.settings, per_epoch)
-        steps.restore(self.at.moments)
+        _restore(steps, self.at.moments)
         while self.at.epoch < stage.epochs and self._waited() < stage.patience:
             loss = self._run_epoch(steps, first=self.at.epoch * per_epoch)
             self.at.epoch += 1
@@ -160,6 +160,13 @@ class _Training:
         """Epochs there may still be."""
         later = sum(stage.epochs for stage in self.stages[self.at.stage + 1 :])
         return self.stages[self.at.stage].epochs - self.at.epoch + later
+
+
+def _restore(steps: Steps, moments: Mapping[str, torch.Tensor]) -> None:
+    try:
+        steps.restore(moments)
+    except (KeyError, ValueError, RuntimeError) as error:
+        raise unfit(error) from error
 
 
 def _diverged(what: str, value: float, where: str) -> FitError:

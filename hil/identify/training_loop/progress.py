@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -62,34 +62,56 @@ class Progress:
         facts = {"stage": self.stage, "epoch": self.epoch, "curves": self.curves.to_dict()}
         return Snapshot(tensors, facts)
 
-    def restore(self, found: Snapshot) -> None:
-        """Go on from a snapshot.
+    def restore(self, found: Snapshot, stages: int) -> None:
+        """Go on from a snapshot of a training of so many stages.
 
         Raises:
             DataError: It does not fit the network.
         """
         try:
             self.curves = Curves.from_dict(found.facts["curves"])
-            self.stage, self.epoch = int(found.facts["stage"]), int(found.facts["epoch"])
+            self.stage, self.epoch = _where(found.facts, stages, len(self.curves))
             device = device_of(self.module)
             self.best, self.stage_best = (
                 {name: value.to(device) for name, value in found.tensors[group].items()}
                 for group in ("best", "stage_best")
             )
-            self.module.load_state_dict(found.tensors["weights"])
+            for group in ("best", "stage_best", "weights"):  # all of them have to fit
+                self.module.load_state_dict(found.tensors[group])
             self.moments = found.tensors.get("adam", {})
+            for group in ("best", "stage_best", "weights", "adam"):
+                _require_finite(group, found.tensors.get(group, {}))
             self._restore_random(found.tensors["random"], device)
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise DataError(
-                f"the checkpoint does not fit the network: {error}",
-                hint="delete it to start this training anew",
-            ) from error
+        except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+            raise unfit(error) from error
 
     def _restore_random(self, random: State, device: torch.device) -> None:
         self.order.set_state(random["order"])
         torch.set_rng_state(random["cpu"])
         if device.type == "cuda" and "cuda" in random:
             torch.cuda.set_rng_state(random["cuda"], device)
+
+
+def _where(facts: Mapping[str, Any], stages: int, epochs: int) -> tuple[int, int]:
+    """Number of the running stage, and the epochs it has had."""
+    stage, epoch = int(facts["stage"]), int(facts["epoch"])
+    if not (0 <= stage <= stages and 0 <= epoch <= epochs):
+        raise ValueError(f"stage {stage} of {stages}, epoch {epoch} of {epochs}")
+    return stage, epoch
+
+
+def _require_finite(group: str, tensors: State) -> None:
+    for name, value in tensors.items():
+        if not torch.all(torch.isfinite(value)):
+            raise ValueError(f"{group}/{name} holds values that are not finite")
+
+
+def unfit(error: Exception) -> DataError:
+    """What to say of a checkpoint that is whole, but not of this network."""
+    return DataError(
+        f"the checkpoint does not fit the network: {error!s:.300}",
+        hint="delete it to start this training anew",
+    )
 
 
 def copied(module: torch.nn.Module) -> State:

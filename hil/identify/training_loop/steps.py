@@ -26,13 +26,15 @@ class Steps:
         per_epoch: Steps of an epoch.
 
     Raises:
-        SpecError: The stage names a group that the network does not have.
+        SpecError: The stage or a rate names a group that the network does not have.
     """
 
     def __init__(
         self, groups: Groups, stage: Stage, settings: TrainingSettings, per_epoch: int
     ) -> None:
-        trained = _trained(groups, stage)
+        _require_groups(f"stage {stage.name!r} trains", stage.trains, groups)
+        _require_groups("group_rates has", settings.group_rates, groups)
+        trained = {name: groups[name] for name in stage.trains or groups}
         for name, parameters in groups.items():
             for parameter in parameters:
                 parameter.requires_grad_(name in trained)
@@ -70,13 +72,32 @@ class Steps:
         return {f"{k}/{name}": value for k, one in state.items() for name, value in one.items()}
 
     def restore(self, state: Mapping[str, torch.Tensor]) -> None:
-        """Inverse of `state`."""
+        """Inverse of `state`.
+
+        Raises:
+            ValueError: The moments are not those of these parameters.
+        """
         found: dict[int, dict[str, torch.Tensor]] = {}
         for key, value in state.items():
             number, _, name = key.partition("/")
             found.setdefault(int(number), {})[name] = value
+        if found:
+            _require_moments(found, [p for g in self.adam.param_groups for p in g["params"]])
         parts = self.adam.state_dict()["param_groups"]
         self.adam.load_state_dict({"state": found, "param_groups": parts})
+
+
+def _require_moments(
+    found: Mapping[int, Mapping[str, torch.Tensor]], parameters: Sequence[torch.nn.Parameter]
+) -> None:
+    if not found.keys() <= set(range(len(parameters))):
+        raise ValueError(f"moments of {len(found)} parameters where there are {len(parameters)}")
+    for number, moments in found.items():
+        own = tuple(parameters[number].shape)
+        shapes = {name: tuple(value.shape) for name, value in moments.items()}
+        wanted = {"step": (), "exp_avg": own, "exp_avg_sq": own}
+        if shapes != wanted:
+            raise ValueError(f"moments of parameter {number}: {shapes}, not {wanted}")
 
 
 def everything(groups: Groups) -> Iterator[torch.nn.Parameter]:
@@ -84,15 +105,13 @@ def everything(groups: Groups) -> Iterator[torch.nn.Parameter]:
     return (parameter for parameters in groups.values() for parameter in parameters)
 
 
-def _trained(groups: Groups, stage: Stage) -> dict[str, Sequence[torch.nn.Parameter]]:
-    for name in stage.trains:
+def _require_groups(who: str, named: Iterable[str], groups: Groups) -> None:
+    for name in named:
         if name not in groups:
             raise SpecError(
-                f"stage {stage.name!r} trains {name!r}, but the network has the groups "
-                f"{', '.join(groups)}",
+                f"{who} {name!r}, but the network has the groups {', '.join(groups)}",
                 hint=did_you_mean(name, tuple(groups)),
             )
-    return {name: groups[name] for name in stage.trains or groups}
 
 
 def _parts(groups: Groups, settings: TrainingSettings) -> list[dict[str, Any]]:

@@ -1,0 +1,125 @@
+"""Parameters of networks and of the study of inverse dynamics: a SpecError by name, or accepted."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bad_networks import LAGRANGIAN
+from synthetic_motion import moving, nominal
+from test_identify_sources import layout, recording
+
+from hil import plugins
+from hil.cli.app import main
+from hil.data.importing import import_file
+from hil.errors import SpecError
+from hil.identify import estimator
+from hil.study.base import study
+
+OF_NO_USE = [
+    float("nan"), float("inf"), -1, 10**400, b"x", [[1]], {1: 2}, {"a": 1}, ["x", None], object(),
+    1 + 2j, "nowhere",
+]  # fmt: skip
+"""What no parameter can be."""
+
+NAMES = [
+    (name, parameter)
+    for name in ("lagrangian", "residual")
+    for parameter in plugins.load("hil.estimators", name).parameter_names()
+]
+STUDY = plugins.load("hil.studies", "inverse-dynamics").parameter_names()
+
+
+@pytest.mark.parametrize(("name", "parameter"), NAMES)
+def test_a_parameter_that_cannot_be_is_refused_by_its_name(name: str, parameter: str) -> None:
+    for value in OF_NO_USE:
+        with pytest.raises(SpecError, match=rf"^{name}: .*{parameter}|^{name}: \w*: "):
+            estimator(name, **{parameter: value})
+
+
+@pytest.mark.parametrize("parameter", STUDY)
+def test_a_parameter_of_the_study_is_refused_by_its_name(parameter: str) -> None:
+    for value in OF_NO_USE:
+        with pytest.raises(SpecError, match=f"^inverse-dynamics: {parameter}"):
+            study("inverse-dynamics", **{parameter: value})
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"seed": 10**30}, {"loops": 10**9}, {"network": 0}, {"network": []}, {"training": ""},
+        {"network": {"hidden": [True]}}, {"network": {"scaled": 0}},
+        {"network": {"hidden": [5000]}},
+        {"training": {"epochs": True}}, {"training": {"epochs": "5"}},
+        {"training": {"epochs": 2.5}},
+        {"training": {"batch_size": 10**30}}, {"training": {"threads": 10**9}},
+        {"training": {"seed": 10**30}}, {"training": {"loops": 10**9}},
+    ],
+)  # fmt: skip
+def test_a_value_that_no_training_could_take_is_refused_at_once(given: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match=next(iter(given))):
+        estimator("lagrangian", **given)
+
+
+@pytest.mark.parametrize(
+    "network",
+    [
+        {"dilations": [10**9]}, {"dilations": [1, 2.5]}, {"kernel": 10**6}, {"crop": 10**9},
+        {"channels": 10**9}, {"latency_s": 1e9}, {"every": 10**9},
+    ],
+)  # fmt: skip
+def test_a_residual_network_without_end_is_refused_at_once(network: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match=next(iter(network))):
+        estimator("residual", network=network)
+
+
+@pytest.mark.parametrize("base", ["", [], {}, {"sign_width": 1}, {"estimator": 3}, "rigid-wls"])
+def test_physics_without_a_name_is_refused(base: object) -> None:
+    with pytest.raises(SpecError, match="base is "):
+        estimator("residual", base=base)
+
+
+@pytest.mark.parametrize("given", [{"seeds": 10**9}, {"jobs": 10**9}, {"effort": 1e300}])
+def test_a_study_without_end_is_refused_at_once(given: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match="at most"):
+        study("inverse-dynamics", **given)
+
+
+def test_groups_that_a_network_does_not_have_are_told() -> None:
+    pytest.importorskip("torch", reason="torch is not installed")
+    training = LAGRANGIAN["training"] | {"group_rates": {"fricton": 2.0}}
+    with pytest.raises(SpecError, match="'fricton'"):
+        estimator("lagrangian", **{**LAGRANGIAN, "training": training}).fit(moving(1, 2), nominal())
+
+
+def exit_code(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> object:
+    """What `hil` ends with."""
+    monkeypatch.setattr(sys, "argv", ["hil", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code
+
+
+def test_the_command_line_ends_with_the_documented_codes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    good, torn = recording(tmp_path, 1), tmp_path / "torn.mcap"
+    torn.write_bytes(good.read_bytes()[:300])
+    rows = np.loadtxt(tmp_path / "1.csv", delimiter=",")
+    rows[:, 1:7] = 0.3
+    np.savetxt(tmp_path / "still.csv", rows, delimiter=",")
+    still = tmp_path / "still.mcap"
+    import_file(tmp_path / "still.csv", layout(), out=still)
+    for name in ("lagrangian", "residual"):
+        asked = ("--estimator", name, "--out", tmp_path / "models")
+        assert exit_code(monkeypatch, "fit", good, *asked, "--set", "seed=-1") == 2
+        assert exit_code(monkeypatch, "fit", torn, *asked) == 8
+        assert exit_code(monkeypatch, "fit", still, *asked) == 9
+    series = tmp_path / "series.yaml"
+    series.write_text("hil_series: 1\nname: a\nseries: [{spec: nowhere.yaml}]\n")
+    assert exit_code(monkeypatch, "run", series) == 2
+    assert exit_code(monkeypatch, "study", tmp_path, "--study", "inverse-dynamics") == 8
