@@ -17,6 +17,9 @@ PIPED_EVERY_S = 10.0
 NEWS_EVERY_S = 1.0
 """In a pipe, what is done next is told at once, but not more often than this [s]."""
 
+ALIVE_EVERY_S = 120.0
+"""In a pipe, a line that says the same again only shows that work goes on [s]."""
+
 
 class StudyBar:
     """Progress of studies on stderr; `end` takes the bar off the screen."""
@@ -24,7 +27,7 @@ class StudyBar:
     def __init__(self) -> None:
         self._tty = sys.stderr.isatty()
         self._bar: Progress | None = None
-        self._told, self._next, self._after = "", 0.0, 0.0
+        self._told, self._done, self._since = "", -1, 0.0
 
     def show(self, study: str, what: str, done: int, total: int) -> None:
         """Show where a study is."""
@@ -62,9 +65,10 @@ class StudyBar:
 
     def _line(self, text: str, done: int, total: int) -> None:
         now = time.monotonic()
-        if now < (self._after if text != self._told else self._next):
+        wait = PIPED_EVERY_S if done != self._done else ALIVE_EVERY_S
+        if now < self._since + (wait if text == self._told else NEWS_EVERY_S):
             return
-        self._told, self._next, self._after = text, now + PIPED_EVERY_S, now + NEWS_EVERY_S
+        self._told, self._done, self._since = text, done, now
         sys.stderr.write(f"{text} {f'{done}/{total}' if total else ''}".rstrip() + "\n")
         sys.stderr.flush()
 
