@@ -12,6 +12,7 @@ from synthetic_motion import LOAD, moving, raw
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
+from hil.identify.residual.selection import Selection
 from hil.identify.rigid import RigidWls
 from hil.study.inverse_methods import ROWS, Row
 from hil.typing import FloatArray
@@ -54,7 +55,10 @@ class Toy(RigidWls):
 
     def fit_on(self, base: Any, dataset: Dataset, robot: RobotModel) -> Self:
         """Nothing is learned: half of the error is known beforehand."""
-        self.base, self.share, self.notes_ = base, 0.5, ("half of it",)
+        self.base, self.share = base, 0.5
+        kept = np.arange(robot.n) != 1
+        one = np.ones(robot.n)
+        self.selection_ = Selection(kept, 0.4 * one, 0.2 * one, one, 0.0)
         return self
 
     def predict(self, dataset: Dataset) -> Prediction:

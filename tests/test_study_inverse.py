@@ -115,6 +115,18 @@ def test_a_correction_is_judged_on_top_of_its_base() -> None:
     assert cell(shown, "Proposed with RC, no torque", "mean") == pytest.approx(base / 2)
 
 
+def test_what_a_correction_decided_about_itself_is_told_in_torque() -> None:
+    parts = made(methods=["wls", "proposed", "rc-motion"]).parts
+    for part, rows in zip(parts, ("on samples drawn", "on trajectories"), strict=False):
+        (shown,) = [one for one in part.tables if one.key.endswith("-decided")]
+        assert rows in shown.note
+        (row,) = shown.rows
+        assert row[:2] == ("Proposed with RC, no torque", 1)
+        gain = run_of().drive_gains
+        assert row[2] == f"{0.4 * gain[0]:.3g} → {0.2 * gain[0]:.3g}"
+        assert row[3] == f"dropped: {0.4 * gain[1]:.3g} → {0.2 * gain[1]:.3g}"
+
+
 def test_settings_as_printed_are_an_optional_row_for_as_many_epochs_as_the_others() -> None:
     assert "proposed-literal" not in study("inverse-dynamics").get_params()["methods"]
     rows = {key: unfitted(ROWS[key], 0, 0.01, FilterSettings(), 1.0).get_params()

@@ -22,8 +22,8 @@ from hil.study.base import Progress, Study, silent
 from hil.study.inverse_cases import CASES, load_names, recorded
 from hil.study.inverse_fits import family_task, missing
 from hil.study.inverse_found import Found, Seen, gathered
-from hil.study.inverse_methods import DEFAULT_KEYS, RESIDUAL, ROW_KEYS, ROWS, families
-from hil.study.inverse_words import LABELS, TEXTS, TITLES, summary
+from hil.study.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, families
+from hil.study.inverse_words import LABELS, LEFT_OUT, TEXTS, TITLES, summary
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.separation_parameters import words
 from hil.study.separation_tasks import run_tasks
@@ -126,10 +126,9 @@ class InverseDynamics(Study):
 
     def _part(self, found: Found) -> Part:
         name = found.protocol
-        text = (*TEXTS[name], *_decisions(found))
         shown = tuple(_tables(found))
         figures = tuple(_figures(found)) if self.figures else ()
-        return Part(TITLES[name], LABELS[name], text, shown, figures)
+        return Part(TITLES[name], LABELS[name], TEXTS[name], shown, figures)
 
 
 def _tables(found: Found) -> Iterator[Table]:
@@ -141,8 +140,11 @@ def _tables(found: Found) -> Iterator[Table]:
     if name == "honest":
         yield tables.measured(found, "table-moving", "moving")
         yield tables.measured(found, "table-within", "within")
-        loads = tables.under_loads(found)
-        yield from () if loads is None else (loads,)
+    more = (
+        tables.decided(found, f"table-{name}-decided", LEFT_OUT[name]),
+        tables.under_loads(found) if name == "honest" else None,
+    )
+    yield from (table for table in more if table is not None)
 
 
 def _figures(found: Found) -> Iterator[Figure]:
@@ -157,14 +159,6 @@ def _figures(found: Found) -> Iterator[Figure]:
             drawn.learning(found, "fig-learning"),
         )
         yield from (figure for figure in made if figure is not None)
-
-
-def _decisions(found: Found) -> Iterator[str]:
-    """What corrections of ours decided about themselves, seed by seed."""
-    for key in (key for key in found.scores if ROWS[key].estimator == RESIDUAL):
-        for i, score in enumerate(found.scores[key]):
-            told = (note for note in score.notes if note.startswith(RESIDUAL))
-            yield from (f"{found.words(key)}, draw {i + 1}: {note}" for note in told)
 
 
 def _absent(absent: dict[str, str]) -> Iterator[str]:

@@ -56,7 +56,8 @@ class Judged:
         seconds: CPU time of the fit, with that of the model it corrects.
         aware, unaware: By number of the load, (n,) RMSE with the load known and forgotten.
         curves: By name, (epochs,) losses of a training.
-        notes: What the fit has to say.
+        decided: (n,) of a residual network: per joint the error without → with it on rows it was
+            not fitted to, and whether it was dropped.
         failed: Why there is nothing else.
     """
 
@@ -70,7 +71,7 @@ class Judged:
     aware: dict[int, FloatArray] = field(default_factory=dict)
     unaware: dict[int, FloatArray] = field(default_factory=dict)
     curves: dict[str, FloatArray] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    decided: tuple[str, ...] = ()
     shown: Shown = field(default_factory=lambda: Shown(np.zeros((0, 0))))
     failed: str = ""
 
@@ -103,8 +104,19 @@ def judged(model: RobotEstimator, case: Case, seconds: float) -> Judged:
         aware=_under_loads(model, case.loaded, scale),
         unaware=_under_loads(model, case.loaded and forgotten(case.loaded), scale),
         curves=_curves(model),
-        notes=tuple(model.notes_),
+        decided=_decided(model, scale),
         shown=_shown(predicted, torque, case),
+    )
+
+
+def _decided(model: RobotEstimator, scale: FloatArray) -> tuple[str, ...]:
+    selection = getattr(model, "selection_", None)
+    if selection is None:
+        return ()
+    without, corrected = selection.without * scale, selection.corrected * scale
+    return tuple(
+        f"{'' if kept else 'dropped: '}{without[j]:.3g} → {corrected[j]:.3g}"
+        for j, kept in enumerate(selection.kept)
     )
 
 

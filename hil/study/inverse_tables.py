@@ -68,6 +68,31 @@ def largest(found: Found, key: str, what: str) -> Table:
     return Table(key, f"Largest errors (MEP), {what} [%]", columns, rows, note)
 
 
+def decided(found: Found, key: str, rows: str) -> Table | None:
+    """What residual networks decided about themselves, joint by joint and seed by seed.
+
+    Args:
+        found: What was judged.
+        key: Of the table.
+        rows: What the errors that decided are of.
+    """
+    told: list[tuple[Value, ...]] = [
+        (found.words(name), i, *score.decided)
+        for name, scores in found.scores.items()
+        for i, score in enumerate(scores, start=1)
+        if score.decided
+    ]
+    if not told:
+        return None
+    columns = ("method", "draw", *joint_titles(found.n))
+    note = (
+        f"Error without → with the network [N·m], {rows}. A network is dropped for a joint "
+        "on which it does not help there: ours has to save 2 %, and evenly; the rows of the paper "
+        "keep whatever helps at all."
+    )
+    return Table(key, "Residual networks: kept or dropped", columns, tuple(told), note)
+
+
 def measured(found: Found, key: str, measure: str, note: str = "") -> Table:
     """Another measure per joint; rows for which nobody knows it are left out."""
     rows = [

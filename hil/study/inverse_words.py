@@ -36,6 +36,12 @@ TEXTS = {
     ),
 }
 
+LEFT_OUT = {
+    "paper": "on samples drawn from the motions learned from",
+    "honest": "on trajectories it was not fitted to, none of them judged",
+}
+"""What residual networks are chosen by."""
+
 OURS = ("ours-residual", "ours")
 CHANGES = (
     ("proposed-joint", "proposed", "hybrid instead of joint learning", "joint learning"),

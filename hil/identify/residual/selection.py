@@ -64,14 +64,22 @@ class Selection:
         kept = np.array([bool(one["kept"]) for one in facts])
         return Selection(kept, without, corrected, better, margin)
 
-    def notes(self, joint_names: Sequence[str], unit: str) -> tuple[str, ...]:
-        """What people should know: where the network was dropped, and what it is worth."""
+    def notes(
+        self, joint_names: Sequence[str], unit: str, rows: str = "left-out trajectories"
+    ) -> tuple[str, ...]:
+        """What people should know: where the network was dropped, and what it is worth.
+
+        Args:
+            joint_names: n of them.
+            unit: Of the errors.
+            rows: What they are of.
+        """
         told = []
         for word, chosen in (("kept", self.kept), ("dropped", ~self.kept)):
             if np.any(chosen):
                 joints = ", ".join(self._joint(int(j), joint_names) for j in np.flatnonzero(chosen))
                 told.append(
-                    f"residual network {word} for {joints} {unit} on left-out trajectories"
+                    f"residual network {word} for {joints} {unit} on {rows}"
                     + (
                         ""
                         if word == "kept"

@@ -46,7 +46,7 @@ def words(
     """Notes for the model: of the physics, the selection, and the trivial observer."""
     return (
         *physics.model.notes_,
-        *judged.selection.notes(data.joint_names, data.effort_unit),
+        *judged.selection.notes(data.joint_names, data.effort_unit, _left_out(data)),
         *_seen(physics),
         *_torn(data),
         *_trivial(data, physics, learnt, judged, network),
@@ -59,6 +59,10 @@ def _seen(physics: Physics) -> Iterator[str]:
             f"{physics.model.estimator} may have learned from the trajectories by which its "
             "residual network was selected: bands are narrower than they should be"
         )
+
+
+def _left_out(data: Dataset) -> str:
+    return "left-out samples" if told_by_sample(data) else "left-out trajectories"
 
 
 def _torn(data: Dataset) -> Iterator[str]:
@@ -91,6 +95,6 @@ def _trivial(
     target = "as recorded" if network.inputs == "history" else "filtered"
     yield (
         f"holding the torque measured {1e3 * lag / rate:.4g} ms before has an error of "
-        f"{trivial:.3g} {data.effort_unit} on left-out trajectories (mean over joints, torque "
+        f"{trivial:.3g} {data.effort_unit} on {_left_out(data)} (mean over joints, torque "
         f"{target}), this model {model:.3g}"
     )
