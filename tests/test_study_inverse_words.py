@@ -158,9 +158,7 @@ def test_settings_as_printed_are_set_against_ours() -> None:
 
 def test_only_the_split_is_said_to_be_the_papers() -> None:
     assert TITLES["paper"] == "Samples split as in the paper"
-    assert (
-        f"at most {USUAL_EPOCHS['lagrangian']} epochs), not the printed ones" in TEXTS["paper"][1]
-    )
+    assert f"at most {USUAL_EPOCHS['lagrangian']} epochs, and the dissipative" in TEXTS["paper"][1]
 
 
 def under_load(**errors: tuple[float, float]) -> str:

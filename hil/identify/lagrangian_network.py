@@ -154,9 +154,8 @@ class LagrangianEstimator(LagrangianModel):
         task = preparation.task(data, self.torque_scale_, self.robot_)
         stages = choices.stages(self.learning, self.friction, training)
         trials = choices.trials(self.friction, self._settings_of, training)
-        self.weights_, self.curves_ = fit_network(
-            task, design, stages, trials, self.watch_, self.checkpoints_
-        )
+        best = fit_network(task, design, stages, trials, self.watch_, self.checkpoints_)
+        self.weights_, self.curves_, self.notes_ = best.weights, best.curves, best.notes
         self.design_, self.torque_std_, self.length_ = design, task.torque_std, task.length
         self.samples_ = int(np.sum(task.learn))
         held_out = rows_of(task.data, task.validate)

@@ -27,8 +27,9 @@ TEXTS = {
         "neighbours, one sample away, were learned from: these errors say little about another "
         "motion.",
         "Only the split is the paper's: networks have the settings with which they converge "
-        f"(softplus, loss: {choices.OURS['loss']}, at most {choices.OURS['epochs']} epochs), not "
-        f"the printed ones; those are in the row “{ROWS[LITERAL].words}”, if it was asked for.",
+        f"(softplus, loss: {choices.OURS['loss']}, at most {choices.OURS['epochs']} epochs, "
+        "and the dissipative network twice so many, at two rates), not the printed ones; "
+        f" those are in the row “{ROWS[LITERAL].words}”, if it was asked for.",
     ),
     "honest": (
         "Nine of twelve trajectories are handed to every method, three are judged; networks hold "

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from hil.errors import FitError
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.model import NetworkModel
 from hil.identify.lagrangian.stored import weights_of
@@ -20,7 +22,7 @@ from hil.identify.training_loop.loop import train
 from hil.identify.training_loop.loss import Loss
 from hil.identify.training_loop.problem import Watch, unwatched
 from hil.identify.training_loop.settings import TrainingSettings
-from hil.identify.training_loop.stages import Stage
+from hil.identify.training_loop.stages import FRICTION, Stage
 
 VALIDATED_AT_ONCE = 4096
 """Rows of a validation pass; bounds memory."""
@@ -74,6 +76,21 @@ def problem(task: Task, design: Design, training: TrainingSettings) -> Lagrangia
     return LagrangianProblem(module, learn, validate, Loss(training.loss, task.torque_std))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """The trial that validates best.
+
+    Attributes:
+        weights: By name.
+        curves: Its learning curves.
+        notes: What became of all of them, where there were several.
+    """
+
+    weights: dict[str, np.ndarray[Any, Any]]
+    curves: Curves
+    notes: tuple[str, ...] = ()
+
+
 def fit_network(
     task: Task,
     design: Design,
@@ -81,27 +98,58 @@ def fit_network(
     trials: Sequence[TrainingSettings],
     watch: Watch | None = None,
     checkpoints: Path | None = None,
-) -> tuple[dict[str, np.ndarray[Any, Any]], Curves]:
-    """Weights by name and the learning curves of the trial that validates best.
+) -> Trained:
+    """Train once per trial, each from the same start; one that diverges loses.
 
     Args:
         task: Rows to learn from and to stop by.
         design: What the network looks like.
         stages: Of every trial.
-        trials: Settings to try, each from the same start; one is usual.
+        trials: Settings; one is usual.
         watch: Told every epoch.
         checkpoints: Folder to keep the training in; each of several trials has one inside it.
 
     Raises:
-        FitError: A training diverges.
+        FitError: Every training diverges.
         SpecError: There is no such device.
     """
-    found = []
+    if len(trials) == 1:
+        return _trained(task, design, stages, trials[0], watch or unwatched, checkpoints)
+    found, notes, errors = [], [], []
     for number, training in enumerate(trials, start=1):
-        posed = problem(task, design, training)
-        kept = checkpoints
-        if kept is not None and len(trials) > 1:
-            kept = kept / f"trial-{number}"
-        curves = train(posed, stages, training, watch or unwatched, kept)
-        found.append((weights_of(posed.module), curves))
-    return min(found, key=lambda one: one[1].best)
+        which = f"trial {number} of {len(trials)}"
+        kept = None if checkpoints is None else checkpoints / f"trial-{number}"
+        try:
+            one = _trained(task, design, stages, training, _named(watch, which), kept)
+        except FitError as error:
+            errors.append(error)
+            notes.append(f"{which}, {_rate(training)}: {error.message}")
+            continue
+        found.append(one)
+        notes.append(f"{which}, {_rate(training)}: validation error {one.curves.best:.4g}")
+    if not found:
+        raise errors[0]
+    return replace(min(found, key=lambda one: one.curves.best), notes=tuple(notes))
+
+
+def _trained(
+    task: Task,
+    design: Design,
+    stages: Sequence[Stage],
+    training: TrainingSettings,
+    watch: Watch,
+    checkpoints: Path | None,
+) -> Trained:
+    posed = problem(task, design, training)
+    curves = train(posed, stages, training, watch, checkpoints)
+    return Trained(weights_of(posed.module), curves)
+
+
+def _named(watch: Watch | None, which: str) -> Watch:
+    if watch is None:
+        return unwatched
+    return lambda told: watch(replace(told, stage=f"{which}: {told.stage}"))
+
+
+def _rate(training: TrainingSettings) -> str:
+    return f"friction at {training.group_rates.get(FRICTION, 1.0):g} of the learning rate"
