@@ -17,6 +17,7 @@
     ├── Stopped                  6   somebody stopped it (130 when by signal)
     ├── RecordingError           7   the recorder could not keep the data
     ├── DataError                8   a data file or run directory cannot be used
+    │   └── CheckpointRefused        a training kept on disk is damaged, or another one
     ├── FitError                 9   an estimator cannot fit what it was given
     ├── Rejected                 10  the model missed its acceptance criteria
     └── RegistryError            11  the model registry cannot do what was asked
@@ -26,6 +27,7 @@ A bad *result* (10) is never confused with a broken *rig* (4, 5, 7).
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar
 
 
@@ -124,6 +126,14 @@ class DataError(HilError):
     """A data file or run directory is damaged, incomplete or from another version."""
 
     exit_code = 8
+
+
+class CheckpointRefused(DataError):
+    """A training kept in `folder` cannot be gone on with; without the folder it begins anew."""
+
+    def __init__(self, message: str, *, folder: Path, hint: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.folder = folder
 
 
 class FitError(HilError):

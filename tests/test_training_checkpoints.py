@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import DataError, SpecError
+from hil.errors import CheckpointRefused, DataError, HilError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
@@ -164,6 +164,29 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         trained(tmp_path / "file")
 
 
+class Unkept(Watched):
+    """Would rather go on without checkpoints."""
+
+    why: HilError | None = None
+
+    def not_kept(self, error: HilError) -> None:
+        assert self.why is None
+        self.why = error
+
+
+@pytest.mark.parametrize("every", [0.0, 10.0])
+def test_a_full_disk_does_not_end_a_training_whose_watch_hears_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, every: float
+) -> None:
+    monkeypatch.setattr(checkpoint, "EVERY", every)
+    (tmp_path / "file").write_text("")
+    watch = Unkept()
+    found, curves = trained(tmp_path / "file", watch)
+    assert equal(found, trained()[0])
+    assert len(watch.told) == len(curves)
+    assert "no checkpoint can be written" in str(watch.why)
+
+
 def test_writes_wait_for_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[int] = []
     monkeypatch.setattr(Checkpoints, "write", lambda self: written.append(1))
@@ -172,9 +195,10 @@ def test_writes_wait_for_their_time(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def refused(folder: Path) -> None:
-    with pytest.raises(DataError) as caught:
+    with pytest.raises(CheckpointRefused) as caught:
         trained(folder)
     assert caught.value.hint
+    assert caught.value.folder == folder
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,15 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from hil.errors import DataError
+from hil.errors import CheckpointRefused, DataError
 from hil.identify.model_file import json_bytes, plain, write_whole
 
 FORMAT = 1
@@ -72,7 +73,7 @@ class Checkpoints:
         """What the folder holds; None when it is empty or not there.
 
         Raises:
-            DataError: It is of another training, or damaged.
+            CheckpointRefused: It is of another training, or damaged.
         """
         from safetensors import SafetensorError
 
@@ -86,8 +87,26 @@ class Checkpoints:
                 raise ValueError("its facts are damaged")
             return Snapshot(self._tensors(found), found["facts"])
         except (*_GARBLED, SafetensorError) as error:
-            raise DataError(
-                f"{path} cannot be read: {error}", hint="delete it to start this training anew"
+            raise CheckpointRefused(
+                f"{path} cannot be read: {error}",
+                folder=self._folder,
+                hint="delete it to start this training anew",
+            ) from error
+
+    @contextmanager
+    def fitting(self) -> Iterator[None]:
+        """While what was read is taken over.
+
+        Raises:
+            CheckpointRefused: It is whole, but not of this network.
+        """
+        try:
+            yield
+        except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+            raise CheckpointRefused(
+                f"the checkpoint in {self._folder} does not fit the network: {error!s:.300}",
+                folder=self._folder,
+                hint="delete it to start this training anew",
             ) from error
 
     def keep(self, snapshot: Snapshot, *, now: bool = False) -> None:
@@ -168,8 +187,9 @@ class Checkpoints:
         if version > FORMAT:
             differing = [f"format {version}, known here {FORMAT}: it was written by a newer hil"]
         if differing:
-            raise DataError(
+            raise CheckpointRefused(
                 f"{self._folder} holds the checkpoint of another training: {'; '.join(differing)}",
+                folder=self._folder,
                 hint="name another folder for this training, or go on with what the other had",
             )
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import torch
 
-from hil.errors import FitError
+from hil.errors import DataError, FitError
 from hil.identify.training_loop.checkpoint import Checkpoints
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.device import device_of, reproducible
-from hil.identify.training_loop.problem import Problem, Told, Watch, unwatched
-from hil.identify.training_loop.progress import Progress, copied, first_loss, identity, unfit
+from hil.identify.training_loop.problem import KeptIfPossible, Problem, Told, Watch, unwatched
+from hil.identify.training_loop.progress import Progress, copied, first_loss, identity
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import Stage
 from hil.identify.training_loop.steps import Steps, everything
@@ -36,11 +37,12 @@ def train(
         problem: The network with its data, on the device it is to be trained on.
         stages: In their order.
         settings: The loss is the problem's matter, all else is used here.
-        watch: Told every epoch.
+        watch: Told every epoch; see `KeptIfPossible` for a disk that is full.
         checkpoints: Folder to keep the training in and to take it up from: one per training.
 
     Raises:
-        DataError: The folder holds a checkpoint of another training, or cannot be used.
+        CheckpointRefused: The folder holds a checkpoint that is damaged or of another training.
+        DataError: No checkpoint can be written there.
         FitError: Loss or validation error is not finite.
         SpecError: A stage names a group of parameters that there is not.
     """
@@ -78,7 +80,8 @@ class _Training:
         torch.manual_seed(self.settings.seed)
         self.checkpoints = Checkpoints(folder, told, start)
         if found := self.checkpoints.read():
-            self.at.restore(found, len(self.stages))
+            with self.checkpoints.fitting():
+                self.at.restore(found, len(self.stages))
 
     def run(self) -> Curves:
         """All stages from where the training stands."""
@@ -90,7 +93,8 @@ class _Training:
             self._keep(now=True)
         except (KeyboardInterrupt, SystemExit):
             if self.checkpoints:
-                self.checkpoints.write()
+                with self._kept_if_possible():
+                    self.checkpoints.write()
             raise
         finally:
             for parameter, moves in movable.items():
@@ -101,7 +105,8 @@ class _Training:
     def _run_stage(self, stage: Stage) -> None:
         per_epoch = math.ceil(self.problem.samples / self.settings.batch_size)
         steps = Steps(self.problem.groups(), stage, self.settings, per_epoch)
-        _restore(steps, self.at.moments)
+        with self.checkpoints.fitting() if self.checkpoints else nullcontext():
+            steps.restore(self.at.moments)
         while self.at.epoch < stage.epochs and self._waited() < stage.patience:
             loss = self._run_epoch(steps, first=self.at.epoch * per_epoch)
             self.at.epoch += 1
@@ -141,7 +146,18 @@ class _Training:
 
     def _keep(self, *, now: bool = False) -> None:
         if self.checkpoints:
-            self.checkpoints.keep(self.at.snapshot(), now=now)
+            with self._kept_if_possible():
+                self.checkpoints.keep(self.at.snapshot(), now=now)
+
+    @contextmanager
+    def _kept_if_possible(self) -> Iterator[None]:
+        try:
+            yield
+        except DataError as error:
+            if not isinstance(self.watch, KeptIfPossible):
+                raise
+            self.watch.not_kept(error)
+            self.checkpoints = None
 
     def _validation(self, where: str) -> float:
         self.problem.module.eval()
@@ -160,13 +176,6 @@ class _Training:
         """Epochs there may still be."""
         later = sum(stage.epochs for stage in self.stages[self.at.stage + 1 :])
         return self.stages[self.at.stage].epochs - self.at.epoch + later
-
-
-def _restore(steps: Steps, moments: Mapping[str, torch.Tensor]) -> None:
-    try:
-        steps.restore(moments)
-    except (KeyError, ValueError, RuntimeError) as error:
-        raise unfit(error) from error
 
 
 def _diverged(what: str, value: float, where: str) -> FitError:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     import torch
+
+    from hil.errors import HilError
 
 
 class Problem(Protocol):
@@ -55,6 +57,14 @@ class Told:
 
 
 Watch = Callable[[Told], None]
+
+
+@runtime_checkable
+class KeptIfPossible(Protocol):
+    """A watch for whom a training goes on when its checkpoints cannot be written any more."""
+
+    def not_kept(self, error: HilError) -> None:
+        """Why; from now on the training is not kept."""
 
 
 def unwatched(told: Told) -> None:

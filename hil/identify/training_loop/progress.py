@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 
-from hil.errors import DataError
 from hil.identify.training_loop.checkpoint import Snapshot
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.device import device_of
@@ -66,24 +65,21 @@ class Progress:
         """Go on from a snapshot of a training of so many stages.
 
         Raises:
-            DataError: It does not fit the network.
+            KeyError, TypeError, ValueError, OverflowError, RuntimeError: It does not fit.
         """
-        try:
-            self.curves = Curves.from_dict(found.facts["curves"])
-            self.stage, self.epoch = _where(found.facts, stages, len(self.curves))
-            device = device_of(self.module)
-            self.best, self.stage_best = (
-                {name: value.to(device) for name, value in found.tensors[group].items()}
-                for group in ("best", "stage_best")
-            )
-            for group in ("best", "stage_best", "weights"):  # all of them have to fit
-                self.module.load_state_dict(found.tensors[group])
-            self.moments = found.tensors.get("adam", {})
-            for group in ("best", "stage_best", "weights", "adam"):
-                _require_finite(group, found.tensors.get(group, {}))
-            self._restore_random(found.tensors["random"], device)
-        except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
-            raise unfit(error) from error
+        self.curves = Curves.from_dict(found.facts["curves"])
+        self.stage, self.epoch = _where(found.facts, stages, len(self.curves))
+        device = device_of(self.module)
+        self.best, self.stage_best = (
+            {name: value.to(device) for name, value in found.tensors[group].items()}
+            for group in ("best", "stage_best")
+        )
+        for group in ("best", "stage_best", "weights"):  # all of them have to fit
+            self.module.load_state_dict(found.tensors[group])
+        self.moments = found.tensors.get("adam", {})
+        for group in ("best", "stage_best", "weights", "adam"):
+            _require_finite(group, found.tensors.get(group, {}))
+        self._restore_random(found.tensors["random"], device)
 
     def _restore_random(self, random: State, device: torch.device) -> None:
         self.order.set_state(random["order"])
@@ -104,14 +100,6 @@ def _require_finite(group: str, tensors: State) -> None:
     for name, value in tensors.items():
         if not torch.all(torch.isfinite(value)):
             raise ValueError(f"{group}/{name} holds values that are not finite")
-
-
-def unfit(error: Exception) -> DataError:
-    """What to say of a checkpoint that is whole, but not of this network."""
-    return DataError(
-        f"the checkpoint does not fit the network: {error!s:.300}",
-        hint="delete it to start this training anew",
-    )
 
 
 def copied(module: torch.nn.Module) -> State:
