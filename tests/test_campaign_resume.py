@@ -20,6 +20,7 @@ import pytest
 
 import hil
 from hil.campaign import operator, resuming
+from hil.campaign.trainings import FOLDER
 from hil.data import completeness
 from hil.data.completeness import completeness_of
 from hil.data.load import load_source
@@ -187,6 +188,14 @@ def test_a_run_whose_fit_was_killed_is_fitted_without_moving(tmp_path: Path) -> 
     assert again.outcome == "completed"
     assert (report.run / "verdict.json").exists()
     assert len(RunDirectory.open(report.run).recordings) == 1
+
+
+def test_trainings_that_a_kill_left_after_the_verdict_are_forgotten(tmp_path: Path) -> None:
+    run = hil.run(hil.load(small_spec(tmp_path, FITTED)), runs=tmp_path / "runs").run
+    (run / FOLDER / "lagrangian-0123456789ab").mkdir(parents=True)
+    with pytest.raises(DataError, match="judged"):
+        hil.resume(run)
+    assert not (run / FOLDER).exists()
 
 
 def test_nobody_else_resumes_a_run_that_is_being_resumed(

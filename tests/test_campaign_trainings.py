@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import time
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,14 +16,15 @@ from test_campaign_verdict import COUNTS, run_with
 from hil import plugins
 from hil.campaign.afterwards import judge_and_study
 from hil.campaign.judging import judge_run
-from hil.campaign.trainings import FOLDER
+from hil.campaign.trainings import FOLDER, FitNews, fit_or_go_on
 from hil.cli.progress import ProgressLines
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.errors import DataError, Stopped
+from hil.errors import CheckpointRefused, DataError, Stopped
 from hil.identify.static import StaticWls
-from hil.identify.training_loop.problem import Told
+from hil.identify.training_loop.problem import KeptIfPossible, Told
 from hil.record.rundir import RunDirectory
+from hil.spec.experiment import Fit
 from hil.spec.load import load_spec
 
 EPOCHS = 3
@@ -43,7 +45,7 @@ class Trained(StaticWls):
         file = self.checkpoints_ / "checkpoint.json"
         text = file.read_text("utf-8") if file.exists() else "0"
         if not text.isdigit():
-            raise DataError("the checkpoint of another training")
+            raise CheckpointRefused("of another training", folder=self.checkpoints_)
         self.begun_at.append(int(text))
         for epoch in range(int(text) + 1, EPOCHS + 1):
             self.watch_(Told("joint", epoch, EPOCHS, 1.0, 1.0, 1.0, 1e-3))
@@ -119,8 +121,85 @@ def test_a_training_that_cannot_be_gone_on_with_is_begun_anew(
     interrupted(run, monkeypatch)
     (kept,) = (run.path / FOLDER).glob("*/checkpoint.json")
     kept.write_text("of another version", "utf-8")
-    judged(run)
+    told = judged(run)
     assert Trained.begun_at == [0, 0]
+    (note,) = (event for event in told if event["kind"] == "fit_note")
+    assert note["estimator"] == "trained"
+    assert note["text"] == "of another training; this training begins anew"
+
+
+FIT = Fit(estimator="trained")
+
+
+def kept_in(run: Path) -> Path:
+    """A fit of two trainings; its folder."""
+    made: list[Any] = []
+    fit_or_go_on(run, FIT, made.append, print)  # type: ignore[arg-type]
+    for name in ("one", "two"):
+        (made[0] / name).mkdir(parents=True)
+    folder: Path = made[0]
+    return folder
+
+
+def test_only_the_training_that_is_refused_is_begun_anew(tmp_path: Path) -> None:
+    folder, notes = kept_in(tmp_path), list[str]()
+
+    def make(folder: Path) -> Any:
+        if (folder / "one").exists():
+            raise CheckpointRefused("it is damaged", folder=folder / "one")
+        return "fitted"
+
+    assert fit_or_go_on(tmp_path, FIT, make, notes.append) == "fitted"
+    assert [one.name for one in folder.iterdir()] == ["two"]
+    assert notes == ["it is damaged; this training begins anew"]
+
+
+@pytest.mark.parametrize("where", ["", ".."])
+def test_any_other_error_leaves_the_trainings_as_they_are(tmp_path: Path, where: str) -> None:
+    folder, notes = kept_in(tmp_path), list[str]()
+
+    def make(folder: Path) -> Any:
+        if where:
+            raise CheckpointRefused("of somebody else", folder=tmp_path)
+        raise DataError("there is no space left")
+
+    with pytest.raises(DataError):
+        fit_or_go_on(tmp_path, FIT, make, notes.append)
+    assert {one.name for one in folder.iterdir()} == {"one", "two"}
+    assert notes == []
+
+
+def test_a_training_that_is_refused_twice_is_an_error(tmp_path: Path) -> None:
+    def make(folder: Path) -> Any:
+        raise CheckpointRefused("it cannot be removed", folder=folder)
+
+    with pytest.raises(CheckpointRefused):
+        fit_or_go_on(tmp_path, FIT, make, print)
+
+
+def test_a_full_disk_is_told_once_and_the_fit_goes_on(tmp_path: Path) -> None:
+    told: list[Any] = []
+    news = FitNews("trained", 1, 2, told.append)
+    for number in (1, 2):
+        news.not_kept(DataError(f"no checkpoint can be written in network-{number}"))
+    assert [event["text"] for event in told] == [
+        "no checkpoint can be written in network-1; the fit goes on without"
+    ]
+
+
+def test_the_watch_of_a_fit_hears_of_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watches: list[Any] = []
+    fit = Trained.fit
+
+    def watched(self: Trained, *of: Any) -> Any:
+        watches.append(self.watch_)
+        return fit(self, *of)
+
+    monkeypatch.setattr(Trained, "fit", watched)
+    judged(run_with(tmp_path, "trained"))
+    assert isinstance(watches[0], KeptIfPossible)
 
 
 def test_ctrl_c_during_a_fit_says_how_to_go_on(
@@ -145,6 +224,18 @@ def test_ctrl_c_during_a_fit_says_how_to_go_on(
     assert error.hint == f"go on with: hil resume {run.path}"
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def terminal_on(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("COLUMNS", "100")
+    return terminal
+
+
 EPOCH = {"stage": "joint", "epoch": 1, "epochs": 40, "loss": 2.0, "validation": 1.0, "best": 1.0,
          "learning_rate": 1e-3}  # fmt: skip
 FITTING = {"kind": "training", "estimator": "lagrangian", "number": 1, "total": 2, "epoch": EPOCH}
@@ -162,14 +253,42 @@ def test_a_pipe_gets_one_line_per_fit(capsys: pytest.CaptureFixture[str]) -> Non
     ]
 
 
-def test_a_terminal_shows_the_epochs_until_the_fit_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
+def test_a_pipe_hears_of_a_long_training_every_two_minutes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(now=1000.0)
+    monkeypatch.setattr(time, "monotonic", lambda: clock.now)
+    lines = ProgressLines()
+    for epoch in range(1, 41):
+        lines.notify(FITTING | {"epoch": EPOCH | {"epoch": epoch}})
+        clock.now += 10.0
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition("  ")[0] for line in told] == [
+        f"fit 1 of 2: lagrangian: epoch {epoch}/40" for epoch in (13, 25, 37)
+    ]
 
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("COLUMNS", "100")
+
+def test_what_a_fit_has_to_say_stays_on_the_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    note = FITTED | {"kind": "fit_note", "text": "it is damaged; this training begins anew"}
+    ProgressLines().notify(note)
+    said = "fit 1 of 2: lagrangian: it is damaged; this training begins anew\n"
+    assert capsys.readouterr().err == said
+
+
+def test_a_second_fit_inherits_neither_curve_nor_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = terminal_on(monkeypatch)
+    lines = ProgressLines()
+    for epoch in (1, 2, 3):
+        lines.notify(FITTING | {"epoch": EPOCH | {"epoch": epoch, "validation": 9.0 / epoch}})
+    lines.notify(FITTED)
+    # It goes on from a checkpoint: its first epoch is not its number one.
+    lines.notify(FITTING | {"number": 2, "epoch": EPOCH | {"epoch": 30}})
+    assert "epoch 30/40  best 1  ▁▁" in terminal.getvalue()
+    assert "left" not in terminal.getvalue().rpartition("epoch 30")[2]
+
+
+def test_a_terminal_shows_the_epochs_until_the_fit_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = terminal_on(monkeypatch)
     lines = ProgressLines()
     for event in (FITTING, FITTED):
         lines.notify(event)

@@ -129,11 +129,11 @@ def _judge_one(
 
     def fitted_from(checkpoints: Path) -> Fitted:
         return fit_dataset(
-            parts.train, fit.estimator, robot, out=directory.path / "fit", watch=news.epoch,
+            parts.train, fit.estimator, robot, out=directory.path / "fit", watch=news,
             checkpoints=checkpoints, **fit.parameters,
         )  # fmt: skip
 
-    fitted = fit_or_go_on(directory.path, fit, fitted_from)
+    fitted = fit_or_go_on(directory.path, fit, fitted_from, news.note)
     held_out = evaluate(fitted.model, parts.test, fitted.train_std)
     trained = evaluate(fitted.model, parts.train, fitted.train_std)
     protocol = fitted.model.protocol

@@ -23,6 +23,7 @@ from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
 from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
+from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
 from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
@@ -148,6 +149,7 @@ def _require_something_left(directory: RunDirectory, complete: Completeness) -> 
     """A verdict is about the recording as it was; nothing is added to it afterwards."""
     if not (directory.path / "verdict.json").exists():
         return
+    forget(directory.path)  # a kill between the verdict and this left it
     if not complete.missing:
         raise DataError(
             f"{directory.path} is complete ({complete}) and judged",

@@ -21,6 +21,7 @@ from hil.spec.load import load_spec
 from hil.study.base import GROUP, Ended, Study, study
 from hil.study.result import StudyResult
 from hil.study.store import STUDIES, folder_of, write_problem, write_study
+from hil.throttle import Throttle
 
 if TYPE_CHECKING:
     from hil.data.dataset import Dataset
@@ -182,14 +183,12 @@ class _Throttled:
 
     def __init__(self, name: str, watch: Watch, told: Told) -> None:
         self.name, self._watch, self._told = name, watch, told
-        self._what, self._next = "", 0.0
+        self._what, self._often = "", Throttle(EVERY_S)
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if what == self._what and now < self._next and done < total:
-            return
-        self._what, self._next = what, now + EVERY_S
-        self._watch(self.name, what, done, total)
+        if self._often.due(anyway=what != self._what or done >= total):
+            self._what = what
+            self._watch(self.name, what, done, total)
 
     def ended(self, ended: Ended) -> None:
         """A fit that is done: none of them is left out."""

@@ -15,10 +15,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import DataError
+from hil.errors import CheckpointRefused, HilError
 from hil.fitting import DIGEST_LENGTH, Fitted
 from hil.identify.model_file import json_bytes
 from hil.spec.experiment import Fit
+from hil.throttle import Throttle
 
 if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Told
@@ -29,7 +30,7 @@ EVERY_S = 0.1
 """Epochs are told no more often than this [s]."""
 
 Tell = Callable[[Mapping[str, Any]], None]
-"""Told events: `training` at an epoch, `fitted` at the end of a fit."""
+"""Told events: `training` at an epoch, `fit_note`, `fitted` at the end of a fit."""
 
 
 def nobody(event: Mapping[str, Any]) -> None:
@@ -37,7 +38,7 @@ def nobody(event: Mapping[str, Any]) -> None:
 
 
 class FitNews:
-    """What is told of one of the fits of a run.
+    """What is told of one of the fits of a run; the watch of its trainings.
 
     Args:
         estimator: Its name.
@@ -48,14 +49,22 @@ class FitNews:
 
     def __init__(self, estimator: str, number: int, total: int, tell: Tell) -> None:
         self._which = {"estimator": estimator, "number": number, "total": total}
-        self._tell, self._next = tell, 0.0
+        self._tell, self._often, self._unkept = tell, Throttle(EVERY_S), False
 
-    def epoch(self, told: Told) -> None:
+    def __call__(self, told: Told) -> None:
         """Tell an epoch if it is time to; the first of every network in any case."""
-        now = time.monotonic()
-        if told.epoch == 1 or now >= self._next:
-            self._next = now + EVERY_S
+        if self._often.due(anyway=told.epoch == 1):
             self._tell({"kind": "training", **self._which, "epoch": asdict(told)})
+
+    def not_kept(self, error: HilError) -> None:
+        """Tell once that the disk does not take the trainings; the fit goes on."""
+        if not self._unkept:
+            self.note(f"{error.message}; the fit goes on without")
+        self._unkept = True
+
+    def note(self, text: str) -> None:
+        """Tell something that a person should know of the fit."""
+        self._tell({"kind": "fit_note", **self._which, "text": text})
 
     @contextmanager
     def ended(self) -> Iterator[None]:
@@ -73,25 +82,31 @@ class FitNews:
         self._tell({"kind": "fitted", **self._which, **ending})
 
 
-def fit_or_go_on(run: Path, fit: Fit, make: Callable[[Path], Fitted]) -> Fitted:
-    """Make a fit, going on with its training if one was interrupted.
+def fit_or_go_on(
+    run: Path, fit: Fit, make: Callable[[Path], Fitted], note: Callable[[str], None]
+) -> Fitted:
+    """Make a fit, going on with its trainings if it was interrupted.
 
-    A training that cannot be gone on with, say one of another version, is begun anew.
+    A training that cannot be gone on with, say one of another version, is removed and begun anew;
+    others of the same fit stay.
 
     Args:
         run: The run directory.
         fit: The entry of the spec.
         make: Fits, keeping trainings in the folder that it is given.
+        note: Told what is begun anew, and why.
     """
     folder = _folder(run, fit)
-    found = folder.exists()
-    try:
-        return make(folder)
-    except DataError:
-        if not found:
-            raise
-    shutil.rmtree(folder, ignore_errors=True)
-    return make(folder)
+    removed: set[Path] = set()
+    while True:
+        try:
+            return make(folder)
+        except CheckpointRefused as error:
+            if error.folder in removed or not error.folder.is_relative_to(folder):
+                raise
+            removed.add(error.folder)
+            note(f"{error.message}; this training begins anew")
+            shutil.rmtree(error.folder, ignore_errors=True)
 
 
 def forget(run: Path) -> None:

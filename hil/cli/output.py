@@ -64,6 +64,17 @@ def width_of(stream: TextIO) -> int | None:
     return max(columns or 80, 20)
 
 
+def fit_words(number: int, total: int, name: str) -> str:
+    """Which of how many fits it is, the same for those of runs and of studies."""
+    return f"fit {number} of {total}: {name}"
+
+
+def fit_ended(number: int, total: int, name: str, seconds: float, *, failed: bool = False) -> str:
+    """What is left on the screen of a fit that is done."""
+    which = fit_words(number, total, name)
+    return f"{which}{' failed' if failed else ''} ({duration(seconds)})"
+
+
 def duration(seconds: float) -> str:
     """`75.0 s`, `12 min 5 s` or `1 h 09 min`."""
     if seconds < 100:

@@ -10,7 +10,7 @@ import sys
 import time
 
 from hil.cli.excitation_line import ExcitationLine
-from hil.cli.output import duration, fold, width_of
+from hil.cli.output import duration, fit_ended, fit_words, fold, width_of
 from hil.cli.study_progress import StudyBar
 from hil.cli.training_line import TrainingLine
 from hil.engine.observers import Event
@@ -38,7 +38,7 @@ class ProgressLines:
         self._pausing = ""
         self._studies = StudyBar()
         self._excitation = ExcitationLine()
-        self._training = TrainingLine()
+        self._training: TrainingLine | None = None
 
     def notify(self, event: Event) -> None:
         """Print the event if it is news, and where the run stands if it is time to."""
@@ -57,12 +57,15 @@ class ProgressLines:
             return
         self._excitation.end()
         if kind == "training":
-            self._end_line()
-            self._training(Told(**event["epoch"]))
+            self._epoch(event)
             return
-        self._training.end()
-        if kind == "fitted":
-            self._line(_fitted(event))
+        if self._training:
+            self._training.end()
+        if kind == "fit_note":
+            self._line(f"{fit_words(*_which(event))}: {event['text']}")
+        elif kind == "fitted":
+            self._training = None
+            self._line(fit_ended(*_which(event), event["seconds"], failed=event["failed"]))
         elif kind == "stage":
             self._line(f"{self._standing.stage} …")
         elif kind == "state":
@@ -74,6 +77,11 @@ class ProgressLines:
         elif kind == "progress" or (kind == "step" and self._tty):
             self._announce()
             self._moving()
+
+    def _epoch(self, event: Event) -> None:
+        self._end_line()
+        self._training = self._training or TrainingLine(fit_words(*_which(event)))
+        self._training(Told(**event["epoch"]))
 
     def _state(self) -> None:
         run = self._standing
@@ -139,10 +147,8 @@ class ProgressLines:
         self._open = False
 
 
-def _fitted(event: Event) -> str:
-    failed = " failed" if event["failed"] else ""
-    which = f"fit {event['number']} of {event['total']}: {event['estimator']}"
-    return f"{which}{failed} ({duration(event['seconds'])})"
+def _which(event: Event) -> tuple[int, int, str]:
+    return event["number"], event["total"], event["estimator"]
 
 
 def _progress(run: Standing) -> str:

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from hil.cli.output import duration
+from hil.cli.output import fit_ended
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -38,8 +38,7 @@ class StudyBar:
 
     def ended(self, study: str, ended: Ended) -> None:
         """Leave a line for a fit that is done, above the bar."""
-        done = f"{ended.number} of {ended.total}"
-        text = f"fit {done}: {ended.name} ({duration(ended.seconds)})"
+        text = fit_ended(ended.number, ended.total, ended.name, ended.seconds)
         if self._bar is not None:
             self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:

@@ -1,4 +1,4 @@
-"""How far the training of a network is: one line with its curve on a terminal, else nothing."""
+"""How far the training of a network is: one line with its curve, now and then one in a pipe."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import time
 from hil.cli.output import duration, width_of
 from hil.identify.training_loop.curves import sparkline
 from hil.identify.training_loop.problem import Told
+from hil.throttle import Throttle
 
 EVERY_S = 0.2
+ALIVE_EVERY_S = 120.0
+"""In a pipe, a line that only shows that work goes on [s]."""
+
 CURVE = 16
 
 
@@ -17,10 +21,15 @@ class TrainingLine:
     """Called with every epoch; a fit that trains several networks shows one after the other.
 
     Use it as a context: the line is taken away at the end, however that comes.
+
+    Args:
+        fit: Begins the lines in a pipe: which fit it is.
     """
 
-    def __init__(self) -> None:
-        self._next = 0.0
+    def __init__(self, fit: str = "") -> None:
+        self._fit = f"{fit}: " if fit else ""
+        tty = width_of(sys.stderr) is not None
+        self._often = Throttle(EVERY_S if tty else ALIVE_EVERY_S, at_once=tty)
         self._open = False
         self._validation: list[float] = []
         self._since = (time.monotonic(), 0)
@@ -34,12 +43,16 @@ class TrainingLine:
         # A training that is taken up again begins with a later epoch than the first.
         missing = told.epoch - 1 - len(self._validation)
         self._validation += [told.validation] * (missing + 1)
-        if (width := width_of(sys.stderr)) is not None and time.monotonic() >= self._next:
-            self._next = time.monotonic() + EVERY_S
-            line = words(told, sparkline(self._validation, CURVE), self._left_s(told))
+        if self._often.due():
+            self._show(words(told, sparkline(self._validation, CURVE), self._left_s(told)))
+
+    def _show(self, line: str) -> None:
+        if (width := width_of(sys.stderr)) is None:
+            sys.stderr.write(f"{self._fit}{line}\n")
+        else:
             sys.stderr.write(f"\r\x1b[K{line if len(line) < width else line[: width - 2] + '…'}")
-            sys.stderr.flush()
             self._open = True
+        sys.stderr.flush()
 
     def _left_s(self, told: Told) -> float | None:
         begin, first = self._since
