@@ -17,6 +17,9 @@ from hil.cli.app import main
 from hil.data.importing import import_file
 from hil.errors import SpecError
 from hil.identify import estimator
+from hil.identify.lagrangian.settings import NetworkSettings
+from hil.identify.parameters import settings
+from hil.identify.training_loop.settings import TrainingSettings
 from hil.study.base import study
 
 OF_NO_USE = [
@@ -36,7 +39,7 @@ STUDY = plugins.load("hil.studies", "inverse-dynamics").parameter_names()
 @pytest.mark.parametrize(("name", "parameter"), NAMES)
 def test_a_parameter_that_cannot_be_is_refused_by_its_name(name: str, parameter: str) -> None:
     for value in OF_NO_USE:
-        with pytest.raises(SpecError, match=rf"^{name}: .*{parameter}|^{name}: \w*: "):
+        with pytest.raises(SpecError, match=rf"^{name}: {parameter}\b"):
             estimator(name, **{parameter: value})
 
 
@@ -88,11 +91,43 @@ def test_a_study_without_end_is_refused_at_once(given: dict[str, Any]) -> None:
         study("inverse-dynamics", **given)
 
 
-def test_groups_that_a_network_does_not_have_are_told() -> None:
+@pytest.mark.parametrize(("name", "near"), [("lagrangian", "friction"), ("residual", "residual")])
+def test_rates_of_groups_that_there_are_not_are_refused_before_a_robot_moves(name, near) -> None:
+    wrong = near[:-2] + near[-1]
+    with pytest.raises(SpecError, match=f"training.group_rates has '{wrong}'") as caught:
+        estimator(name, training={"group_rates": {wrong: 2.0}})
+    assert f"'{near}'" in caught.value.hint
+    estimator(name, training={"group_rates": {near: 2.0}})
+
+
+def test_a_rate_of_the_friction_does_nothing_where_there_is_none() -> None:
     pytest.importorskip("torch", reason="torch is not installed")
-    training = LAGRANGIAN["training"] | {"group_rates": {"fricton": 2.0}}
-    with pytest.raises(SpecError, match="'fricton'"):
-        estimator("lagrangian", **{**LAGRANGIAN, "training": training}).fit(moving(1, 2), nominal())
+    training = LAGRANGIAN["training"] | {"group_rates": {"friction": 2.0, "dynamics": 0.5}}
+    params = LAGRANGIAN | {"training": training, "friction": "none"}
+    model = estimator("lagrangian", **params).fit(moving(1, 2), nominal())
+    assert model.samples_ > 0
+
+
+WHOLE = [60.0, 6e1, np.int64(60), np.float32(60), np.uint8(60)]
+"""What files and sweeps have for 60."""
+
+
+@pytest.mark.parametrize("sixty", WHOLE)
+def test_a_whole_number_of_any_kind_is_one(sixty: Any) -> None:
+    found = settings("training", {"epochs": sixty, "patience": sixty}, TrainingSettings)
+    assert (repr(found.epochs), repr(found.patience)) == ("60", "60")
+    assert repr(settings("network", {"hidden": [sixty]}, NetworkSettings).hidden) == "(60,)"
+    for name in ("lagrangian", "residual"):
+        estimator(name, training={"epochs": sixty, "batch_size": sixty})
+
+
+@pytest.mark.parametrize("value", [True, np.True_, "5", b"5", 2.5, np.float64(2.5), np.nan, None])
+def test_what_is_no_whole_number_is_not_taken_for_one(value: Any) -> None:
+    for name in ("lagrangian", "residual"):
+        with pytest.raises(SpecError, match=f"^{name}: training.epochs"):
+            estimator(name, training={"epochs": value})
+    with pytest.raises(SpecError, match=r"^lagrangian: network\.hidden"):
+        estimator("lagrangian", network={"hidden": [value]})
 
 
 def exit_code(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> object:

@@ -166,7 +166,7 @@ def test_an_arm_at_rest_may_be_sampled_at_any_rate() -> None:
 
 def test_torque_it_hears_is_told_beside_holding_the_last_torque() -> None:
     heard = unfitted(inputs="history", latency_s=0.03).fit(known(), nominal())
-    assert heard.protocol == "honest: torque history ending 30 ms before"
+    assert heard.protocol == "honest: torque history ending at least 30 ms before"
     assert any("holding the torque measured 30 ms before" in note for note in heard.notes_)
     with pytest.raises(FitError, match="cannot be streamed"):
         heard.stream()

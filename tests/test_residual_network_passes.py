@@ -153,7 +153,7 @@ def test_settings_come_back_from_json() -> None:
     ("inputs", "label"),
     [
         ("motion", "honest"),
-        ("history", "honest: torque history ending 20 ms before"),
+        ("history", "honest: torque history ending at least 20 ms before"),
         ("measured", "paper: measured torque among the inputs"),
     ],
 )

@@ -6,9 +6,9 @@ import inspect
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from hil.errors import SpecError
 from hil.suggest import did_you_mean
@@ -92,6 +92,15 @@ def _float(value: Any) -> float:
         return float(value)
     except OverflowError:
         return math.nan
+
+
+def _integral(value: Any) -> Any:
+    """Whole numbers of any kind as an int; all else as it is, for pydantic to refuse."""
+    return int(value) if _float(value).is_integer() else value
+
+
+Whole = Annotated[int, BeforeValidator(_integral)]
+"""Of strict settings: 60, 60.0 of a file and whole numbers of numpy, but neither True nor "60"."""
 
 
 def share(name: str, value: Any) -> float:

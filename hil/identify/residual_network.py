@@ -36,11 +36,13 @@ from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.residual.judged import Judged
 from hil.identify.residual.out_of_fold import Physics, physics_of
-from hil.identify.residual.settings import TRAINING, ResidualSettings
+from hil.identify.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.identify.residual.stored import made, require_base, told
 from hil.identify.residual.words import filters_for, words
+from hil.identify.training_loop.attached import attach_inside
 from hil.identify.training_loop.extra import require_torch
 from hil.identify.training_loop.settings import TrainingSettings
+from hil.identify.training_loop.stages import require_groups
 
 if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
@@ -123,7 +125,7 @@ class ResidualNetwork(CorrectedModel):
             PluginError: The extra `learn` is missing.
         """
         self._require(dataset, robot)
-        base = made(self.base).fit(dataset, robot)
+        base = self._fitted_base(dataset, robot, "physics")
         return self._correct(base, dataset, robot, self.folds)
 
     def fit_on(
@@ -158,12 +160,19 @@ class ResidualNetwork(CorrectedModel):
         self, base: RobotEstimator, dataset: Dataset, robot: RobotModel, folds: int
     ) -> Self:
         self._remember(dataset, robot, base.torque_scale_)
-        physics = physics_of(
-            dataset, base, folds, self.seed, lambda part: made(self.base).fit(part, robot)
-        )
+
+        def without(part: Dataset, fold: int) -> RobotEstimator:
+            return self._fitted_base(part, robot, f"fold-{fold + 1}")
+
+        physics = physics_of(dataset, base, folds, self.seed, without)
         self.filters_ = self.filters or filters_for(dataset)
         self._learn(prepared(dataset, self.filters_), physics)
         return self
+
+    def _fitted_base(self, data: Dataset, robot: RobotModel, name: str) -> RobotEstimator:
+        base = made(self.base)
+        attach_inside(base, self, name)
+        return base.fit(data, robot)
 
     def _learn(self, data: Dataset, physics: Physics) -> None:
         self._network, training = self._settings()
@@ -183,7 +192,9 @@ class ResidualNetwork(CorrectedModel):
     def _settings(self) -> tuple[ResidualSettings, TrainingSettings]:
         heard = {"inputs": self.inputs, "layout": self.layout, "latency_s": self.latency_s}
         self._network = ResidualSettings.given(heard | self.network)
-        return self._network, settings("training", self.training, TrainingSettings)
+        training = settings("training", self.training, TrainingSettings)
+        require_groups("training.group_rates has", training.group_rates, (GROUP,))
+        return self._network, training
 
     def _require(self, dataset: Dataset, robot: RobotModel) -> None:
         require_torch()

@@ -6,13 +6,15 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from hil.identify.parameters import Whole
+
 Activation = Literal["softplus", "relu", "tanh", "silu"]
 Gain = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(ge=-10.0, le=10.0, allow_inf_nan=False)]
 
 
 Layers = Annotated[
-    tuple[Annotated[int, Field(strict=True, ge=1, le=4096)], ...], Field(strict=False)
+    tuple[Annotated[Whole, Field(strict=True, ge=1, le=4096)], ...], Field(strict=False)
 ]
 """Lists of a YAML file become tuples."""
 

@@ -12,16 +12,13 @@ from hil.errors import DataError
 from hil.identify.residual.inputs import NetworkInputs
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.segments import Segments, sizes
-from hil.identify.residual.settings import TRAINING, ResidualSettings
+from hil.identify.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.identify.residual.split import motion_frequency, slow_and_fast
 from hil.identify.residual.tcn import CausalTcn
 from hil.identify.residual.trained import TrainedTcn
 from hil.identify.training_loop.loss import Loss
 from hil.identify.training_loop.settings import LossKind
 from hil.typing import BoolArray, FloatArray, IntArray
-
-GROUP = "residual"
-"""Name of the parameters for stages of training: all of them."""
 
 TOGETHER = 64
 """Crops validated at once; bounds memory."""

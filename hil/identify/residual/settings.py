@@ -23,6 +23,9 @@ APART_HZ = 249.0
 MOST_SAMPLES = 100_000
 """That a network reaches back, or predicts at once: 100 s at 1 kHz, and far more than pays."""
 
+GROUP = "residual"
+"""Name of the parameters for stages and rates of training: all of them."""
+
 TRAINING: dict[str, Any] = {
     "epochs": 60,
     "batch_size": 16,
@@ -134,11 +137,14 @@ class ResidualSettings:
 
     @property
     def protocol(self) -> str:
-        """`honest`, with the age of the torque it hears, or how it departs from that."""
+        """`honest`, with the least age of the torque it hears, or how it departs from that.
+
+        It is older where the latency is no whole number of samples.
+        """
         if self.inputs == "measured":
             return "paper: measured torque among the inputs"
         if self.inputs == "history":
-            return f"honest: torque history ending {1e3 * self.latency_s:g} ms before"
+            return f"honest: torque history ending at least {1e3 * self.latency_s:g} ms before"
         return "honest"
 
     def lag(self, rate_hz: float) -> int:

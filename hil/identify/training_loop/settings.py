@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from hil.identify.parameters import MOST_SEED
+from hil.identify.parameters import MOST_SEED, Whole
 
 LossKind = Literal["smape", "smape-floored", "huber", "mae", "mse"]
 Schedule = Literal["cosine", "constant"]
@@ -46,26 +46,26 @@ class TrainingSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    epochs: int = Field(100, ge=1, le=10**6)
-    batch_size: int = Field(64, ge=1, le=10**9)
+    epochs: Whole = Field(100, ge=1, le=10**6)
+    batch_size: Whole = Field(64, ge=1, le=10**9)
     learning_rate: float = Field(2e-3, gt=0, allow_inf_nan=False)
     schedule: Schedule = "cosine"
     final_rate: float = Field(0.02, ge=0, le=1)
-    warm_up_steps: int = Field(50, ge=0, le=10**9)
+    warm_up_steps: Whole = Field(50, ge=0, le=10**9)
     group_rates: dict[str, Annotated[float, Field(gt=0, allow_inf_nan=False)]] = {}
     clip_norm: float | None = Field(10.0, gt=0, allow_inf_nan=False)
     weight_decay: float = Field(0.0, ge=0, allow_inf_nan=False)
-    patience: int = Field(25, ge=1, le=10**9)
-    loops: int = Field(3, ge=1, le=1000)
+    patience: Whole = Field(25, ge=1, le=10**9)
+    loops: Whole = Field(3, ge=1, le=1000)
     inner_share: float = Field(0.4, gt=0, allow_inf_nan=False)
     outer_share: float = Field(0.6, gt=0, allow_inf_nan=False)
     loop_rate: float = Field(0.6, gt=0, le=1)
     loss: LossKind = "smape-floored"
-    seed: int = Field(0, ge=0, le=MOST_SEED)
+    seed: Whole = Field(0, ge=0, le=MOST_SEED)
     device: DeviceName = "auto"
     precision: Precision = "float32"
     amp: bool = False
-    threads: int = Field(1, ge=1, le=1024)
+    threads: Whole = Field(1, ge=1, le=1024)
 
     @model_validator(mode="after")
     def _amp_is_of_float32(self) -> Self:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
+from hil.errors import SpecError
 from hil.identify.training_loop.settings import TrainingSettings
+from hil.suggest import did_you_mean
 
 DYNAMICS, FRICTION = "dynamics", "friction"
 """Groups of parameters of a Lagrangian network with friction."""
@@ -57,6 +60,25 @@ def hybrid_stages(settings: TrainingSettings) -> tuple[Stage, ...]:
     last = settings.loop_rate**count
     outer = _stage("outer: dynamics", alone, settings.outer_share * unit, last, settings)
     return (*stages, outer)
+
+
+def require_groups(who: str, named: Iterable[str], groups: Collection[str]) -> None:
+    """Refuse groups of parameters that a network does not have.
+
+    Args:
+        who: Begins the message: what names them.
+        named: The groups it names.
+        groups: Those that there are.
+
+    Raises:
+        SpecError: One of them is not there.
+    """
+    for name in named:
+        if name not in groups:
+            raise SpecError(
+                f"{who} {name!r}, but the network has the groups {', '.join(groups)}",
+                hint=did_you_mean(name, tuple(groups)),
+            )
 
 
 def _stage(

@@ -8,10 +8,8 @@ from typing import Any
 
 import torch
 
-from hil.errors import SpecError
 from hil.identify.training_loop.settings import TrainingSettings
-from hil.identify.training_loop.stages import Stage
-from hil.suggest import did_you_mean
+from hil.identify.training_loop.stages import Stage, require_groups
 
 Groups = Mapping[str, Sequence[torch.nn.Parameter]]
 
@@ -32,8 +30,8 @@ class Steps:
     def __init__(
         self, groups: Groups, stage: Stage, settings: TrainingSettings, per_epoch: int
     ) -> None:
-        _require_groups(f"stage {stage.name!r} trains", stage.trains, groups)
-        _require_groups("group_rates has", settings.group_rates, groups)
+        require_groups(f"stage {stage.name!r} trains", stage.trains, groups)
+        require_groups("group_rates has", settings.group_rates, groups)
         trained = {name: groups[name] for name in stage.trains or groups}
         for name, parameters in groups.items():
             for parameter in parameters:
@@ -103,15 +101,6 @@ def _require_moments(
 def everything(groups: Groups) -> Iterator[torch.nn.Parameter]:
     """Parameters of all groups."""
     return (parameter for parameters in groups.values() for parameter in parameters)
-
-
-def _require_groups(who: str, named: Iterable[str], groups: Groups) -> None:
-    for name in named:
-        if name not in groups:
-            raise SpecError(
-                f"{who} {name!r}, but the network has the groups {', '.join(groups)}",
-                hint=did_you_mean(name, tuple(groups)),
-            )
 
 
 def _parts(groups: Groups, settings: TrainingSettings) -> list[dict[str, Any]]:
