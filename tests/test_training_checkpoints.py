@@ -111,7 +111,7 @@ def test_a_machine_with_another_device_may_go_on(tmp_path: Path) -> None:
     assert watch.told[0].epoch == 3
 
 
-@pytest.mark.parametrize("damage", ["tensors", "document", "gone", "newer", "field"])
+@pytest.mark.parametrize("damage", ["tensors", "document", "gone", "field"])
 def test_a_damaged_checkpoint_is_refused_with_its_remedy(tmp_path: Path, damage: str) -> None:
     interrupted(tmp_path, 3)
     path = tmp_path / FILE
@@ -124,11 +124,24 @@ def test_a_damaged_checkpoint_is_refused_with_its_remedy(tmp_path: Path, damage:
     elif damage == "document":
         path.write_text(path.read_text()[:100])
     else:
-        document.pop("facts") if damage == "field" else document.update(hil_checkpoint=99)
+        document.pop("facts")
         path.write_text(json.dumps(document))
     with pytest.raises(DataError) as caught:
         trained(tmp_path)
     assert caught.value.hint
+
+
+@pytest.mark.parametrize("version", [1, 99, True, "2", None, {}])
+def test_a_checkpoint_of_another_version_is_refused_as_such(tmp_path: Path, version) -> None:
+    interrupted(tmp_path, 3)
+    path = tmp_path / FILE
+    document = json.loads(path.read_bytes()) | {"hil_checkpoint": version}
+    if version == 1:
+        del document["facts_sha256"]  # there was none
+    path.write_text(json.dumps(document))
+    with pytest.raises(CheckpointRefused, match="written by another version of hil") as caught:
+        trained(tmp_path)
+    assert "anew" in caught.value.hint
 
 
 def test_one_state_is_left_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,7 +215,7 @@ def refused(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"[]", b"\xff", b"[" * 100_000, b"null", b"{}", b'{"hil_checkpoint": 1}']
+    "content", [b"", b"[]", b"\xff", b"[" * 100_000, b"null", b"{}", b'{"hil_checkpoint": 2}']
 )
 def test_a_document_that_is_none_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / FILE).write_bytes(content)
@@ -213,10 +226,19 @@ def test_a_document_that_is_none_is_refused(tmp_path: Path, content: bytes) -> N
 @pytest.mark.parametrize("key", ["stage", "epoch", "curves"])
 def test_facts_that_were_altered_are_refused(tmp_path: Path, key: str, value: object) -> None:
     interrupted(tmp_path, 3)
+    resealed(tmp_path, {key: value})
+    with pytest.raises(CheckpointRefused, match="does not fit the network") as caught:
+        trained(tmp_path)
+    assert caught.value.hint
+
+
+def test_a_digit_of_the_facts_that_was_altered_is_found(tmp_path: Path) -> None:
+    interrupted(tmp_path, 3)
     document = json.loads((tmp_path / FILE).read_bytes())
-    document["facts"][key] = value
+    document["facts"]["curves"]["loss"][0] *= 1.001
     (tmp_path / FILE).write_text(json.dumps(document))
-    refused(tmp_path)
+    with pytest.raises(CheckpointRefused, match="facts are damaged"):
+        trained(tmp_path)
 
 
 def resealed(folder: Path, facts: dict[str, object], **tensors: torch.Tensor | None) -> None:

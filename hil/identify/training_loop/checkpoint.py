@@ -21,7 +21,7 @@ import torch
 from hil.errors import CheckpointRefused, DataError
 from hil.identify.model_file import json_bytes, plain, write_whole
 
-FORMAT = 1
+FORMAT = 2
 FILE = "checkpoint.json"
 
 EVERY = 10.0
@@ -73,7 +73,7 @@ class Checkpoints:
         """What the folder holds; None when it is empty or not there.
 
         Raises:
-            CheckpointRefused: It is of another training, or damaged.
+            CheckpointRefused: It is of another training or version of hil, or damaged.
         """
         from safetensors import SafetensorError
 
@@ -82,7 +82,8 @@ class Checkpoints:
             return None
         try:
             found = json.loads(path.read_bytes())
-            self._require_same(found["training"], found["start"], int(found["hil_checkpoint"]))
+            self._require_format(found["hil_checkpoint"])
+            self._require_same(found["training"], found["start"])
             if _digest(found["facts"]) != found["facts_sha256"]:
                 raise ValueError("its facts are damaged")
             return Snapshot(self._tensors(found), found["facts"])
@@ -172,9 +173,16 @@ class Checkpoints:
             groups.setdefault(group, {})[name] = value
         return groups
 
-    def _require_same(
-        self, training: Mapping[str, Any], start: Mapping[str, float], version: int
-    ) -> None:
+    def _require_format(self, version: object) -> None:
+        if version != FORMAT:
+            raise CheckpointRefused(
+                f"{self._folder} holds a checkpoint written by another version of hil: format "
+                f"{_short(version)}, known here {FORMAT}",
+                folder=self._folder,
+                hint="delete it to start this training anew, or go on with that version of hil",
+            )
+
+    def _require_same(self, training: Mapping[str, Any], start: Mapping[str, float]) -> None:
         differing = [
             f"{key} was {_short(training.get(key))}, now {_short(value)}"
             for key, value in self._training.items()
@@ -184,8 +192,6 @@ class Checkpoints:
             for name, value in self._start.items()
             if not _close(start.get(name), value)
         ]
-        if version > FORMAT:
-            differing = [f"format {version}, known here {FORMAT}: it was written by a newer hil"]
         if differing:
             raise CheckpointRefused(
                 f"{self._folder} holds the checkpoint of another training: {'; '.join(differing)}",

@@ -90,7 +90,9 @@ class Progress:
 
 def _where(facts: Mapping[str, Any], stages: int, epochs: int) -> tuple[int, int]:
     """Number of the running stage, and the epochs it has had."""
-    stage, epoch = int(facts["stage"]), int(facts["epoch"])
+    stage, epoch = facts["stage"], facts["epoch"]
+    if not all(type(count) is int for count in (stage, epoch)):  # bool is a kind of int
+        raise ValueError(f"stage {stage!r:.60}, epoch {epoch!r:.60}")
     if not (0 <= stage <= stages and 0 <= epoch <= epochs):
         raise ValueError(f"stage {stage} of {stages}, epoch {epoch} of {epochs}")
     return stage, epoch
