@@ -12,12 +12,12 @@ import pytest
 from inverse_parts import SMALL, Toy, run_of, toys
 from synthetic_motion import LOAD, nominal, plant
 
-from hil.data.dataset import Dataset
+from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
-from hil.errors import FitError
+from hil.errors import DataError, FitError
 from hil.identify.base import estimator
 from hil.identify.model_file import json_bytes
-from hil.study import inverse_fits
+from hil.study import inverse_dynamics, inverse_fits, inverse_found
 from hil.study.base import Ended, study
 from hil.study.inverse_cases import honest_case, recorded
 from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
@@ -38,6 +38,12 @@ def _no_networks(monkeypatch: pytest.MonkeyPatch) -> None:
 class _Every:
     def __contains__(self, name: object) -> bool:
         return True
+
+
+def thinned(data: Dataset, number: int) -> Dataset:
+    """Every tenth sample of a trajectory is lost: its mean rate is a tenth lower."""
+    place = np.arange(len(data)) - data.offsets[:-1][data.series_index()]
+    return rows_of(data, (data.series_index() != number) | (place % 10 != 5))
 
 
 def made(data: Dataset | None = None, **changed: Any) -> StudyResult:
@@ -163,6 +169,23 @@ def test_a_correction_that_breaks_down_costs_only_itself(monkeypatch: pytest.Mon
     assert sum("ZeroDivisionError: of all things" in text for text in told.warnings) == 2
     assert "Proposed: DeLaN, Stribeck, hybrid" in str(table(told, "table-honest").rows)
     assert "RC" not in str(table(told, "table-honest").rows)
+
+
+def test_samples_lost_in_one_trajectory_cost_no_study() -> None:
+    data = run_of(loaded=False)
+    for lost in range(4):
+        found = made(thinned(data, lost), methods=["wls"], cutoff_hz=15.0)
+        assert faults_of(found) == []
+
+
+def test_nothing_can_fail_any_more_after_the_fits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(case: object) -> None:
+        raise DataError("of all things")
+
+    monkeypatch.setattr(inverse_found.Seen, "of", broken)
+    monkeypatch.setattr(inverse_dynamics, "run_tasks", lambda *_: pytest.fail("it was fitted"))
+    with pytest.raises(DataError, match="of all things"):
+        made(methods=["wls"])
 
 
 def test_what_is_not_installed_is_said_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

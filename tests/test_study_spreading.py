@@ -94,7 +94,7 @@ def test_every_task_with_a_name_is_told_once_when_it_is_done(executor: Executor 
     names = [(one.number, one.total, one.name) for one in told.heard]
     assert names == ([(1, 3, "short"), (3, 3, "none")] if executor is None else
                      [(2, 3, "short"), (3, 3, "none")])  # fmt: skip
-    assert 0.02 <= told.heard[0].seconds < 0.04
+    assert told.heard[0].seconds >= 0.02
     assert told.counts[-1] == 3
 
 

@@ -96,6 +96,8 @@ class InverseDynamics(Study):
             for root, keys in known.items()
             for case in draws
         ]
+        # Before the fits, which take hours: nothing may fail after them.
+        seen = {name: [Seen.of(case) for case in draws] for name, draws in cases.items()}
         with cluster(self.dask) as executor:
             results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress, executor))
         loads = {} if of.loaded is None else load_names(of.loaded)
@@ -103,7 +105,7 @@ class InverseDynamics(Study):
             gathered(
                 name,
                 [(keys, [next(results) for _ in draws]) for keys in known.values()],
-                [Seen.of(case) for case in draws],
+                seen[name],
                 loads,
             )
             for name, draws in cases.items()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.identify.residual.motions import one_rate
+from hil.data.filters import motion_rates
 from hil.study.inverse_cases import Case
 from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.study.inverse_noise import Held, persistence_of, white_noise_left
@@ -25,7 +25,7 @@ class Seen:
         removed: (n,) RMS of what the filter takes out of the measured torque.
         noise: (n,) RMS of the noise that it leaves, if the noise is white.
         persistence: By latency [s], of repeating the newest torque that is so old at least.
-        rate_hz: Samples per second, as recorded.
+        rate_hz: Samples per second, as recorded: the median over the judged trajectories.
     """
 
     t: FloatArray
@@ -51,7 +51,8 @@ class Seen:
             removed * case.scale,
             white_noise_left(removed * case.scale, case),
             {latency: persistence_of(case, latency) for latency in (PREVIOUS_S, LATENCY_S)},
-            one_rate(data),
+            # Never refused: samples may be missing in one trajectory, and this is only shown.
+            float(np.median([rate for rate, _ in motion_rates(data)])),
         )
 
 

@@ -75,7 +75,9 @@ class _Going:
         """Wait for the next results; what has to be computed again."""
         ended, _ = wait(self.futures, LOOK_S, FIRST_COMPLETED)
         self._deserted = 0 if ended else self._look()
-        return [i for i in map(self._lost, ended) if i is not None]
+        # A set has no order: of those that ended together the one that began first is told first.
+        begun = [future for future in self.futures if future in ended]
+        return [i for i in map(self._lost, begun) if i is not None]
 
     def _lost(self, future: Future[Any]) -> int | None:
         """Keep a result; which task it is when its worker has gone and it is to begin again."""
