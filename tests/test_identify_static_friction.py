@@ -284,6 +284,16 @@ def test_a_stream_gives_for_a_dwell_what_predict_gives() -> None:
         assert np.max(np.abs(expected - still_moving)) > 0.1
 
 
+@pytest.mark.parametrize("shapes", [(5, 5, 5), (6, 5, 6), (1, 1, 1), (7, 7, 7), (6, 6, 0)])
+def test_a_stream_tells_samples_of_another_width_and_goes_on(hysteresis, shapes) -> None:
+    stream, unspoilt = hysteresis.stream(), hysteresis.stream()
+    with pytest.raises(DataError, match="one number for each of 6 joints"):
+        stream.step(*(np.zeros(n) for n in shapes))
+    for _ in range(12):
+        found, expected = stream.step(STILL, STILL, STILL), unspoilt.step(STILL, STILL, STILL)
+    assert found == pytest.approx(expected)
+
+
 def test_a_stream_in_motion_gives_what_predict_gives_for_moves(hysteresis) -> None:
     stream, test = hysteresis.stream(LOAD), held_out(load=LOAD)
     fast = np.full(6, 0.5)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.data.arrival import POINTS, STEP_S, Track, arrival
 from hil.data.dwells import SAMPLES_PER_DWELL
+from hil.identify.stream import one_sample
 from hil.typing import FloatArray
 
 KEPT_S = 2.0
@@ -28,6 +29,7 @@ class RestStream:
     prediction is all but friction.
 
     Args:
+        n: Number of joints.
         standing: (1, n) positions → (1, n) effort without friction.
         friction: (1, K, 2, n) path (`hil.data.arrival`) and (1, n) positions → (1, n) friction.
         rest_speed: Slower than this, every joint is at rest [rad/s].
@@ -36,12 +38,13 @@ class RestStream:
 
     def __init__(
         self,
+        n: int,
         standing: Callable[[FloatArray], FloatArray],
         friction: Callable[[FloatArray, FloatArray], FloatArray],
         rest_speed: float,
         period_s: float,
     ) -> None:
-        self._standing, self._friction = standing, friction
+        self._n, self._standing, self._friction = n, standing, friction
         self._rest_speed, self._period = rest_speed, period_s
         kept = round(KEPT_S / period_s)
         self._q: deque[FloatArray] = deque(maxlen=kept)
@@ -51,12 +54,16 @@ class RestStream:
         self._held: FloatArray | None = None
 
     def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Predicted effort (n,) for one sample, each input (n,)."""
-        self._q.append(np.array(q, dtype=np.float64))
-        self._qd.append(np.array(qd, dtype=np.float64))
-        still = float(np.max(np.abs(qd))) < self._rest_speed
+        """Predicted effort (n,) for one sample, each input (n,).
+
+        Raises:
+            DataError: An input is not one number per joint.
+        """
+        position, speed, _ = one_sample(self._n, q, qd, qdd)
+        self._q.append(position[0].copy())
+        self._qd.append(speed[0].copy())
+        still = float(np.max(np.abs(speed))) < self._rest_speed
         self._rested = self._rested + 1 if still else 0
-        position = self._q[-1][None, :]
         effort = self._standing(position)
         held = self._friction_held(position)
         now: FloatArray = (effort if held is None else effort + held)[0]

@@ -147,7 +147,7 @@ class StaticFriction(StaticModel):
         def friction(path: FloatArray, q: FloatArray) -> FloatArray:
             return self._friction(replace(resting_at(self, q, load), arrivals=path))[0]
 
-        return RestStream(standing, friction, self.rest_speed, self.period_)
+        return RestStream(self.robot_.n, standing, friction, self.rest_speed, self.period_)
 
     def dry_friction(self) -> FloatArray:
         """(n,) level of dry friction of an unloaded joint [N·m]."""
