@@ -20,7 +20,10 @@ from hil.typing import BoolArray, FloatArray, IntArray
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
 
-OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", "q_f", "qd_f", "qdd_f", "effort_f"})
+PREPARED = ("q_f", "qd_f", "qdd_f", "effort_f")
+"""Columns that preprocessing adds (`hil.data.filters.prepare`)."""
+
+OF_JOINTS = frozenset({"q", "qd", "qdd", "effort", *PREPARED})
 """Columns that a model reads: (N, n) wherever they are."""
 
 SeriesKind = Literal["trajectory", "dwell", "move", "warmup", "reference"]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.data.dataset import Conditions, Dataset
+from hil.data.dataset import PREPARED, Conditions, Dataset
 from hil.data.filtering.butterworth import (
     MAX_NYQUIST_FRACTION,
     PAUSE_STEPS,
@@ -69,7 +69,7 @@ def prepare(dataset: Dataset, settings: FilterSettings | None = None) -> Dataset
         DataError: A series is too short, holds NaN, or a cut-off is too high for its rate.
     """
     chosen = settings or FilterSettings()
-    out = {name: np.zeros_like(dataset["q"]) for name in ("q_f", "qd_f", "qdd_f", "effort_f")}
+    out = {name: np.zeros_like(dataset["q"]) for name in PREPARED}
     for condition, rows in dataset.slices():
         if rows.stop > rows.start:
             for name, values in _prepare_series(dataset, condition, rows, chosen).items():
@@ -79,7 +79,7 @@ def prepare(dataset: Dataset, settings: FilterSettings | None = None) -> Dataset
 
 def is_prepared(dataset: Dataset) -> bool:
     """True when `prepare` has added its columns."""
-    return {"q_f", "qd_f", "qdd_f", "effort_f"} <= dataset.columns.keys()
+    return set(PREPARED) <= dataset.columns.keys()
 
 
 def filter_columns(values: FloatArray, dataset: Dataset, settings: FilterSettings) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import arm_names
-from hil.data.dataset import Dataset
+from hil.data.dataset import PREPARED, Dataset
 from hil.data.filters import require_finite
 from hil.dynamics import RobotModel
 from hil.errors import DataError, FitError
@@ -15,8 +15,6 @@ from hil.typing import FloatArray
 
 NO_EFFORT = 1e-12
 """Not even the resolution of a sensor, in any unit."""
-
-PREPARED = ("q_f", "qd_f", "qdd_f", "effort_f")
 
 STILL_RAD = 1e-3
 """A joint whose position spans less than this never moved."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.data.dataset import Dataset
+from hil.data.dataset import PREPARED, Dataset
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.typing import FloatArray
@@ -23,8 +23,9 @@ UNKNOWN_LIMIT_NM = 1e4
 """For models that declare no torque limit: more than any joint's of an arm."""
 
 IMPOSSIBLE = {
-    "q": 1e6, "qd": 1e6, "effort": 1e12, "q_f": 1e6, "qd_f": 1e6, "qdd_f": 1e9, "effort_f": 1e12,
-}  # fmt: skip
+    **{"q": 1e6, "qd": 1e6, "effort": 1e12},
+    **dict(zip(PREPARED, (1e6, 1e6, 1e9, 1e12), strict=True)),
+}
 """Beyond this nothing is a position [rad], velocity [rad/s], acceleration [rad/s²] or effort, in
 whatever unit."""
 
