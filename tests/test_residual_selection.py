@@ -59,7 +59,7 @@ def test_physics_says_nothing_of_a_trajectory_it_was_fitted_to() -> None:
     spoilt[: data.offsets[1]] += 5.0
     held = slice(0, int(data.offsets[1]))
     clean, dirty = (
-        physics_of(d, wls(d), 2, 0, wls)
+        physics_of(d, wls(d), 2, 0, lambda part, fold: wls(part))
         for d in (data, data.with_columns(effort=spoilt, effort_f=spoilt))
     )
     assert np.array_equal(clean.predicted[held], dirty.predicted[held])

@@ -44,7 +44,7 @@ def physics_of(
     model: RobotEstimator,
     folds: int,
     seed: int,
-    fit: Callable[[Dataset], RobotEstimator],
+    fit: Callable[[Dataset, int], RobotEstimator],
 ) -> Physics:
     """Predict every row by a model like the fitted one that has not seen its trajectory.
 
@@ -53,7 +53,7 @@ def physics_of(
         model: Fitted to everything that may be learned from.
         folds: How many; with 1 the model itself predicts every row.
         seed: Of the deal.
-        fit: A fresh model of its kind, fitted to a dataset.
+        fit: A fresh model of its kind, fitted to a dataset without the fold of this number.
     """
     fold = fold_of_rows(dataset, folds, seed)
     prediction = model.predict(dataset)
@@ -63,7 +63,7 @@ def physics_of(
         held = fold == number
         others = np.setdiff1d(np.arange(len(dataset.conditions)), np.unique(series[held]))
         left_out = dataset.take(np.unique(series[held]))
-        told = fit(dataset.take(others)).predict(left_out)
+        told = fit(dataset.take(others), number).predict(left_out)
         predicted[held] = told.effort
         valid[held] = np.all(told.valid, axis=1)
     return Physics(model, predicted, valid & np.all(np.isfinite(predicted), axis=1), fold)

@@ -14,6 +14,19 @@ def keeps_checkpoints(model: Any) -> bool:
     return hasattr(model, "checkpoints_")
 
 
+def attach_inside(part: Any, whole: Any, name: str) -> None:
+    """Give a part of an estimator its watch, and a folder in its folder, where the part has them.
+
+    Args:
+        part: An estimator that is fitted inside another.
+        whole: The other, with `watch_` and `checkpoints_`.
+        name: Of the folder.
+    """
+    kept: Path | None = whole.checkpoints_
+    inside = kept / name if kept is not None and keeps_checkpoints(part) else None
+    attach(part, whole.watch_, inside)
+
+
 def attach(model: Any, watch: Watch | None = None, checkpoints: Path | None = None) -> None:
     """Set the `watch_` and `checkpoints_` of an estimator that has them.
 
