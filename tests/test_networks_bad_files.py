@@ -185,7 +185,8 @@ def test_absurd_sizes_are_refused_before_they_take_up_memory(kind, way, to, monk
 
 @kinds
 def test_whole_numbers_that_a_file_has_with_a_point_are_read(kind: str) -> None:
-    assert outcome(changed(kind, "parameters", "training", "epochs", to=1.0), stored(kind)[1]) is None
+    document = changed(kind, "parameters", "training", "epochs", to=1.0)
+    assert outcome(document, stored(kind)[1]) is None
 
 
 FITTING = {"samples": [3], "margin": [3], "filters": [{}], "coverage": [{}, []]}
