@@ -219,7 +219,7 @@ def test_without_torch_the_extra_is_named(monkeypatch) -> None:
     ("params", "told"),
     [
         ({"friction": "stribek"}, "friction is 'stribek'"),
-        ({"network": {"hiden": [3]}}, "network.hiden"),
+        ({"network": {"hiden": [3]}}, "network has no parameter 'hiden'"),
         ({"training": {"epochs": 0}}, "training.epochs"),
         ({"protocol": "theirs"}, "protocol is 'theirs'"),
         ({"loops": 0}, "loops is 0"),

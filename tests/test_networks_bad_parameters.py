@@ -51,6 +51,32 @@ def test_a_parameter_of_the_study_is_refused_by_its_name(parameter: str) -> None
 
 
 @pytest.mark.parametrize(
+    ("name", "given", "where", "meant"),
+    [
+        ("lagrangian", {"training": {"epoch": 5}}, "training", "epochs"),
+        ("residual", {"training": {"epoch": 5}}, "training", "epochs"),
+        ("lagrangian", {"network": {"hiden": [8]}}, "network", "hidden"),
+        ("lagrangian", {"filters": {"ordr": 5}}, "filters", "order"),
+    ],
+)
+def test_a_slip_inside_settings_is_answered_with_what_was_meant_and_what_there_is(
+    name: str, given: dict[str, Any], where: str, meant: str
+) -> None:
+    (slip,) = given[where]
+    told = f"^{name}: {where} has no parameter '{slip}' \\(it has .*\\b{meant}\\b"
+    with pytest.raises(SpecError, match=told) as caught:
+        estimator(name, **given)
+    assert caught.value.hint == f"did you mean '{meant}'?"
+
+
+@pytest.mark.parametrize(("coverage", "hint"), [(90, "0.9,"), (2.5, "0.025,"), (1, "0.5 is half")])
+def test_a_share_in_percent_is_answered_with_the_share(coverage: float, hint: str) -> None:
+    with pytest.raises(SpecError, match="coverage") as caught:
+        estimator("residual", coverage=coverage)
+    assert caught.value.hint.startswith(hint)
+
+
+@pytest.mark.parametrize(
     "given",
     [
         {"seed": 10**30}, {"loops": 10**9}, {"network": 0}, {"network": []}, {"training": ""},

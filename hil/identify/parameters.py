@@ -111,7 +111,8 @@ def share(name: str, value: Any) -> float:
     """
     found = number(name, value, above=0.0)
     if found >= 1.0:
-        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint="0.22, say")
+        hint = f"{found / 100:g}, if it is in percent" if 1.0 < found < 100.0 else "0.5 is half"
+        raise SpecError(f"{name} is {found:g}, but must be a share below 1", hint=hint)
     return found
 
 
@@ -165,6 +166,8 @@ def settings(name: str, value: Any, kind: type[Settings]) -> Settings:
         return kind.model_validate({} if value is None else value)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
+        if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
+            require_known({str(first["loc"][0]): None}, tuple(kind.model_fields), name)
         where = ".".join((name, *(str(part) for part in first["loc"])))
         raise SpecError(f"{where}: {first['msg']}") from error
 

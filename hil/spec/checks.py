@@ -214,4 +214,6 @@ def _first_line(error: Exception) -> str:
         first = error.errors(include_url=False)[0]
         return ": ".join((".".join(str(step) for step in first["loc"]), first["msg"]))
     message = error.message if isinstance(error, HilError) else str(error)
-    return shown(message.partition("\n")[0] or type(error).__name__, most=300)
+    line = shown(message.partition("\n")[0] or type(error).__name__, most=300)
+    hint = error.hint if isinstance(error, HilError) else ""
+    return f"{line} → {hint}" if hint else line
