@@ -129,8 +129,8 @@ def test_what_a_correction_decided_about_itself_is_told_in_torque() -> None:
         (row,) = shown.rows
         assert row[:2] == ("Proposed with RC, no torque", 1)
         gain = run_of().drive_gains
-        assert row[2] == f"{0.4 * gain[0]:.3g} → {0.2 * gain[0]:.3g}"
-        assert row[3] == f"dropped: {0.4 * gain[1]:.3g} → {0.2 * gain[1]:.3g}"
+        assert row[2] == f"{0.4 * gain[0]:.3g} → {0.2 * gain[0]:.3g} (-50.0 %)"
+        assert row[3] == f"dropped: {0.4 * gain[1]:.3g} → {0.2 * gain[1]:.3g} (-50.0 %)"
 
 
 def test_settings_as_printed_are_an_optional_row_for_as_many_epochs_as_the_others() -> None:

@@ -108,3 +108,8 @@ def test_white_noise_left_by_the_filter_is_estimated_from_what_it_removed() -> N
     left = np.sqrt(np.mean(noise["effort_f"] ** 2))
     removed = np.sqrt(np.mean((noise["effort"] - noise["effort_f"]) ** 2))
     assert white_noise_left(np.array([removed]), case) == pytest.approx(left, rel=0.05)
+
+
+def test_noise_is_not_told_from_signal_where_the_filter_leaves_little_beside_it() -> None:
+    case = honest_case(recorded(run_of(), nominal(), 30.0, 100.0), 0)  # of 50 Hz
+    assert np.all(np.isnan(white_noise_left(np.ones(6), case)))

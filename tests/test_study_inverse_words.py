@@ -132,6 +132,24 @@ def test_a_correction_whose_seeds_disagree_is_not_told_apart() -> None:
     assert "7 % less than Proposed (not told apart: " in text
 
 
+def test_a_correction_that_was_dropped_everywhere_takes_no_credit() -> None:
+    text = told(wls=(1.0, 1.1, 1.2), ours=(0.5, 0.5, 0.6), ours_residual=(0.5, 0.5, 0.6))
+    assert "ours: friction with memory leaves" in text
+    assert "with a residual network leaves" not in text
+    same = told(proposed=(1.0, 1.1, 1.2), rc_motion=(1.0, 1.1, 1.2))
+    assert "Proposed with RC, no torque leaves 1.1 N·m, the same as Proposed." in same
+
+
+def test_a_small_difference_is_not_said_to_be_none() -> None:
+    text = told(proposed=(1.0, 1.1, 1.2), rc_motion=(0.999, 1.099, 1.199))
+    assert "under half a per cent less than Proposed" in text
+
+
+def test_two_that_are_ahead_by_little_are_printed_with_more_digits() -> None:
+    text = told(delan_coulomb=(2.0241,) * 3, proposed=(2.0182,) * 3)
+    assert "Proposed (2.018 N·m) is ahead of Method 6 (2.024 N·m)" in text
+
+
 def test_what_sees_torque_is_set_against_repeating_it() -> None:
     text = told(proposed=(1.0, 1.0), rc_history=(0.8, 0.8))
     assert "torque history until 24 ms before leaves 0.8 N·m; to repeat the torque of" in text

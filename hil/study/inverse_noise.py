@@ -14,6 +14,9 @@ from hil.typing import FloatArray
 
 FREQUENCIES = 1 << 14
 
+WIDEST = 0.5
+"""Of the band: a cut-off above leaves too little beside it to tell noise from signal."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
@@ -31,6 +34,8 @@ class Held:
 def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
     """(n,) RMS of the noise in the filtered torque, if white noise was filtered.
 
+    NaN where the cut-off leaves less than half of the band above it: signal is then most of that.
+
     Args:
         removed: (n,) RMS of what the filter took out.
         case: Says how it filtered.
@@ -38,6 +43,8 @@ def white_noise_left(removed: FloatArray, case: Case) -> FloatArray:
     rate = sample_rate(case.judge["t"][: case.judge.offsets[1]])
     settings = case.filters
     fraction = nyquist_fraction(settings.effort, settings.unit, rate)
+    if fraction > WIDEST:
+        return np.full_like(removed, np.nan)
     b, a = butter(settings.order, fraction)
     # Forwards and backwards: the gain is the square of one pass's magnitude.
     gain = np.abs(freqz(b, a, FREQUENCIES)[1]) ** 2

@@ -44,10 +44,14 @@ def beside(found: Found, key: str, reference: str, name: str) -> str:
         reference: Of another one.
         name: Of the reference, for people.
     """
-    told = _less(found.average(key), found.average(reference)) + f" than {name}"
+    error, against = found.average(key), found.average(reference)
+    if error == against:
+        return f"the same as {name}"
+    told = f"{_less(error, against)} than {name}"
     return told if apart(found, key, reference) else f"{told} (not told apart: {doubt(found)})"
 
 
 def _less(error: float, reference: float) -> str:
     percent = 100 * (1 - error / reference)
-    return f"{percent:.0f} % less" if percent >= 0 else f"{-percent:.0f} % more"
+    size = f"{abs(percent):.0f} %" if abs(percent) >= 0.5 else "under half a per cent"
+    return f"{size} {'less' if percent >= 0 else 'more'}"

@@ -57,7 +57,7 @@ class Judged:
         aware, unaware: By number of the load, (n,) RMSE with the load known and forgotten.
         curves: By name, (epochs,) losses of a training.
         decided: (n,) of a residual network: per joint the error without → with it on rows it was
-            not fitted to, and whether it was dropped.
+            not fitted to, by how much that is more, and whether it was dropped.
         failed: Why there is nothing else.
     """
 
@@ -114,8 +114,9 @@ def _decided(model: RobotEstimator, scale: FloatArray) -> tuple[str, ...]:
     if selection is None:
         return ()
     without, corrected = selection.without * scale, selection.corrected * scale
+    percent = 100.0 * (corrected / without - 1.0)
     return tuple(
-        f"{'' if kept else 'dropped: '}{without[j]:.3g} → {corrected[j]:.3g}"
+        f"{'' if kept else 'dropped: '}{without[j]:.3g} → {corrected[j]:.3g} ({percent[j]:+.1f} %)"
         for j, kept in enumerate(selection.kept)
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from hil.identify.lagrangian import choices
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import LITERAL, ONE_TO_SIX, ROWS
-from hil.study.inverse_ranks import apart, beside, doubt
+from hil.study.inverse_ranks import FEWEST_SEEDS, apart, beside, doubt
 from hil.study.inverse_tables import carried, repeated, under
 from hil.study.separation_text import listed
 
@@ -72,6 +72,10 @@ def summary(found: Sequence[Found]) -> Iterator[str]:
 def _ours(found: Found) -> Iterator[str]:
     known = [key for key in ONE_TO_SIX if _is_known(found, key)]
     ours = next((key for key in OURS if _is_known(found, key)), None)
+    if {"ours", "ours-residual"} <= found.scores.keys() and np.array_equal(
+        found.by_seed("ours"), found.by_seed("ours-residual")
+    ):
+        ours = "ours"  # the network was dropped throughout: what it stands on did it
     if not known:
         return
     best = min(known, key=found.average)
@@ -98,6 +102,9 @@ def _order(found: Found) -> Iterator[str]:
     ]
     if not pairs:
         return
+    if len(found.seen) < FEWEST_SEEDS:
+        yield f"nothing is put in order: {doubt(found)}."
+        return
     sure = [pair for pair in pairs if apart(found, *pair)]
     wrong = [pair for pair in sure if found.average(pair[0]) < found.average(pair[1])]
     open_ = [pair for pair in pairs if pair not in sure]
@@ -114,15 +121,14 @@ def _six_or_proposed(found: Found) -> Iterator[str]:
     if not {"delan-coulomb", "proposed"} <= found.scores.keys():
         return
     six, proposed = found.average("delan-coulomb"), found.average("proposed")
+    digits = 3 if f"{six:.3g}" != f"{proposed:.3g}" else 4
+    told = [f"Method 6 ({six:.{digits}g} N·m)", f"Proposed ({proposed:.{digits}g} N·m)"]
     if not apart(found, "delan-coulomb", "proposed"):
-        yield (
-            f"Method 6 ({six:.3g} N·m) and Proposed ({proposed:.3g} N·m) are not told apart: "
-            f"{doubt(found)}."
-        )
-    elif proposed < six:
-        yield f"Proposed ({proposed:.3g} N·m) is ahead of Method 6 ({six:.3g} N·m)."
-    else:
-        yield f"Method 6 ({six:.3g} N·m) is ahead of Proposed ({proposed:.3g} N·m)."
+        yield f"{told[0]} and {told[1]} are not told apart: {doubt(found)}."
+        return
+    if proposed < six:
+        told.reverse()
+    yield f"{told[0]} is ahead of {told[1]}."
 
 
 def _added(found: Found) -> Iterator[str]:
