@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points, packages_distributions
+from importlib.util import find_spec
 from typing import Any
 
 from hil.errors import PluginError
@@ -111,6 +112,12 @@ def find(group: str, name: str) -> EntryPoint:
             f"the {_kind(group)} {name!r} is claimed by {claims}", hint="uninstall one of them"
         )
     return points[0]
+
+
+def absent_modules(extra: str) -> tuple[str, ...]:
+    """Top-level modules that an extra of this distribution brings and that are not installed."""
+    brought = (module for module, of in EXTRA_OF_MODULE.items() if of == extra)
+    return tuple(module for module in brought if find_spec(module) is None)
 
 
 def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:

@@ -11,6 +11,7 @@ from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment
+from hil.campaign.extras import require_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.robots import held, plan_for
@@ -69,10 +70,11 @@ def require_usable(experiment: Experiment, robot: Robot) -> None:
 
     Raises:
         SpecError: The criteria are in another unit than the robot's efforts.
-        PluginError: An estimator or a study is missing.
+        PluginError: An estimator, a study or an extra is missing.
     """
     require_judgeable(experiment.spec, robot.capabilities.effort_kind)
     for fit in experiment.spec.fit:
         plugins.load("hil.estimators", fit.estimator)
     for entry in experiment.spec.study:
         plugins.load("hil.studies", entry.study)
+    require_extras(experiment.spec)

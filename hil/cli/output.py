@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import os
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from textwrap import wrap
@@ -39,6 +40,12 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
     for row in table:
         typer.echo("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+
+
+def print_warnings(warnings: Iterable[str]) -> None:
+    """A line each, wrapped on a terminal."""
+    for warning in warnings:
+        typer.echo(fold(f"warning: {warning}", width_of(sys.stdout)))
 
 
 def fold(text: str, width: int | None) -> str:

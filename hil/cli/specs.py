@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -14,11 +13,10 @@ from hil.cli.output import (
     SpecPath,
     StationOption,
     duration,
-    fold,
     print_json,
     print_table,
+    print_warnings,
     size,
-    width_of,
 )
 from hil.errors import SpecError
 
@@ -34,6 +32,7 @@ def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = Fal
     """Check a spec or series and its station; all problems at once, with file, line and column."""
     from hil import api
     from hil.campaign.driver_check import check_driver
+    from hil.campaign.extras import missing_extras
     from hil.spec.series import is_series
 
     if is_series(spec):
@@ -42,11 +41,12 @@ def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = Fal
 
     experiment = api.load(spec, station)
     check_driver(experiment)
-    facts = {
+    facts: dict[str, Any] = {
         "spec": str(spec),
         "name": experiment.spec.name,
         "station": experiment.station_source,
         "valid": True,
+        "warnings": missing_extras(experiment.spec),
     }
     if json:
         print_json(facts)
@@ -55,6 +55,7 @@ def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = Fal
             f"{spec}: valid ({experiment.spec.excitation.kind}, robot {experiment.spec.robot})"
         )
         typer.echo(f"station: {experiment.station_source}")
+        print_warnings(facts["warnings"])
 
 
 def plan(
@@ -124,8 +125,7 @@ def plan(
     for one in shown["interlocks"]:
         if one["action"] == "off":
             typer.echo(f"interlock {one['name']} is off: {one['why']}")
-    for warning in shown["warnings"]:
-        typer.echo(fold(f"warning: {warning}", width_of(sys.stdout)))
+    print_warnings(shown["warnings"])
 
 
 def _require_svg(picture: Path | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -72,6 +72,10 @@ class RobotEstimator(Parametrised):
         It is shown beside the model's name, and only honest models are judged against criteria.
         """
         return HONEST
+
+    def extras(self) -> Mapping[str, str]:
+        """Extras of this distribution that a fit needs, and what for; asked before any motion."""
+        return {}
 
     @abstractmethod
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:

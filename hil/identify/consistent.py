@@ -64,6 +64,10 @@ class Consistent:
         return np.concatenate([self.base, self.extra])
 
 
+IDENTIFY = {"identify": "for links that can exist"}
+"""`RobotEstimator.extras` of whatever calls `consistent_least_squares` in a fit."""
+
+
 def consistent_least_squares(
     X: FloatArray,
     y: FloatArray,

@@ -34,7 +34,7 @@ from hil.identify.lagrangian.task import Preparation
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share
 from hil.identify.plausible import require_plausible
-from hil.identify.training_loop.extra import require_torch
+from hil.identify.training_loop.extra import LEARN, require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 
 if TYPE_CHECKING:
@@ -120,6 +120,10 @@ class LagrangianEstimator(LagrangianModel):
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The parameters as given."""
         return super().get_params(deep) | {"protocol": self._settings_of}
+
+    def extras(self) -> dict[str, str]:
+        """PyTorch."""
+        return LEARN
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are subtracted from the target.

@@ -40,7 +40,7 @@ from hil.identify.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.identify.residual.stored import made, require_base, told
 from hil.identify.residual.words import filters_for, words
 from hil.identify.training_loop.attached import attach_inside
-from hil.identify.training_loop.extra import require_torch
+from hil.identify.training_loop.extra import LEARN, require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import require_groups
 
@@ -114,6 +114,10 @@ class ResidualNetwork(CorrectedModel):
         """`honest`, or how the physics, the rows or what the network hears depart from that."""
         base = self.base_ if hasattr(self, "base_") else made(self.base)
         return self._protocol(base.protocol)
+
+    def extras(self) -> dict[str, str]:
+        """PyTorch, and what the physics needs."""
+        return {**made(self.base).extras(), **LEARN}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit the physics, once more without each fold, then networks to what they leave.

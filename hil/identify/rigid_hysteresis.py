@@ -29,6 +29,7 @@ from hil.identify.checks import (
     require_sizes,
     torque_scale,
 )
+from hil.identify.consistent import IDENTIFY
 from hil.identify.friction.carried import RememberingStream
 from hil.identify.friction.hysteresis_fit import HysteresisFit
 from hil.identify.friction.law import FrictionLaw
@@ -85,6 +86,10 @@ class RigidHysteresis(RobotEstimator):
         self.consistent = flag("consistent", consistent)
         self.gear_ratio = None if gear_ratio is None else number("gear_ratio", gear_ratio, above=0)
         self.filters = None if filters is None else settings("filters", filters, FilterSettings)
+
+    def extras(self) -> dict[str, str]:
+        """A solver of semidefinite programs, if the links are to be such that can exist."""
+        return IDENTIFY if self.consistent else {}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are part of what the gears transmit.

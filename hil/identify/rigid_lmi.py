@@ -16,7 +16,7 @@ from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters
 from hil.identify.checks import require_sizes
 from hil.identify.compress import JointwiseQR
-from hil.identify.consistent import Consistent, consistent_least_squares
+from hil.identify.consistent import IDENTIFY, Consistent, consistent_least_squares
 from hil.identify.inertial_bounds import MASS_FACTOR, InertialBounds
 from hil.identify.jointwise import Solution, at_least_rounding, jointwise_least_squares
 from hil.identify.parameters import flag, number
@@ -104,6 +104,10 @@ class RigidLmi(RigidClassical):
         self.weighted = flag("weighted", weighted)
         self.mass_factor = number("mass_factor", mass_factor, above=1.0)
         self.prior = number("prior", prior, at_least=0.0)
+
+    def extras(self) -> dict[str, str]:
+        """A solver of semidefinite programs."""
+        return IDENTIFY
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of every classical method, and the full inertial parameters."""

@@ -123,6 +123,10 @@ class StaticMlpLm(StaticModel):
         if validation_percent >= 100.0:
             raise SpecError(f"validation_percent is {validation_percent:g}, but must be below 100")
 
+    def extras(self) -> dict[str, str]:
+        """PyTorch on any device but the CPU."""
+        return {} if self.device == "cpu" else {"learn": f"for device: {self.device}"}
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit gravity and offset to the dwells, then the networks to what they leave.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
@@ -55,6 +55,10 @@ class Study(Parametrised):
     """
 
     study: ClassVar[str] = ""
+
+    def extras(self) -> Mapping[str, str]:
+        """Extras of this distribution that it needs, and what for; asked before any motion."""
+        return {}
 
     @abstractmethod
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:

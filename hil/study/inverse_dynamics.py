@@ -20,7 +20,7 @@ from hil.study import inverse_drawn as drawn
 from hil.study import inverse_tables as tables
 from hil.study.base import Progress, Study, silent
 from hil.study.inverse_cases import CASES, load_names, recorded
-from hil.study.inverse_fits import family_task, missing
+from hil.study.inverse_fits import extras_of, family_task, missing
 from hil.study.inverse_found import Found, Seen, gathered
 from hil.study.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, families
 from hil.study.inverse_words import LABELS, LEFT_OUT, TEXTS, TITLES, summary
@@ -75,6 +75,10 @@ class InverseDynamics(Study):
         self.figures = flag("figures", figures)
         self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1, at_most=4096)
         self.dask = checked_address("dask", dask)
+
+    def extras(self) -> dict[str, str]:
+        """What the estimators of its rows need: a table without them is not what was asked for."""
+        return extras_of(self.methods)
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and words of both protocols.

@@ -11,7 +11,7 @@ from hil import plugins
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import HilError
-from hil.identify.base import GROUP, RobotEstimator
+from hil.identify.base import GROUP, RobotEstimator, estimator
 from hil.study.inverse_cases import Case
 from hil.study.inverse_methods import ROWS, Row, unfitted
 from hil.study.inverse_score import Judged, judged, nothing
@@ -31,6 +31,22 @@ def missing(row: Row) -> str:
     needed = [row.estimator, *([ROWS[row.on].estimator] if row.on else [])]
     known = plugins.names(GROUP)
     return next((name for name in needed if name not in known), "")
+
+
+def extras_of(keys: Sequence[str]) -> dict[str, str]:
+    """Extras that rows need, with these rows and those that do without (`Study.extras`)."""
+    needing: dict[str, list[str]] = {}
+    for key in (key for key in keys if not missing(ROWS[key])):
+        rows = [ROWS[one] for one in (key, ROWS[key].on) if one]
+        for extra in {e for row in rows for e in estimator(row.estimator, **row.params).extras()}:
+            needing.setdefault(extra, []).append(key)
+    return {extra: _for_rows(of, keys) for extra, of in needing.items()}
+
+
+def _for_rows(needing: Sequence[str], keys: Sequence[str]) -> str:
+    others = [key for key in keys if key not in needing]
+    without = f"; methods: [{', '.join(others)}] do without" if others else ""
+    return f"for its rows {', '.join(needing)}{without}"
 
 
 def family_task(

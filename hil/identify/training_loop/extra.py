@@ -6,6 +6,9 @@ from importlib.util import find_spec
 
 from hil.errors import PluginError
 
+LEARN = {"learn": "to train its network"}
+"""`RobotEstimator.extras` of whatever calls `require_torch` in a fit."""
+
 
 def require_torch() -> None:
     """Refuse to train, or to restore a network that only PyTorch computes, without it.
