@@ -77,3 +77,16 @@ def test_validate_warns_since_another_computer_may_have_it(tmp_path: Path) -> No
 def test_what_needs_no_extra_is_not_warned_of(tmp_path: Path) -> None:
     rest = "fit: [{estimator: rigid-wls}]\nstudy: [{study: inverse-dynamics, methods: [wls, irls]}]"
     assert json.loads(validated(written(tmp_path, rest), "--json"))["warnings"] == []
+
+
+def test_nothing_of_a_series_is_run_if_a_later_experiment_lacks_something(tmp_path: Path) -> None:
+    written(tmp_path, "fit: [{estimator: rigid-wls}]").rename(tmp_path / "first.yaml")
+    written(tmp_path, NETWORK)
+    series = tmp_path / "both.yaml"
+    text = "hil_series: 1\nname: both\nseries: [{spec: first.yaml}, {spec: spec.yaml}]\n"
+    series.write_text(text, "utf-8")
+    assert "warning: fit: lagrangian needs torch" in validated(series)
+
+    run = CliRunner().invoke(app, ["run", str(series), "--runs", str(tmp_path / "runs")])
+    assert isinstance(run.exception, PluginError)
+    assert not (tmp_path / "runs").exists()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hil.cli.output import duration, print_json, print_table, size
+from hil.cli.output import duration, print_json, print_table, print_warnings, size
 from hil.cli.runs import fail, tell_run
 from hil.errors import HilError
 
@@ -28,21 +28,25 @@ Resume = Callable[[Path], "RunReport"]
 def validate_series(path: Path, station: Path | None, json: bool) -> None:
     """Check a series with everything it names; all problems at once."""
     from hil.campaign.driver_check import check_driver
+    from hil.campaign.extras import missing_extras
     from hil.campaign.series import load_series
 
     series = load_series(path, station)
     for experiment in series.experiments:
         check_driver(experiment)
+    missing = dict.fromkeys(told for one in series.experiments for told in missing_extras(one.spec))
     facts = [
         {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
         for each in series.experiments
     ]
     if json:
-        print_json({"series": str(path), "name": series.spec.name, "runs": facts, "valid": True})
+        told = {"series": str(path), "name": series.spec.name, "runs": facts, "valid": True}
+        print_json({**told, "warnings": list(missing)})
         return
     typer.echo(f"{path}: valid ({len(facts)} experiments)")
     for each in series.experiments:
         typer.echo(f"  {each.title}")
+    print_warnings(missing)
 
 
 def plan_series(path: Path, station: Path | None, connect: bool, json: bool) -> None:
@@ -85,12 +89,14 @@ def run_series(path: Path, station: Path | None, runs: Path, begin: Begin, json:
         json: Whether to print one document and nothing else.
     """
     from hil.campaign.driver_check import check_driver
+    from hil.campaign.extras import require_extras
     from hil.campaign.series import load_series
     from hil.campaign.series_folder import SeriesFolder
 
     series = load_series(path, station)
     for experiment in series.experiments:
         check_driver(experiment)
+        require_extras(experiment.spec)
     folder = SeriesFolder.create(runs, series.spec, path, station)
     _run(series, folder, [], lambda experiment, _: _told(begin(experiment)), json)
 
