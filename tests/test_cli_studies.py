@@ -146,6 +146,14 @@ def test_every_fit_of_a_study_leaves_a_line(
     assert f"{LINE}\n" in text.replace("\r", "")
 
 
+@pytest.mark.parametrize("failed", ["failed", "without rc-motion, which failed"])
+def test_a_fit_that_failed_is_no_success(capsys: pytest.CaptureFixture[str], failed: str) -> None:
+    ended = {**ENDED, "failed": failed}
+    ProgressLines().notify({"kind": "study_fit", "study": "counted", "ended": ended})
+    told = f"fit 7 of 54: lagrangian (proposed), seed 2 {failed} (63.0 s)\n"
+    assert capsys.readouterr().err == told
+
+
 def test_in_a_pipe_lines_come_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
     bar = StudyBar()
     for done in range(1000):

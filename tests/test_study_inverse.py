@@ -166,9 +166,49 @@ def test_a_correction_that_breaks_down_costs_only_itself(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(Toy, "fit_on", broken)
     told = made(protocols=["honest"])
-    assert sum("ZeroDivisionError: of all things" in text for text in told.warnings) == 2
+    (note,) = [text for text in told.warnings if "ZeroDivisionError: of all things" in text]
+    assert all(f"{ROWS[key].words}" in note for key in ("rc-history", "rc-motion"))
     assert "Proposed: DeLaN, Stribeck, hybrid" in str(table(told, "table-honest").rows)
     assert "RC" not in str(table(told, "table-honest").rows)
+
+
+def test_a_reason_is_told_once_with_every_row_and_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise FitError("no torch")
+
+    monkeypatch.setattr(Toy, "fit", broken)
+    told = made(methods=["wls", "delan", "proposed"])
+    (note,) = [text for text in told.warnings if "no torch" in text]
+    assert note == (
+        "Method 4: DeLaN (lagrangian), paper and honest; Proposed: DeLaN, Stribeck, hybrid "
+        "(lagrangian), paper and honest: left out, no torch"
+    )
+
+
+@pytest.mark.parametrize(
+    ("fails", "told"),
+    [("fit", "failed"), ("fit_on", "without rc-motion, which failed"), ("restore", "")],
+)
+def test_a_fit_that_failed_is_told_as_such(
+    monkeypatch: pytest.MonkeyPatch, fails: str, told: str
+) -> None:
+    class Heard:
+        found: tuple[Ended, ...] = ()
+
+        def __call__(self, what: str, done: int, total: int) -> None:
+            """Not of interest."""
+
+        def ended(self, ended: Ended) -> None:
+            self.found += (ended,)
+
+    def broken(*_: object) -> None:
+        raise FitError("no torch")
+
+    monkeypatch.setattr(Toy, fails, broken)
+    heard, wanted = Heard(), {"methods": ["wls", "proposed", "rc-motion"], "protocols": ["honest"]}
+    study("inverse-dynamics", **{**SMALL, **wanted}).run(run_of(), nominal(), heard)
+    failed = {one.name.partition(" ")[0]: one.failed for one in heard.found}
+    assert failed == {"rigid-wls": "", "lagrangian": told}
 
 
 def test_samples_lost_in_one_trajectory_cost_no_study() -> None:

@@ -38,7 +38,8 @@ class StudyBar:
 
     def ended(self, study: str, ended: Ended) -> None:
         """Leave a line for a fit that is done, above the bar."""
-        text = fit_ended(ended.number, ended.total, ended.name, ended.seconds)
+        name = " ".join(filter(None, (ended.name, ended.failed)))
+        text = fit_ended(ended.number, ended.total, name, ended.seconds)
         if self._bar is not None:
             self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
         else:

@@ -33,12 +33,14 @@ class Ended:
         total: How many there are.
         name: What was fitted, for people.
         seconds: How long it took by itself [s].
+        failed: `failed`, or what of it did, in words; empty when nothing did.
     """
 
     number: int
     total: int
     name: str
     seconds: float
+    failed: str = ""
 
 
 def tell_ended(progress: Progress, ended: Ended) -> None:

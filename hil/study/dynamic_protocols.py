@@ -103,6 +103,7 @@ class Protocol:
             Task(
                 partial(fit_and_score, method, parts, self._robot, self._sign_width, self._filters),
                 name=f"{method.key}, {self.name}, draw {number}",
+                failed=_failed,
             )
             for method in self._methods
             for number, parts in enumerate(self._splits, start=1)
@@ -124,6 +125,11 @@ class Protocol:
         rows = shown_rows(test)
         shown = test["effort_f"][rows] * scale
         return Found(self.name, scores, failed, test["t"][rows], shown, noise)
+
+
+def _failed(score: Score) -> str:
+    """As `Ended` tells it."""
+    return "failed" if score.failed else ""
 
 
 def light(data: Dataset) -> Dataset:

@@ -6,7 +6,7 @@ paper does, and with whole trajectories held out (docs/explanation/inverse-dynam
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
 from hil.dask_cluster import checked_address, cluster
@@ -182,17 +182,23 @@ def _partly(found: Sequence[Found]) -> Iterator[str]:
                 )
 
 
+def _listed(failed: Mapping[str, Sequence[str]]) -> str:
+    """Rows, and the protocols under which each failed."""
+    return "; ".join(f"{row}, {' and '.join(protocols)}" for row, protocols in failed.items())
+
+
 def _failures(found: Sequence[Found]) -> list[str]:
-    """Notes about methods that failed.
+    """Notes about methods that failed, one for each reason.
 
     Raises:
         FitError: None is left.
     """
-    notes = [
-        f"{one.words(key)} ({ROWS[key].estimator}), {one.protocol}: left out, {reason}"
-        for one in found
-        for key, reason in one.failed.items()
-    ]
+    rows: dict[str, dict[str, list[str]]] = {}
+    for one in found:
+        for key, reason in one.failed.items():
+            row = f"{one.words(key)} ({ROWS[key].estimator})"
+            rows.setdefault(reason, {}).setdefault(row, []).append(one.protocol)
+    notes = [f"{_listed(failed)}: left out, {reason}" for reason, failed in rows.items()]
     if not any(one.scores for one in found):
         raise FitError(f"no method could be fitted: {next(iter(notes), 'none is installed')}")
     return notes

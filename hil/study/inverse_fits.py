@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -56,7 +56,15 @@ def family_task(
     cost = sum(COSTS.get(ROWS[key].estimator, 1.0) for key in {root, *keys})
     name = f"{ROWS[root].estimator} ({', '.join(keys)}), {case.protocol}, seed {case.seed}"
     run = partial(fit_family, root, tuple(keys), case, robot, sign_width, effort)
-    return Task(run, cost, name)
+    return Task(run, cost, name, _failed)
+
+
+def _failed(found: Mapping[str, Judged]) -> str:
+    """What of a family failed, as `Ended` tells it."""
+    failed = [key for key, one in found.items() if one.failed]
+    if len(failed) == len(found):
+        return "failed"
+    return f"without {', '.join(failed)}, which failed" if failed else ""
 
 
 def fit_family(

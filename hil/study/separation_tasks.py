@@ -16,6 +16,11 @@ from hil.study.base import Ended, Progress, tell_ended
 from hil.study.spreading import spread
 
 
+def never(result: Any) -> str:
+    """Of tasks whose results do not tell of failures."""
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class Task:
     """Something to compute that can be sent to another process.
@@ -24,11 +29,13 @@ class Task:
         run: Without arguments; its result is sent back.
         cost: How long it takes compared with the others.
         name: For people, who are told when it is done; nothing is said of tasks without.
+        failed: Asked of its result, in this process, what of it failed (`Ended.failed`).
     """
 
     run: Callable[[], Any]
     cost: float = 1.0
     name: str = ""
+    failed: Callable[[Any], str] = never
 
 
 def run_tasks(
@@ -105,8 +112,10 @@ class _News:
 
     def __call__(self, results: Mapping[int, tuple[Any, float]]) -> None:
         total = len(self._tasks)
-        for i, (_, seconds) in islice(results.items(), self._told, None):
+        for i, (result, seconds) in islice(results.items(), self._told, None):
             self._told += 1
-            if name := self._tasks[i].name:
-                tell_ended(self._progress, Ended(self._told, total, name, seconds))
+            task = self._tasks[i]
+            if task.name:
+                ended = Ended(self._told, total, task.name, seconds, task.failed(result))
+                tell_ended(self._progress, ended)
         self._progress(self._what, self._told, total)
