@@ -19,6 +19,7 @@ from hil.cli.study_progress import StudyBar
 from hil.cli.study_tables import table_lines
 from hil.errors import FitError, Stopped
 from hil.study.result import Table
+from hil.study.store import problem_files
 
 WIDE = Table(
     "t",
@@ -72,6 +73,14 @@ def test_a_study_that_fails_is_an_exit_code_and_one_error(run: Path) -> None:
     done = CliRunner().invoke(app, ["study", str(run), "--set", "ending=fails"])
     assert isinstance(done.exception, FitError)
     assert done.exception.hint == "record more poses"
+    assert "report:" not in done.stdout
+
+
+def test_a_trial_that_fails_leaves_no_mark_on_the_run(run: Path) -> None:
+    CliRunner().invoke(app, ["study", str(run)])
+    CliRunner().invoke(app, ["study", str(run), "--set", "ending=fails"])
+    assert "could not be made" not in (run / "report.html").read_text("utf-8")
+    assert problem_files(run) == []
 
 
 def test_ctrl_c_says_how_to_go_on(run: Path) -> None:

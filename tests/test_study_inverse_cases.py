@@ -113,3 +113,26 @@ def test_white_noise_left_by_the_filter_is_estimated_from_what_it_removed() -> N
 def test_noise_is_not_told_from_signal_where_the_filter_leaves_little_beside_it() -> None:
     case = honest_case(recorded(run_of(), nominal(), 30.0, 100.0), 0)  # of 50 Hz
     assert np.all(np.isnan(white_noise_left(np.ones(6), case)))
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "told", "hint", "most"),
+    [
+        (
+            50.0,
+            ", of which rate_hz keeps 50 a second",
+            "20 Hz, or up to 40 Hz with a higher rate_hz",
+            20.0,
+        ),
+        (100.0, "", "40 Hz", 40.0),
+    ],
+)
+def test_a_cut_off_above_what_the_data_allow_is_refused_as_the_parameter_it_is(
+    rate_hz: float, told: str, hint: str, most: float
+) -> None:
+    with pytest.raises(DataError) as caught:
+        recorded(run_of(), nominal(), 900.0, rate_hz)
+    told = f"cutoff_hz is 900 Hz: too high for data recorded at 100 Hz{told}"
+    assert caught.value.message == told
+    assert caught.value.hint == f"choose at most {hint}"
+    recorded(run_of(), nominal(), most, rate_hz)

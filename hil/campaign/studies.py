@@ -90,9 +90,7 @@ def entries_for(
     RunDirectory.open(run)
     if is_live(run):
         raise DataError(f"{run} is still recording", hint=f"wait for its end: hil watch {run}")
-    file = run / "spec.yaml"  # a recording of somebody else's program has none
-    written = load_spec(file, look_up=False).study if file.is_file() else ()
-    wanted = [entry for entry in written if name in (None, entry.study)]
+    wanted = [entry for entry in _written(run) if name in (None, entry.study)]
     if name is not None and not wanted:
         wanted = [StudyEntry(study=name)]
     if not wanted:
@@ -115,7 +113,8 @@ def run_studies(
     """Make studies of a run; one that fails leaves the run and the others as they are.
 
     The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
-    `problem.json` beside it.
+    `problem.json` beside it where the run's spec asks for just that study: what somebody tries
+    with other parameters is told to them, and is no fault of the run.
 
     Args:
         run: The run directory.
@@ -127,19 +126,27 @@ def run_studies(
         SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
         KeyboardInterrupt: As it came; what was made before is kept.
     """
-    studies = [(entry.study, study(entry.study, **entry.parameters)) for entry in entries]
+    studies = [(entry, study(entry.study, **entry.parameters)) for entry in entries]
     made: list[tuple[Path, StudyResult]] = []
     problems: list[tuple[str, HilError]] = []
     of: tuple[Dataset, RobotModel] | None = None
-    for name, one in studies:
+    for entry, one in studies:
+        name = entry.study
         folder = run / STUDIES / folder_of(name, one.get_params())
         try:
             of = of or _loaded(run)
             made.append((folder, _make(one, folder, of, _Throttled(name, watch, told))))
         except HilError as error:
             problems.append((name, error))
-            write_problem(name, error.message, error.hint, folder)
+            if entry in _written(run):
+                write_problem(name, error.message, error.hint, folder)
     return Studied(run, tuple(made), tuple(problems))
+
+
+def _written(run: Path) -> tuple[StudyEntry, ...]:
+    """The studies of the run's spec; a recording of somebody else's program has none."""
+    file = run / "spec.yaml"
+    return load_spec(file, look_up=False).study if file.is_file() else ()
 
 
 def _loaded(run: Path) -> tuple[Dataset, RobotModel]:

@@ -49,7 +49,9 @@ def study(
         raise Stopped(told, hint=f"hil study {path}", by_signal=True) from None
     finally:
         bar.end()
-    _tell(done, render_report(path), json)
+    page = render_report(path)
+    if done.made or done.error is None or json:
+        _tell(done, page, json)
     if done.error is not None:
         fail(done.error, json)
 

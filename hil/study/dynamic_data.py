@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from hil.data.dataset import Dataset
-from hil.data.filters import FilterSettings, downsample, prepare, sample_rate
+from hil.data.filters import (
+    MAX_NYQUIST_FRACTION,
+    FilterSettings,
+    downsample,
+    prepare,
+    sample_rate,
+)
 from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
-from hil.errors import FitError
+from hil.errors import DataError, FitError
 from hil.identify.checks import require_robot, torque_scale
 from hil.typing import BoolArray, FloatArray
 
@@ -90,6 +97,7 @@ def trajectories_of(
         )
     recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
     every = max(1, round(recorded / rate_hz))
+    _require_below(cutoff_hz, recorded, every)
     cut = dict.fromkeys(("velocity", "acceleration", "effort"), cutoff_hz)
     filters = FilterSettings.model_validate({"unit": "hz", "every": every, **cut})
     filtered = marked(prepare(data, filters))
@@ -99,6 +107,25 @@ def trajectories_of(
         notes.append(f"recorded at {recorded:.0f} Hz; the paper at 1000 Hz")
     rates = (recorded, recorded / every)
     return Trajectories(filtered, thinned, filters, torque_scale(data), *rates, tuple(notes))
+
+
+def _require_below(cutoff_hz: float, recorded_hz: float, every: int) -> None:
+    """Refuse a cut-off that filter or thinning would, but as the parameter of the study."""
+    kept, highest = (_floor(0.5 * MAX_NYQUIST_FRACTION * recorded_hz / n) for n in (every, 1))
+    if cutoff_hz <= kept:
+        return
+    thinned = f", of which rate_hz keeps {recorded_hz / every:.4g} a second" if every > 1 else ""
+    more = f", or up to {highest:g} Hz with a higher rate_hz" if every > 1 else ""
+    raise DataError(
+        f"cutoff_hz is {cutoff_hz:g} Hz: too high for data recorded at "
+        f"{recorded_hz:.4g} Hz{thinned}",
+        hint=f"choose at most {kept:g} Hz{more}",
+    )
+
+
+def _floor(hz: float) -> float:
+    """To a tenth that may be asked for; rates out of time stamps are off in the last digits."""
+    return math.floor(10.0 * hz * (1.0 + 1e-9)) / 10.0
 
 
 def paper_parts(of: Trajectories, seed: int) -> Parts:
