@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+CUTOFF = 0.7
+"""Of `difflib`: `speed` and `spec` reach 0.67, most slips of one letter or two more."""
+
 LONGEST_WORD = 64
 """Longer words are no typing slips, and comparing them would take noticeable time."""
 
@@ -14,7 +17,7 @@ def closest(word: str, options: Iterable[str]) -> str | None:
     if len(word) > LONGEST_WORD:
         return None
     by_folded = {_fold(option): option for option in options}
-    matches = get_close_matches(_fold(word), by_folded, n=1, cutoff=0.6)
+    matches = get_close_matches(_fold(word), by_folded, n=1, cutoff=CUTOFF)
     return by_folded[matches[0]] if matches else None
 
 

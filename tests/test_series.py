@@ -227,3 +227,41 @@ def test_the_overview_has_the_tables_of_the_studies(series: Series, folder: Seri
     page = (run_series(series, folder, measured).page or Path()).read_text("utf-8")
     assert "Held out (honest protocol)" in page
     assert page.count('<td class="number ">0.500</td>') == 3
+
+
+def finished(folder: SeriesFolder, series: Series) -> str:
+    run_series(series, folder, Robot(first=Rejected("missed")))
+    return str(folder.path)
+
+
+def test_of_a_finished_series_nothing_is_left_to_do(series: Series, folder: SeriesFolder) -> None:
+    done = CliRunner().invoke(app, ["resume", finished(folder, series)])
+    assert done.exit_code == 0, done.output
+    (line,) = done.stdout.splitlines()
+    page = folder.path / "series.html"
+    assert line == f"nothing is left to do of Three.of-Them; overview: {page}"
+    told = CliRunner().invoke(app, ["resume", str(folder.path), "--json"])
+    assert (told.exit_code, json.loads(told.stdout)["exit_code"]) == (0, 0)
+
+
+def test_the_overview_has_the_errors_of_the_models_and_the_time_as_runs_have_it(
+    series: Series, folder: SeriesFolder
+) -> None:
+    run = folder.path.parent / "0001-first"
+    model = run / "fit" / "rigid-wls-0"
+    model.mkdir(parents=True)
+    (model / "model.json").write_text("{}", "utf-8")
+    total = {"mean_raw": 0.01234, "mean_filtered": 0.0042}
+    held_out = {"unit": "A", "joint_names": ["j"], "total": total}
+    (model / "evaluation.json").write_text(json.dumps({"held_out": held_out}), "utf-8")
+
+    def measured(experiment: Experiment, before: dict[str, Any]) -> Any:
+        return {"run": str(run), "outcome": "completed", "verdict": "passed"}, None
+
+    began = {**folder.head, "started": "2026-11-22T12:08:13+01:00"}
+    at_one = SeriesFolder(folder.path, began)
+    page = (run_series(series, at_one, measured).page or Path()).read_text("utf-8")
+    for text in ("rigid-wls", "0.0123", "0.00420"):
+        assert page.count(f">{text}</td>") == 3
+    assert "begun 22 Nov 2026, 11:08 UTC" in page
+    assert "from the studies" not in page

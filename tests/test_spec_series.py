@@ -103,7 +103,31 @@ def test_every_shipped_series_runs_on_mocks(path: Path) -> None:
 
 def test_a_series_that_names_itself_is_no_experiment(folder: Path) -> None:
     (line,) = refusal(written(folder, "series: [{spec: series.yaml}]\n"))
-    assert line.endswith("this file is a series of experiments, but an experiment is needed here")
+    assert "series.yaml:3:17: series.0.spec: " in line
+    assert line.endswith("series.yaml is a series of experiments, but an experiment is needed here")
+
+
+def test_a_missing_file_and_files_of_another_kind_are_told_at_once_by_line(folder: Path) -> None:
+    mock = EXPERIMENTS / "stations" / "mock.yaml"
+    entries = ("none.yaml", "series.yaml", f"small.yaml, station: {folder / 'small.yaml'}", mock)
+    path = written(folder, "series:\n" + "".join(f"  - {{spec: {one}}}\n" for one in entries))
+    missing, nested, station, spec = refusal(path)
+    assert "series.0.spec: there is no file" in missing
+    assert "series.yaml:5:12: series.1.spec: " in nested
+    assert station.endswith("small.yaml is an experiment, but a station is needed here")
+    assert spec.endswith("mock.yaml is a station, but an experiment is needed here")
+
+
+def test_no_list_of_keys_is_pointed_at_where_a_file_name_is_wrong(folder: Path) -> None:
+    for entry, hint in (("spec: none.yaml", ""), ("spec: small.yaml, to: 1", "`hil schema`")):
+        with pytest.raises(SpecError) as caught:
+            load_series(written(folder, f"series: [{{{entry}}}]\n"))
+        assert (caught.value.hint or "")[: len("`hil schema`")] == hint
+
+
+def test_a_key_that_is_nothing_like_the_known_ones_is_no_slip_of_one(folder: Path) -> None:
+    (line,) = refusal(written(folder, "series: [{spec: small.yaml, speed: 1}]\n"))
+    assert "did you mean" not in line
 
 
 @pytest.mark.parametrize(

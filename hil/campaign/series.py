@@ -177,6 +177,12 @@ def run_series(
     return SeriesReport(folder.path, page, tuple(ended), left)
 
 
+def nothing_left(series: Series, before: Sequence[Document]) -> bool:
+    """Whether every experiment was run to its end, whatever its models are worth."""
+    ended = [Ended.from_dict(entry) for entry in before]
+    return len(ended) == len(series.experiments) and all(each.measured for each in ended)
+
+
 def _require_same(series: Series, ended: Sequence[Ended]) -> None:
     now = [each.spec.name for each in series.experiments]
     then = [each.experiment for each in ended]

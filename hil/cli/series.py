@@ -104,13 +104,15 @@ def run_series(path: Path, station: Path | None, runs: Path, begin: Begin, json:
 def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
     """Go on with a series that ended early, from the run in which it did.
 
+    Of one that came to its end only the overview is made anew.
+
     Args:
         path: Its folder.
         begin: Runs an experiment.
         resume: Goes on with a run.
         json: Whether to print one document and nothing else.
     """
-    from hil.campaign.series import load_series
+    from hil.campaign.series import load_series, nothing_left
     from hil.campaign.series_folder import SeriesFolder
 
     folder, before = SeriesFolder.open(path)
@@ -125,7 +127,22 @@ def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
             return _studied(run, told)
         return _told(resume(run))
 
+    if nothing_left(series, before):
+        _tell_done(series, folder, before, execute, json)
+        return
     _run(series, folder, before, execute, json)
+
+
+def _tell_done(
+    series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
+) -> None:
+    from hil.campaign.series import run_series
+
+    report = run_series(series, folder, execute, before)
+    if json:
+        print_json({**report.to_dict(), "exit_code": 0})
+        return
+    typer.echo(f"nothing is left to do of {series.spec.name}; overview: {_page(report)}")
 
 
 def _run(
@@ -176,13 +193,17 @@ def _tell(report: SeriesReport, json: bool) -> None:
                 typer.echo()
         rows = [(each.experiment, each.robot, each.word) for each in report.ended]
         print_table(("experiment", "robot", "came of it"), [*rows, *_not_begun(report)])
-        typer.echo(f"overview: {report.page or 'could not be made'}")
+        typer.echo(f"overview: {_page(report)}")
     if error is None:
         return
     if not all(each.measured for each in report.ended):
         hint = f"when the cause is mended: hil resume {report.folder}"
         error.hint = f"{error.hint}; {hint}" if error.hint else hint
     fail(error, json)
+
+
+def _page(report: SeriesReport) -> str:
+    return str(report.page or "could not be made")
 
 
 def _not_begun(report: SeriesReport) -> list[tuple[str, str, str]]:

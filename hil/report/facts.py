@@ -233,13 +233,15 @@ def read_facts(path: Path) -> RunFacts:
         spec=yaml_document(path / "spec.yaml", problems),
         steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
-        fits=read_fits(_folders(path / "fit"), problems),
+        fits=read_fits(model_folders(path), problems),
         studies=read_studies(path, problems),
         problems=tuple(problems),
     )
 
 
-def _folders(path: Path) -> list[Path]:
+def model_folders(run: Path) -> list[Path]:
+    """`fit/<estimator>-<digest>` of every model of a run."""
+    path = run / "fit"
     return sorted(item for item in path.iterdir() if item.is_dir()) if path.is_dir() else []
 
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from hil.report.blocks import Badge, Cell, Column, Mark, Page, Section, Table, cells
 from hil.report.documents import Document, as_objects, document
+from hil.report.facts import model_folders
+from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.judgement import ENDINGS, verdict_badge
 from hil.report.render import write_page
+from hil.report.series_models import models_tables
 from hil.report.study_facts import read_studies
 from hil.report.study_words import columns_of, is_numeric, protocol_mark
-from hil.report.words import UNKNOWN
+from hil.report.words import UNKNOWN, when
 from hil.study import result as found
 
 PAGE = "series.html"
@@ -27,11 +31,13 @@ class SeriesRun:
     Attributes:
         name: Of the experiment, with the robot.
         entry: What the document of the series says.
+        fits: Its models, best first.
         studies: What its studies found.
     """
 
     name: str
     entry: Document
+    fits: tuple[FitFacts, ...]
     studies: tuple[found.StudyResult, ...]
 
 
@@ -51,23 +57,32 @@ def series_page(folder: Path) -> Page:
     runs = [_run(folder, entry, problems) for entry in as_objects(told.get("runs"))]
     return Page(
         title=str(told.get("name", folder.name)),
-        subtitle=f"Series of {len(runs)} runs, begun {told.get('started', UNKNOWN)}",
+        subtitle=f"Series of {len(runs)} runs, begun {when(told.get('started')) or UNKNOWN}",
         badge=_badge(runs),
         summary=str(told.get("description", "")),
         warnings=tuple(problems),
         sections=(
-            Section("runs", "Runs", "", (_runs_table(runs),)),
+            Section(
+                "runs",
+                "Runs",
+                "",
+                (_runs_table(runs), *models_tables((run.name, run.fits) for run in runs)),
+            ),
             *_study_sections(runs),
         ),
-        footer="Every number is from the studies of the runs; their reports have the figures.",
+        footer=f"Made by hil {version('hil')} from {folder.resolve().name} and the run directories "
+        "it names; their reports have the figures. It can be made again at any time: hil report.",
     )
 
 
 def _run(folder: Path, entry: Document, problems: list[str]) -> SeriesRun:
     run = entry.get("run")
-    studies = read_studies(folder / str(run), problems).made if run else ()
     name = f"{entry.get('experiment', UNKNOWN)} ({entry.get('robot', UNKNOWN)})"
-    return SeriesRun(name, entry, tuple(studies))
+    if not run:
+        return SeriesRun(name, entry, (), ())
+    path = folder / str(run)
+    fits = best_first(read_fits(model_folders(path), problems))
+    return SeriesRun(name, entry, fits, tuple(read_studies(path, problems).made))
 
 
 def _verdict(run: SeriesRun) -> Badge:

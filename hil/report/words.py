@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import PurePath
 from typing import Any
 
@@ -59,11 +59,13 @@ def duration(seconds: float | None) -> str:
 
 
 def when(text: Any) -> str:
-    """An ISO time in UTC as people write it; the text itself when it is none."""
+    """An ISO time as people write it, in UTC; the text itself when it is none."""
     try:
-        return datetime.fromisoformat(str(text)).strftime("%d %b %Y, %H:%M UTC")
+        told = datetime.fromisoformat(str(text))
     except ValueError:
         return str(text or "")
+    there = told if told.tzinfo is None else told.astimezone(UTC)
+    return there.strftime("%d %b %Y, %H:%M UTC")
 
 
 def listed(names: Sequence[str], most: int = 4) -> str:

@@ -137,7 +137,7 @@ def validated(source: Source, model: type[M]) -> M:
         more = len(findings) - len(problems)
         raise refuse(source.problems + problems, hint=_HINT, more=more) from None
     if source.problems:
-        raise refuse(source.problems, hint=_HINT)
+        raise refuse(source.problems)
     return spec
 
 
@@ -155,10 +155,28 @@ def refuse_other_kind(source: Source, wanted: str) -> None:
     if not isinstance(data, dict):
         message = f"must be a mapping that begins with `{wanted}: 1`"
         raise refuse([Problem(source.mark(()), (), message)])
-    for key, kind in _KINDS.items():
-        if key in data and wanted not in data:
-            message = f"this file is {kind}, but {_KINDS[wanted]} is needed here"
-            raise refuse([Problem(source.mark((key,), key=True), (), message)])
+    if key := _other_kind(data, wanted):
+        message = f"this file is {_KINDS[key]}, but {_KINDS[wanted]} is needed here"
+        raise refuse([Problem(source.mark((key,), key=True), (), message)])
+
+
+def no_such_kind(file: FilePath, wanted: str) -> str:
+    """What is wrong with naming a file where another kind is needed; empty when nothing is.
+
+    Whatever else is wrong with the file is told by whoever reads it.
+    """
+    try:
+        data = read_source(file).data
+    except SpecError:
+        return ""
+    key = _other_kind(data, wanted)
+    return f"{file} is {_KINDS[key]}, but {_KINDS[wanted]} is needed here" if key else ""
+
+
+def _other_kind(data: Any, wanted: str) -> str:
+    """The key that says that a file is of another kind; empty when it may be what is wanted."""
+    known = data if isinstance(data, dict) and wanted not in data else {}
+    return next((key for key in _KINDS if key in known), "")
 
 
 def _make_absolute(source: Source, folder: FilePath) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path as FilePath
 from pydantic import Field
 
 from hil.spec.checks import is_file
-from hil.spec.load import refuse_other_kind, validated
+from hil.spec.load import no_such_kind, refuse_other_kind, validated
 from hil.spec.quantities import FormatVersion, Name, Strict
 from hil.spec.source import Path, Source, shown
 from hil.spec.yaml_source import read_source
@@ -53,7 +53,7 @@ def is_series(path: str | FilePath) -> bool:
 
 
 def load_series_spec(path: str | FilePath) -> SeriesSpec:
-    """Read a series; the experiments and stations it names must exist, and are not read.
+    """Read a series; what it names must be experiments and stations, and is not checked further.
 
     Returns:
         The series; its paths are absolute.
@@ -86,6 +86,8 @@ def _make_absolute(source: Source, place: Path, folder: FilePath) -> None:
     if not is_file(file):
         source.add(place, f"there is no file {shown(str(file), most=300)}{_guess(file)}")
         return
+    if wrong := no_such_kind(file, "hil_station" if place[-1] == "station" else "hil"):
+        source.add(place, wrong)
     holder[place[-1]] = str(file.resolve())
 
 
