@@ -412,3 +412,11 @@ def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
     assert badge_of(page) == "NOT JUDGED"
     assert "Recording health" not in page.text
     assert len(page.figures) == 31
+
+
+def test_samples_that_count_as_moving_and_as_standing_are_explained(fourier, fourier_page):
+    """Joints are told apart, so the groups together have more samples than were judged."""
+    (fit,) = read_facts(fourier.path).judged_fits
+    groups = {g["name"]: g["samples"] for g in fit.held_out["tables"] if g["by"] == "motion"}
+    assert sum(groups.values()) > fit.total()["samples"]
+    assert "counts in both groups" in fourier_page.text

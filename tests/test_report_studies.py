@@ -112,6 +112,12 @@ def test_numbers_of_a_column_have_equally_many_decimals_where_they_can() -> None
     assert columns_of(table)[1:] == [["0.0235", "0.4757", "–"], ["1.00e-09", "12.0", "3"]]
 
 
+def test_one_small_number_of_a_column_costs_the_others_no_needless_digits() -> None:
+    column = (14.1532, 129.84, 0.0312, 22.719, 0.0)
+    table = Table("t", "", ("", "x"), tuple((str(value), value) for value in column))
+    assert columns_of(table)[1] == ["14.2", "129.8", "0.0312", "22.7", "0.0"]
+
+
 def test_a_damaged_result_is_a_warning_and_costs_nothing_else(tmp_path: Path) -> None:
     run = write_run(tmp_path, dwell_plan(poses=4))
     path = write_study(result(bars()), run.path / "study" / "counted-1")

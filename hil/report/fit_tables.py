@@ -13,6 +13,11 @@ from hil.report.words import UNKNOWN, criterion_text, joint_title, number, short
 
 HELD_OUT, TRAINED = "held out", "trained on"
 
+BOTH_MOTIONS = (
+    "Motion is told joint by joint, each joint judged in either group by itself. A sample in which "
+    "some joints move and others stand still counts in both groups."
+)
+
 
 def comparison(fits: Sequence[FitFacts]) -> Table:
     """All models, means over the joints: held-out errors beside those on the training data."""
@@ -103,7 +108,9 @@ def per_group(fit: FitFacts) -> Table | None:
         Column(f"RMSE filtered [{fit.unit}]"),
     )
     rows = tuple(_group_row(group) for group in several)
-    return Table(f"{fit.label}: held-out errors by group, means over the joints", columns, rows)
+    caption = f"{fit.label}: held-out errors by group, means over the joints"
+    note = BOTH_MOTIONS if any(group.get("by") == "motion" for group in several) else ""
+    return Table(caption, columns, rows, note)
 
 
 def _alike(fits: Sequence[FitFacts]) -> bool:

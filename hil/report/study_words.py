@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from statistics import median_low
 
 from hil.report.words import UNKNOWN, in_words, number
 from hil.study.result import StudyResult, Table, Value
@@ -11,7 +12,7 @@ from hil.study.result import StudyResult, Table, Value
 HONEST = "honest"
 
 DIGITS = 3
-"""Significant digits of the smallest number of a column, and of any that stands by itself."""
+"""Significant digits of the median of a column, and of any number that stands by itself."""
 MOST_DIGITS = 6
 """A column whose largest number would take more is not brought to common decimals."""
 
@@ -56,8 +57,8 @@ def _decimals(values: Sequence[float]) -> int | None:
     sizes = [abs(value) for value in values if math.isfinite(value) and value]
     if not sizes:
         return None
-    low, high = (math.floor(math.log10(size)) for size in (min(sizes), max(sizes)))
-    decimals = max(0, DIGITS - 1 - low)
+    middle, high = (math.floor(math.log10(size)) for size in (median_low(sizes), max(sizes)))
+    decimals = max(0, DIGITS - 1 - middle)
     return decimals if high + 1 + decimals <= MOST_DIGITS else None
 
 
@@ -67,6 +68,7 @@ def _text(value: Value, decimals: int | None) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        known = decimals is not None and math.isfinite(value)
-        return f"{value:.{decimals}f}" if known else number(value, DIGITS)
+        # A number far below the others keeps digits of its own: it is small, and not nothing.
+        shown = decimals is not None and (value == 0 or abs(value) >= 0.5 * 10.0**-decimals)
+        return f"{value:.{decimals}f}" if shown else number(value, DIGITS)
     return str(value)
