@@ -28,7 +28,7 @@ from hil.identify.base import estimator as make_estimator
 from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
 from hil.identify.training_loop.attached import attach, keeps_checkpoints
-from hil.identify.training_loop.problem import Watch
+from hil.identify.training_loop.problem import HearsBeginning, Watch
 from hil.payload import Payload
 from hil.typing import FloatArray
 from hil.validation import (
@@ -128,6 +128,10 @@ def fit_sources(
         # What is not learned from may be shared: warm-ups of two runs on a mock are the same.
         assert_disjoint(usable_part(train, model), usable_part(data, model))
     arm = load_model(robot or train.robot, gravity=train.gravity)
+    if isinstance(watch, HearsBeginning) and keeps_checkpoints(model):
+        learn = usable_part(train, model)
+        of = f"{len(learn)} samples in {len(learn.conditions)} series"
+        watch.began(f"training {estimator} on {of}")
     fitted = _fit(model, train, arm, out, serial)
     judged = tuple(_validated(fitted, train, source, data) for source, data in held_out)
     keep(fitted.folder / EVALUATION_FILE, judged)

@@ -135,3 +135,14 @@ def test_ctrl_c_says_how_to_go_on_and_the_fit_ends_with_the_same_model(
     again = fitted(sources, tmp_path, checkpoints=kept, watch=lambda t: epochs.append(t.epoch))
     assert epochs == [3, 4, 5]
     assert again["folder"].name == whole["folder"].name  # type: ignore[attr-defined]
+
+
+def test_in_a_pipe_the_beginning_is_told_on_stderr(
+    sources: list[Path], whole: dict[str, object], tmp_path: Path
+) -> None:
+    settings = [f"--set={name}={json.dumps(value)}" for name, value in SMALL.items()]
+    options = ["-e", "lagrangian", "-o", str(tmp_path), *settings]
+    found = CliRunner().invoke(app, ["fit", *map(str, sources), *options])
+    samples = whole["model"]["training"]["samples"]  # type: ignore[index]
+    assert found.stderr == f"training lagrangian on {samples} samples in 3 series\n"
+    assert "training" not in found.stdout

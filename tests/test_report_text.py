@@ -1,12 +1,14 @@
 """The summary for a terminal."""
 
 import json
+import shlex
 import subprocess
 import sys
 
 import pytest
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 
+from hil.api import parse_parameters
 from hil.campaign.view import list_runs
 from hil.errors import DataError
 from hil.record.lock import hold_run
@@ -212,6 +214,19 @@ def test_a_narrow_terminal_gets_narrow_lines(tmp_path):
 def test_without_a_report_the_command_for_one_is_shown(tmp_path):
     run = write_run(tmp_path, fourier_plan())
     assert f"hil report {run.path}" in " ".join(summary_lines(run.path))
+
+
+def test_a_fit_that_is_missing_is_offered_with_the_parameters_of_the_spec(tmp_path):
+    run = write_run(tmp_path, dwell_plan())
+    given = {"layers": [4, 8, 1], "form": "it's 5", "seed": 3, "averaging": False}
+    spec = run.path / "spec.yaml"
+    entry = json.dumps({"estimator": "static-mlp-lm", **given})
+    spec.write_text(spec.read_text().replace("{estimator: static-wls}", entry))
+    (line,) = [line for line in summary_lines(run.path) if "hil fit" in line]
+    words = shlex.split(line.removeprefix("next: "))
+    assert words[:5] == ["hil", "fit", str(run.path), "--estimator", "static-mlp-lm"]
+    assert words[5::2] == ["--set"] * len(given)
+    assert parse_parameters(words[6::2]) == given
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):

@@ -35,6 +35,10 @@ class TrainingLine:
         self._since = (time.monotonic(), 0)
         """When the first epoch was told that this process trained, and its number."""
 
+    def began(self, what: str) -> None:
+        """Show it at once, in a pipe too: without it there would be nothing for minutes."""
+        self._show(what)
+
     def __call__(self, told: Told) -> None:
         """Show it, if it is time to."""
         if not self._validation or told.epoch <= len(self._validation):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shlex
 from collections.abc import Sequence
 
 from hil.report.blocks import Badge, Mark
@@ -60,10 +62,17 @@ def next_command(facts: RunFacts, run: str) -> str:
     if facts.status in RESUMABLE and facts.whole:
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
-        return f"hil fit {run} --estimator {wanted[0]}"
+        return f"hil fit {run} --estimator {wanted[0]}{_parameters_of_first(facts)}"
     if facts.status == "completed" and facts.studies_missing:
         return f"hil study {run}"
     return ""
+
+
+def _parameters_of_first(facts: RunFacts) -> str:
+    """Those the spec gives its first fit, for a shell: `hil fit` reads no spec."""
+    first = as_objects(facts.spec.get("fit"))[0]
+    given = (f"{name}={json.dumps(value)}" for name, value in first.items() if name != "estimator")
+    return "".join(f" --set {shlex.quote(text)}" for text in given)
 
 
 def _fitting(facts: RunFacts) -> str:

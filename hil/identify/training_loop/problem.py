@@ -67,5 +67,13 @@ class KeptIfPossible(Protocol):
         """Why; from now on the training is not kept."""
 
 
+@runtime_checkable
+class HearsBeginning(Protocol):
+    """A watch that wants to know of a training before its first epoch, which may take minutes."""
+
+    def began(self, what: str) -> None:
+        """What is trained, and on how much."""
+
+
 def unwatched(told: Told) -> None:
     """Progress that nobody watches."""
