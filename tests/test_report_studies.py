@@ -20,6 +20,7 @@ from hil.report.study_figures import plots_of
 from hil.report.study_sections import study_sections
 from hil.report.study_words import columns_of
 from hil.report.text import summary_lines
+from hil.report.words import number
 from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
 from hil.study.store import read_study, write_problem, write_study
 
@@ -116,6 +117,15 @@ def test_one_small_number_of_a_column_costs_the_others_no_needless_digits() -> N
     column = (14.1532, 129.84, 0.0312, 22.719, 0.0)
     table = Table("t", "", ("", "x"), tuple((str(value), value) for value in column))
     assert columns_of(table)[1] == ["14.2", "129.8", "0.0312", "22.7", "0.0"]
+
+
+def test_what_is_rounded_up_to_a_power_of_ten_gets_no_digit_more() -> None:
+    assert [number(value) for value in (99.97, 100.0, 0.9999, 9.94)] == [
+        "100",
+        "100",
+        "1.00",
+        "9.94",
+    ]
 
 
 def test_a_damaged_result_is_a_warning_and_costs_nothing_else(tmp_path: Path) -> None:

@@ -30,7 +30,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return UNKNOWN
     if value == 0:
         return "0"
-    magnitude = math.floor(math.log10(abs(value)))
+    # Of what is shown: 99.97 is 100 in three digits, and not 100.0.
+    magnitude = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if -4 <= magnitude < 6:
         return f"{value:.{max(0, digits - 1 - magnitude)}f}"
     return f"{value:.{digits - 1}e}"
