@@ -46,6 +46,12 @@ def test_cutoff_close_to_nyquist_is_refused_with_the_highest_possible() -> None:
     assert "40 (hz)" in caught.value.hint
 
 
+def test_a_clock_that_runs_a_little_slow_may_be_filtered_up_to_the_same_cutoff() -> None:
+    assert nyquist_fraction(50.0, "hz", 124.98) == pytest.approx(0.80013, abs=1e-5)
+    with pytest.raises(DataError):
+        nyquist_fraction(50.0, "hz", 124.0)
+
+
 def test_cutoff_in_hz_and_as_fraction_mean_the_same() -> None:
     data = raw(moving(1))
     in_hz = FilterSettings(unit="hz", velocity=7.5, acceleration=7.5, effort=10.0)

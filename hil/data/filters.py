@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.data.dataset import PREPARED, Conditions, Dataset
 from hil.data.filtering.butterworth import (
+    CLOCK,
     MAX_NYQUIST_FRACTION,
     PAUSE_STEPS,
     is_pause,
@@ -37,6 +38,7 @@ from hil.typing import FloatArray
 
 __all__ = [
     "AT_REST",
+    "CLOCK",
     "MAX_NYQUIST_FRACTION",
     "PAUSE_STEPS",
     "PRESETS",

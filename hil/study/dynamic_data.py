@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import (
+    CLOCK,
     MAX_NYQUIST_FRACTION,
     FilterSettings,
     downsample,
@@ -112,7 +113,7 @@ def trajectories_of(
 def _require_below(cutoff_hz: float, recorded_hz: float, every: int) -> None:
     """Refuse a cut-off that filter or thinning would, but as the parameter of the study."""
     kept, highest = (_floor(0.5 * MAX_NYQUIST_FRACTION * recorded_hz / n) for n in (every, 1))
-    if cutoff_hz <= kept:
+    if cutoff_hz <= kept * (1 + CLOCK):
         return
     thinned = f", of which rate_hz keeps {recorded_hz / every:.4g} a second" if every > 1 else ""
     more = f", or up to {highest:g} Hz with a higher rate_hz" if every > 1 else ""

@@ -10,6 +10,10 @@ from hil.typing import BoolArray, FloatArray
 MAX_NYQUIST_FRACTION = 0.8
 """Above this the bilinear transform squeezes the stop band to nothing."""
 
+CLOCK = 5e-3
+"""Share by which a robot's clock may run slow: 50 Hz is 0.8 of the Nyquist frequency at 125 Hz, and
+has to be allowed at 124.98 Hz."""
+
 MIN_NYQUIST_FRACTION = 1e-6
 """Below this nothing passes, and soon the filter cannot be computed."""
 
@@ -57,7 +61,7 @@ def nyquist_fraction(cutoff: float, unit: str, rate_hz: float) -> float:
             hint="look at the unit of the time stamps: they have to be seconds; or raise the "
             "cut-off",
         )
-    if not 0 < fraction <= MAX_NYQUIST_FRACTION:
+    if not 0 < fraction <= MAX_NYQUIST_FRACTION * (1 + CLOCK):
         highest = 0.5 * MAX_NYQUIST_FRACTION * rate_hz
         raise DataError(
             f"a cut-off at {fraction:.3g} of the Nyquist frequency is too high "

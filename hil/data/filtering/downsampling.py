@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.data.dataset import Conditions, Dataset, rows_of
-from hil.data.filtering.butterworth import MAX_NYQUIST_FRACTION, sample_rate
+from hil.data.filtering.butterworth import CLOCK, MAX_NYQUIST_FRACTION, sample_rate
 from hil.data.filtering.settings import FilterSettings
 from hil.errors import DataError
 from hil.typing import BoolArray, FloatArray
@@ -94,7 +94,7 @@ def _step(condition: Conditions, t: FloatArray, settings: FilterSettings) -> int
     highest = max(cutoff for cutoff in present if cutoff is not None)
     passed = highest * 0.5 * rate if settings.unit == "nyquist" else highest
     # The same bound as that of the filter: what is beyond would come back as a lower frequency.
-    most = max(1, int(MAX_NYQUIST_FRACTION * 0.5 * rate / passed * (1 + 1e-9)))
+    most = max(1, int(MAX_NYQUIST_FRACTION * 0.5 * rate / passed * (1 + CLOCK)))
     if every > most:
         raise DataError(
             f"series {condition.id}: one sample in {every} at {rate:.4g} Hz is too few for "
