@@ -131,7 +131,7 @@ class DataError(HilError):
 class CheckpointRefused(DataError):
     """A training kept in `folder` cannot be gone on with; without the folder it begins anew."""
 
-    def __init__(self, message: str, *, folder: Path, hint: str = "") -> None:
+    def __init__(self, message: str, *, folder: Path | None = None, hint: str = "") -> None:
         super().__init__(message, hint=hint)
         self.folder = folder
 

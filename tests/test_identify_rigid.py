@@ -192,7 +192,7 @@ IMPOSSIBLE = [
     ("sign_width", [0.1], r"sign_width is \[0.1\]"),
     ("weighted", "abc", "weighted is 'abc', but must be true or false"),
     ("filters", {"velocity": -1}, r"filters\.velocity: .*greater than 0"),
-    ("filters", {"speed": 1}, r"filters\.speed"),
+    ("filters", {"speed": 1}, "filters has no parameter 'speed'"),
     ("filters", 3, "filters: "),
 ]
 

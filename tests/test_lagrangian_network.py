@@ -179,7 +179,7 @@ def test_a_torque_scale_that_is_none_is_refused(scale) -> None:
         ({"hidden": []}, "network.hidden"),
         ({"hidden": [0]}, "network.hidden.0"),
         ({"epsilon": -1.0}, "network.epsilon"),
-        ({"width": 64}, "network.width"),
+        ({"width": 64}, "network has no parameter 'width'"),
     ],
 )
 def test_settings_nobody_knows_are_told_by_name(given, told) -> None:

@@ -126,7 +126,7 @@ def test_no_list_of_keys_is_pointed_at_where_a_file_name_is_wrong(folder: Path) 
 
 
 def test_a_key_that_is_nothing_like_the_known_ones_is_no_slip_of_one(folder: Path) -> None:
-    (line,) = refusal(written(folder, "series: [{spec: small.yaml, speed: 1}]\n"))
+    (line,) = refusal(written(folder, "series: [{spec: small.yaml, rate: 1}]\n"))
     assert "did you mean" not in line
 
 

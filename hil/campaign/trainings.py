@@ -102,11 +102,12 @@ def fit_or_go_on(
         try:
             return make(folder)
         except CheckpointRefused as error:
-            if error.folder in removed or not error.folder.is_relative_to(folder):
+            refused = error.folder
+            if refused is None or refused in removed or not refused.is_relative_to(folder):
                 raise
-            removed.add(error.folder)
+            removed.add(refused)
             note(f"{error.message}; this training begins anew")
-            shutil.rmtree(error.folder, ignore_errors=True)
+            shutil.rmtree(refused, ignore_errors=True)
 
 
 def forget(run: Path) -> None:
