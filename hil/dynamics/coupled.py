@@ -108,6 +108,15 @@ class CoupledModel(RobotModel):
         by_q, by_qd, by_qdd = (np.asarray(self._T.T @ one @ self._T) for one in found)
         return by_q, by_qd, by_qdd + np.diag(self.rotor_inertia)
 
+    def momentum(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """As `RobotModel.momentum`, in the motors' coordinates."""
+        bodies, rotors = np.split(np.asarray(parameters), [len(PARAMETERS) * self.n])
+        links = np.concatenate([bodies, np.zeros(self.n)])
+        p, gradient = self._serial.momentum(links, *self.joints(q, qd))
+        return p @ self._T + rotors * np.asarray(qd), gradient @ self._T
+
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) motor torques behind the gears that hold the arm still."""
         torque: FloatArray = self._serial.gravity(*self.joints(q)) @ self._T

@@ -22,7 +22,12 @@ from hil.dynamics.build import (
     pose_of,
 )
 from hil.dynamics.chain import Chain
-from hil.dynamics.inertial import PARAMETERS, payload_inertia, transfer_matrix
+from hil.dynamics.inertial import (
+    PARAMETERS,
+    payload_inertia,
+    payload_parameters,
+    transfer_matrix,
+)
 from hil.dynamics.regressor import Regressor, compiles
 from hil.errors import DataError, SpecError
 from hil.payload import Payload
@@ -198,6 +203,22 @@ class RobotModel:
         out = np.empty(q.shape)
         fill_torques(self._chain, q, qd, qdd, bodies.reshape(self.n, -1), rotors, out)
         return out
+
+    def momentum(
+        self, parameters: FloatArray, q: FloatArray, qd: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Momentum M(q) q̇ [N·m·s] and Cᵀ(q, q̇) q̇ [N·m], each (N, n), of any parameters (11·n,)."""
+        from hil.dynamics.momentum import momentum
+
+        return momentum(self._chain, np.asarray(parameters), *self._rows(q, qd))
+
+    def loaded_parameters(self, parameters: FloatArray, payload: Payload) -> FloatArray:
+        """(11·n,) parameters with a load fixed to the flange."""
+        last = slice((self.n - 1) * len(PARAMETERS), self.n * len(PARAMETERS))
+        X = transfer_matrix(pose_of(self._model.frames[self._flange].placement))
+        loaded = np.array(parameters, dtype=np.float64)
+        loaded[last] += X @ payload_parameters(payload)
+        return loaded
 
     def gravity(self, q: FloatArray) -> FloatArray:
         """(N, n) joint torques that hold the arm still."""
