@@ -22,6 +22,7 @@ from hil.engine import Observer
 from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
+    from hil.deploy.export.c_export import CExport
     from hil.deploy.identified_urdf import UrdfExport
     from hil.fitting import FitReport
     from hil.identify.payload_estimate import PayloadEstimate
@@ -36,6 +37,7 @@ __all__ = [
     "describe_run",
     "estimate_payload",
     "evaluate",
+    "export_c",
     "export_urdf",
     "figures",
     "fit",
@@ -247,6 +249,30 @@ def estimate_payload(
     from hil.load_fit import payload_of_sources
 
     return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
+
+
+def export_c(
+    model: AnyPath, out: AnyPath, *, prefix: str = "hil", unchecked: bool = False
+) -> CExport:
+    """Write a saved model as C99 for a controller, checked on golden vectors first.
+
+    Args:
+        model: Its folder.
+        out: The folder to be made.
+        prefix: What files and symbols begin with.
+        unchecked: Write it although there is no C compiler to check it with.
+
+    Raises:
+        DataError: The model cannot be read.
+        FitError: It is of a kind that is not exported, or the program does not agree with it.
+        PluginError: There is no C compiler.
+        RecordingError: The folder exists already.
+        SpecError: The prefix cannot be one.
+    """
+    from hil.deploy.export.c_export import export_c as export
+    from hil.identify.model_file import load_model_file
+
+    return export(load_model_file(Path(model)), Path(out), prefix=prefix, unchecked=unchecked)
 
 
 def export_urdf(model: AnyPath, out: AnyPath) -> UrdfExport:

@@ -1,4 +1,4 @@
-"""`hil urdf`: an identified model for other programs."""
+"""`hil export` and `hil urdf`: an identified model for other programs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,40 @@ from typing import Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table
+from hil.errors import SpecError
 
 
 def register(app: typer.Typer) -> None:
     """Add this group's verb."""
     app.command()(urdf)
+    app.command()(export)
+
+
+def export(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to make.", show_default=False)],
+    to: Annotated[str, typer.Option("--to", help="What to write: c.")] = "c",
+    prefix: Annotated[str, typer.Option(help="What files and symbols begin with.")] = "hil",
+    unchecked: Annotated[
+        bool, typer.Option("--unchecked", help="Write it without a compiler to check it with.")
+    ] = False,
+    json: JsonFlag = False,
+) -> None:
+    """Write a model as a C program for a controller, checked against the model in Python."""
+    from hil import api
+
+    if to != "c":
+        raise SpecError(
+            f"--to is {to!r}, but a model is written as: c", hint="urdf: see `hil urdf`"
+        )
+    told = api.export_c(model, out, prefix=prefix, unchecked=unchecked)
+    if json:
+        print_json({"model": str(model), "to": to, **told.to_dict()})
+        return
+    typer.echo(f"{told.out}: {', '.join(told.files)}")
+    typer.echo(f"  {told.parts}; {len(told.joint_names)} joints, efforts in {told.effort_unit}")
+    unrun = "not checked: build it and run its self-test where it is used"
+    typer.echo(f"  {f'self-test: {told.checked}' if told.checked else unrun}")
 
 
 def urdf(

@@ -47,7 +47,7 @@ class FrictionLaw:
             ValueError: There are more or fewer coefficients or joints than the groups have.
         """
         law, n = cls(chosen, (), shapes), len(chosen)
-        counts = [sum(law._count(name) for name in names) for names in chosen]
+        counts = [sum(law.count(name) for name in names) for names in chosen]
         if flat.shape != (sum(counts),) or shapes.length.shape != (n,):
             raise ValueError(
                 f"friction: {flat.size} coefficients and shapes of {shapes.length.size} joints "
@@ -76,7 +76,7 @@ class FrictionLaw:
             f"{joint}.{column}"
             for joint, names in zip(joint_names, self.chosen, strict=True)
             for name in names
-            for column in column_names(name, self._count(name))
+            for column in column_names(name, self.count(name))
         )
 
     @cached_property
@@ -90,14 +90,19 @@ class FrictionLaw:
         for j, names in enumerate(self.chosen):
             at = 0
             for name in names:
-                count = self._count(name)
+                count = self.count(name)
                 weights = found.setdefault(name, [np.zeros(n) for _ in range(count)])
                 for i in range(count):
                     weights[i][j] = self.coefficients[j][at + i]
                 at += count
         return found
 
-    def _count(self, name: str) -> int:
+    def count(self, name: str) -> int:
+        """How many columns, and so coefficients, a group has.
+
+        Raises:
+            KeyError: There is no such group.
+        """
         probe = np.zeros((1, len(self.chosen)))
         states = dict.fromkeys(MULTIPLES, probe)
         motion = FrictionMotion(probe, probe, probe, self.shapes, given=states)

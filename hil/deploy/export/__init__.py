@@ -1,0 +1,1 @@
+"""Fitted models for other programs: C for controllers, ONNX, parameters as JSON."""

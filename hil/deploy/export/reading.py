@@ -1,0 +1,87 @@
+"""Programs from fitted models."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hil.deploy.export.program import PlainFriction, Program, bodies
+from hil.dynamics import RobotModel, base_parameters
+from hil.errors import FitError
+from hil.identify.base import RobotEstimator
+from hil.identify.residual.fitted import CorrectedModel
+from hil.identify.rigid_hysteresis import RigidHysteresis
+from hil.identify.rigid_irls import NARROWEST
+from hil.identify.rigid_linear import TERMS, RigidLinear
+from hil.typing import FloatArray
+
+
+def program_of(model: RobotEstimator) -> Program:
+    """What the model computes, as arithmetic.
+
+    Raises:
+        FitError: It is not fitted, or of a kind that is not exported.
+    """
+    if not hasattr(model, "sigma_"):
+        raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
+    if isinstance(model, CorrectedModel):
+        return _corrected(model)
+    if isinstance(model, RigidHysteresis):
+        base = base_parameters(model.robot_, rotor=True)
+        rigid, gears = (base.expand(beta) for beta in (model.rigid_, model.gear_rigid_))
+        return _program(model, rigid, gears, model.law_)
+    if isinstance(model, RigidLinear):
+        n = model.robot_.n
+        beta, friction = np.split(model.coefficients_, [-len(TERMS) * n])
+        rigid = base_parameters(model.robot_, rotor=True).expand(beta)
+        coulomb, viscous, offset = friction.reshape(n, len(TERMS)).T
+        exponent = np.broadcast_to(getattr(model, "exponent_", np.ones(n)), (n,))
+        width = model.sign_width or NARROWEST
+        plain = PlainFriction(coulomb, viscous, offset, model.sign_width, exponent, width)
+        return _program(model, rigid, rigid, plain)
+    raise FitError(
+        f"{model.estimator} cannot be exported as a program",
+        hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), or residual on one",
+    )
+
+
+def _corrected(model: CorrectedModel) -> Program:
+    inner = program_of(model.base_)
+    correction = model.correction_
+    if not np.any(correction.kept):
+        return replace(inner, estimator=model.estimator)
+    if correction.settings.inputs != "motion":
+        raise FitError(
+            f"the residual network has inputs: {correction.settings.inputs}, so it needs the "
+            "torque that a controller wants predicted",
+            hint="fit residual with inputs: motion",
+        )
+    return replace(inner, estimator=model.estimator, correction=correction)
+
+
+def _program(
+    model: RobotEstimator, rigid: FloatArray, gears: FloatArray, friction: object
+) -> Program:
+    robot = model.robot_
+    return Program(
+        estimator=model.estimator,
+        joint_names=model.joint_names_,
+        effort_kind=model.effort_kind_,
+        geometry=robot.joint_geometry(),
+        gravity=np.asarray(robot.gravity_vector, dtype=np.float64),
+        flange=flange_in_last_joint(robot),
+        rigid=bodies(rigid, robot.n),
+        gears=bodies(gears, robot.n),
+        friction=friction,  # type: ignore[arg-type]  # what `program_of` hands over
+        scale=model.torque_scale_,
+    )
+
+
+def flange_in_last_joint(robot: RobotModel) -> FloatArray:
+    """(4, 4) pose of the flange in the frame of the last joint; it does not depend on q."""
+    last = np.eye(4)
+    for place in robot.joint_geometry().placement:
+        last = last @ place
+    flange = robot.flange_pose(np.zeros((1, robot.n)))[0]
+    return np.asarray(np.linalg.solve(last, flange))
