@@ -1,0 +1,89 @@
+"""A fitted model in a loop: one sample in, effort and its parts out."""
+
+from __future__ import annotations
+
+from hil.deploy.compiled import CompiledProgram
+from hil.deploy.export.c_build import compiler
+from hil.errors import FitError
+from hil.identify.base import RobotEstimator
+from hil.payload import Payload
+from hil.typing import FloatArray
+
+
+class Predictor:
+    """What a model says of each sample of a motion, as it comes.
+
+    Where a C compiler is found and the model is of a kind that is exported, it is machine code and
+    allocates nothing in steady state; else it is the model's own stream, slower and without parts.
+    Friction and networks remember: feed every sample, at the rate of the training.
+
+    Args:
+        model: Fitted.
+        payload: What is mounted.
+        compiled: True insists on machine code, False on Python; None takes what there is.
+
+    Attributes:
+        compiled: Which it is.
+
+    Raises:
+        FitError: `compiled` is asked for, and the model is of a kind that is not exported.
+        PluginError: `compiled` is asked for, and there is no C compiler.
+    """
+
+    def __init__(
+        self,
+        model: RobotEstimator,
+        payload: Payload | None = None,
+        *,
+        compiled: bool | None = None,
+    ) -> None:
+        self._model, self._load = model, payload or Payload()
+        self._program = _program(model, compiled)
+        self.compiled = self._program is not None
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin afresh with the next sample; the load stays."""
+        if self._program is None:
+            self._stream = self._model.stream(self._load)
+            return
+        self._program.reset()
+        self._program.mount(self._load)
+
+    def step(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
+        """Effort (n,) of one sample, each input (n,).
+
+        Of a compiled predictor the same array comes back every time: copy what is to stay.
+
+        Raises:
+            DataError: An input is not one number per joint, or, compiled, not finite.
+        """
+        if self._program is None:
+            return self._stream.step(q, qd, qdd)
+        return self._program.step(q, qd, qdd)
+
+    def explain(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
+        """The same step, in parts: gravity, inertia, load, friction, ripple, drive, residual.
+
+        Raises:
+            DataError: As `step`.
+            FitError: The predictor is not compiled.
+        """
+        if self._program is None:
+            raise FitError(
+                "parts of single samples need a compiled predictor",
+                hint="install a C compiler, or use predict on a whole dataset",
+            )
+        self._program.step(q, qd, qdd, explain=True)
+        return self._program.parts
+
+
+def _program(model: RobotEstimator, compiled: bool | None) -> CompiledProgram | None:
+    if compiled is False or (compiled is None and compiler() is None):
+        return None
+    try:
+        return CompiledProgram(model)
+    except FitError:
+        if compiled:
+            raise
+        return None
