@@ -12,6 +12,7 @@ from hil.data.prediction import Prediction
 from hil.dynamics import load_model
 from hil.errors import DataError, FitError
 from hil.identify.rigid import RigidWls
+from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque
 from hil.identify.static import StaticWls
 from hil.payload import Payload
@@ -84,6 +85,13 @@ def test_a_model_may_say_its_friction_itself() -> None:
             return np.arange(6.0)
 
     assert dry_friction(Sticky().fit(dwelling(80), nominal())) == pytest.approx(np.arange(6.0))
+
+
+def test_friction_with_memory_has_gravity_and_no_one_level_of_dry_friction() -> None:
+    fast = {"friction": ("core",), "fit_shapes": False, "consistent": False}
+    model = RigidHysteresis(**fast).fit(moving(1, 2, 3), nominal())
+    assert dry_friction(model) is None
+    assert gravity_torque(model, POSES).shape == POSES.shape
 
 
 def test_currents_without_gains_have_no_torque() -> None:

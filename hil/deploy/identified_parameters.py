@@ -34,6 +34,9 @@ REACH_RAD = np.pi
 SMALLEST_SHARE = 1e-3
 """Torques are matched to this share of a joint's largest one; exactly where links allow."""
 
+RIGID_SHARE = 1e-6
+"""What a rigid body may leave of a model's rigid torques, as a share of the largest."""
+
 FRICTION_S, FRICTION_HZ = 60.0, 1000.0
 SIGN_WIDTH = 0.01
 
@@ -80,6 +83,26 @@ def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
     return IdentifiedParameters(
         inertial, coulomb, viscous, mismatch, given is not None, tuple(notes)
     )
+
+
+def rigid_parameters(model: RobotEstimator) -> FloatArray:
+    """(11n,) parameters with the model's rigid torques; not those of links that can exist.
+
+    Raises:
+        FitError: The model has no rigid part, or one that no links make.
+    """
+    motion = _sampled(model)
+    torque = _rigid_torque(model, motion)
+    base = base_parameters(model.robot_, rotor=True)
+    W = base.regressor(model.robot_, *motion)
+    parameters = base.expand(np.asarray(np.linalg.lstsq(W, torque.ravel())[0], np.float64))
+    error = torque - model.robot_.torque(parameters, *motion)
+    if np.any(np.abs(error).max(axis=0) > RIGID_SHARE * np.abs(torque).max()):
+        raise FitError(
+            f"the gravity and inertia of {model.estimator} are not those of any rigid body",
+            hint="fit a rigid-body model: rigid-hysteresis, rigid-wls",
+        )
+    return parameters
 
 
 def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> FloatArray:

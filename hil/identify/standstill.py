@@ -115,7 +115,9 @@ def require_torque(model: RobotEstimator) -> None:
 
 def _per_joint(model: RobotEstimator, name: str) -> FloatArray | None:
     """(n,) parameters `<joint>.<name>` [N·m], None where a joint has none."""
-    values: Any = getattr(model, "coefficients_", ())
+    values: Any = getattr(model, "coefficients_", None)
+    if values is None:  # names of parameters alone, as friction with memory has
+        return None
     known = dict(zip(getattr(model, "parameter_names_", ()), values, strict=True))
     own = [known.get(f"{joint}.{name}") for joint in model.joint_names_]
     return None if None in own else np.array(own, dtype=np.float64)
