@@ -1,9 +1,10 @@
-"""Standard errors of loads and of a controller's gains, over many noises; takes a minute."""
+"""Errors of loads, of their declarations' check, and of gains, over many noises; minutes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from load_parts import OFF_AXIS, estimates
 from scipy.signal import lfilter
 from synthetic_motion import LOAD, moving, nominal
 from test_identify_controller_gains import BELIEVED, logged
@@ -11,6 +12,7 @@ from test_identify_payload import NOISE_A, under_load
 
 from hil.data import Dataset
 from hil.identify.controller_gains import controller_gains
+from hil.identify.payload_declared import FALSE_ALARM, check_declarations
 from hil.identify.payload_fit import estimate_payload, true_values
 from hil.identify.rigid import RigidWls
 
@@ -42,3 +44,9 @@ def test_standard_errors_of_gains_know_that_control_errors_last() -> None:
     found = [controller_gains(logged(seed, noise=0.1)) for seed in range(20, 60)]
     deviations = np.array([(one.gain - BELIEVED)[1:3] / one.gain_error[1:3] for one in found])
     assert 0.7 < np.std(deviations) < 1.4
+
+
+def test_at_most_two_of_300_correct_declarations_are_called_wrong() -> None:
+    found = [one for s in range(200, 300) for one in check_declarations(OFF_AXIS, estimates(s))]
+    assert FALSE_ALARM * len(found) < 2
+    assert sum(not one.agrees for one in found) <= 2

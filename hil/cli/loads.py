@@ -1,4 +1,4 @@
-"""`hil payload`: the load of a recording, by a model of the arm."""
+"""`hil payload`, `hil validate-loads`: loads of recordings, and whether they are those declared."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import typer
 
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.runs import RunArgument
+from hil.cli.studies import make
+from hil.errors import SpecError
 
 
 def register(app: typer.Typer) -> None:
-    """Add this group's verb."""
+    """Add this group's verbs."""
     app.command()(payload)
+    app.command()(validate_loads)
 
 
 def payload(
@@ -64,6 +68,29 @@ def payload(
     typer.echo("\nfor a spec, a map, or --payload:")
     for line in _lines(told["payload"]):
         typer.echo(line)
+
+
+def validate_loads(
+    run: RunArgument,
+    model: Annotated[
+        Path | None,
+        typer.Option("--model", help="Folder of a model fitted without a load; none is fitted."),
+    ] = None,
+    estimator: Annotated[
+        str,
+        typer.Option("--estimator", "-e", help="Fitted to the first load; by default the study's."),
+    ] = "",
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Errors of a model of the bare arm under a run's loads, and each declared load checked."""
+    from hil.record.catalogue import find_run
+
+    if model is not None and estimator:
+        raise SpecError("--model and --estimator exclude each other", hint="give one of them")
+    given = {"model": str(model) if model else "", "estimator": estimator}
+    path = find_run(run, runs)
+    make(path, "load-validation", {key: value for key, value in given.items() if value}, json)
 
 
 FREED = {

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,13 +36,19 @@ def study(
 ) -> None:
     """Make the studies of a run (again), and its report: tables and figures of methods compared."""
     from hil import api
+    from hil.record.catalogue import find_run
+
+    make(find_run(run, runs), name, api.parse_parameters(options or ()), json)
+
+
+def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> None:
+    """Make the studies of a run directory, or one by name, and tell what they found."""
     from hil.campaign.studies import entries_for, run_studies
     from hil.cli.study_progress import StudyBar
-    from hil.record.catalogue import find_run
     from hil.report import render_report
 
-    path, bar = find_run(run, runs), StudyBar()
-    entries = entries_for(path, name or None, api.parse_parameters(options or ()))
+    bar = StudyBar()
+    entries = entries_for(path, name or None, parameters)
     try:
         done = run_studies(path, entries, bar.show, bar.ended)
     except KeyboardInterrupt:

@@ -57,6 +57,10 @@ class PayloadEstimate:
         values: (10,) the same as numbers.
         std_error: (10,) standard errors, given the form of the model and its drive gains.
         interval: (10, 2) 95 % intervals of Student's t by blocks of time.
+        covariance: (10, 10) of the values, whose diagonal `std_error` squares.
+        degrees: (10,) of Student's t.
+        by_gain: (10, n) by how much a value is too small for each share by which the true gain of a
+            joint's drive is above the model's; the errors above know nothing of gains.
         residual: (n,) RMS of the filtered effort less the prediction with the load.
         without: (n,) the same with nothing at the flange.
         unit: `A` or `N·m`, of the residuals.
@@ -74,6 +78,9 @@ class PayloadEstimate:
     values: FloatArray
     std_error: FloatArray
     interval: FloatArray
+    covariance: FloatArray
+    degrees: FloatArray
+    by_gain: FloatArray
     residual: FloatArray
     without: FloatArray
     unit: str

@@ -32,7 +32,8 @@ from hil.identify.payload_step import LOAD, Step, best_friction, step
 from hil.payload import Payload
 from hil.typing import BoolArray, FloatArray, IntArray
 
-MOST_STEPS = 16
+MOST_STEPS = 48
+"""Weights follow the residuals; where wrong gains leave much of these, that settles slowly."""
 
 FRESH = 5
 """Steps between Jacobians: they hardly change once the load is roughly known."""
@@ -141,13 +142,17 @@ def _told(problem: LoadProblem, found: _Solution) -> PayloadEstimate:
     # A load is a difference: the arm without it was measured with errors of the same kind.
     both = 1.0 + len(residual) / max(problem.model.samples_, 1)
     G = central_jacobian(found.step.parameters)
-    error = np.sqrt(both * np.diag(G @ spread.covariance[:LOAD, :LOAD] @ G.T))
+    covariance = both * G @ spread.covariance[:LOAD, :LOAD] @ G.T
+    error = np.sqrt(np.diag(covariance))
     values = _values(found.step.parameters)
     return PayloadEstimate(
         payload=payload_of(found.step.parameters),
         values=values,
         std_error=error,
         interval=interval(values, error, spread.degrees[:LOAD], LEVEL),
+        covariance=covariance,
+        degrees=spread.degrees[:LOAD],
+        by_gain=G @ _by_gain(found, residual),
         residual=_rms(residual),
         without=_rms(problem.target - problem.bare.effort),
         unit=problem.data.effort_unit,
@@ -170,6 +175,21 @@ def _covariance(at: Linearised, residual: FloatArray, blocks: IntArray) -> Clust
     length = np.sqrt(np.diag(gram))
     scale = np.outer(length, length)
     return clustered_covariance(np.linalg.inv(gram / scale) / scale, sums, "CR2")
+
+
+def _by_gain(found: _Solution, residual: FloatArray) -> FloatArray:
+    """(10, n) by how much the parameters fall short per share that a joint's gain is larger.
+
+    The true effort of the load is then less by that share, at that joint alone.
+    """
+    n = residual.shape[1]
+    weight = 1.0 / np.maximum(_rms(residual), 1e-12)
+    X = np.hstack([found.at.load, found.at.friction]) * np.tile(weight, len(residual))[:, None]
+    length = np.linalg.norm(X, axis=0)
+    carried = (found.at.load @ found.step.parameters).reshape(-1, n) * weight
+    each = (carried[:, :, None] * np.eye(n)).reshape(-1, n)
+    told = np.linalg.lstsq(X / length, each, rcond=None)[0] / length[:, None]
+    return np.asarray(told[:LOAD])
 
 
 def _correction(extra: FloatArray, n: int) -> Correction:

@@ -1,0 +1,108 @@
+"""Motions a study of loads fits to, identifies each load from, and judges on: never the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings, downsample
+from hil.data.splits import SAME_SHARE, Group, group_of, groups
+from hil.errors import DataError, FitError
+from hil.identify.base import RobotEstimator
+from hil.identify.model_file import load_model_file
+from hil.payload import Payload
+from hil.study.dynamic_data import held_out
+from hil.study.inverse_cases import Recorded, load_names
+
+OTHER_MOTIONS = "record other motions, or fit with `validate: {hold_out: {trajectories: 3}}`"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadCase:
+    """One load of a run.
+
+    Attributes:
+        name: Such as `3 kg`.
+        declared: As the run's spec has it.
+        told: Motions to identify it from; None for the first load, under which models learn.
+        judged: The motions held out, under this load.
+    """
+
+    name: str
+    declared: Payload
+    told: Dataset | None
+    judged: Dataset
+
+
+def unseen(model: Path, of: Recorded, seed: int) -> tuple[RobotEstimator, frozenset[Group]]:
+    """A stored model, and the motions of a run to judge it on.
+
+    Those of the run are drawn where it has seen none of them.
+
+    Raises:
+        DataError: It cannot be read, has seen all of them, or was fitted with another load.
+    """
+    stored = load_model_file(model)
+    if _knows(stored, _loaded(of)):
+        raise DataError(
+            f"{model} was fitted to recordings of this run with a load",
+            hint="fit a model to the first load alone, or name an --estimator",
+        )
+    bare = of.bare.data
+    every = groups(bare, "trajectory")
+    fresh = [group for group in every if not _knows(stored, _motions(bare, frozenset([group])))]
+    if not fresh:
+        raise DataError(f"{model} was fitted to every motion of this run", hint=OTHER_MOTIONS)
+    if len(fresh) == len(every):
+        return stored, frozenset(held_out(of.bare, seed).held_out)
+    return stored, frozenset(fresh)
+
+
+def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
+    """The first load, then the others.
+
+    Raises:
+        FitError: The run has no other load, or one of them not all the motions it takes.
+    """
+    bare, loaded = of.bare.data, _loaded(of)
+    first = next(iter(bare.conditions))
+    names = load_names(bare) | load_names(loaded)
+    cases = [LoadCase(names[first.load], first.payload, None, _motions(bare, held))]
+    return [*cases, *_others(loaded, held, of.bare.filters, names)]
+
+
+def _others(
+    loaded: Dataset, held: frozenset[Group], filters: FilterSettings, names: dict[int, str]
+) -> Iterator[LoadCase]:
+    declared = {condition.load: condition.payload for condition in loaded.conditions}
+    for load in sorted(declared):
+        own = [i for i, condition in enumerate(loaded.conditions) if condition.load == load]
+        data = loaded.take(own)
+        judged = _motions(data, held)
+        told = _motions(data, frozenset(groups(data, "trajectory")) - held)
+        if not judged.conditions or not told.conditions:
+            raise FitError(
+                f"{names[load]}: no motion is left to "
+                f"{'identify it from' if judged.conditions else 'judge on'}",
+                hint="record every trajectory with every load",
+            )
+        yield LoadCase(names[load], declared[load], downsample(told, filters), judged)
+
+
+def _loaded(of: Recorded) -> Dataset:
+    if of.loaded is None:
+        raise FitError(
+            "the run has no load besides its first",
+            hint="record one with several, as experiments/load_generalisation.yaml does",
+        )
+    return of.loaded
+
+
+def _motions(data: Dataset, wanted: frozenset[Group]) -> Dataset:
+    return data.select(lambda condition: group_of(condition, "trajectory") in wanted)
+
+
+def _knows(model: RobotEstimator, data: Dataset) -> bool:
+    return bool(model.training_ and model.training_.rows.share_known(data) > SAME_SHARE)

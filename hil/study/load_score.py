@@ -1,0 +1,76 @@
+"""One load of a run under one model: its errors told and not told, and what was identified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.errors import FitError
+from hil.identify.base import RobotEstimator
+from hil.identify.payload_declared import Declaration
+from hil.identify.payload_estimate import PayloadEstimate
+from hil.identify.payload_fit import estimate_payload
+from hil.identify.payload_problem import Friction, with_identified
+from hil.payload import Payload
+from hil.study.dynamic_methods import rmse_where
+from hil.study.load_cases import LoadCase
+from hil.typing import FloatArray
+
+TOLD = ("unaware", "declared", "identified")
+"""What the model is told of the load: nothing, what the spec says, what other motions say."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """One load.
+
+    Attributes:
+        case: Its recordings.
+        errors: By `TOLD`, (n,) RMSE in N·m on the motions held out; without `identified` where
+            there is no estimate.
+        estimate: The identified load; None for the first one, and where it failed.
+        failed: Why it did.
+        check: The declaration against it; None without an estimate.
+    """
+
+    case: LoadCase
+    errors: Mapping[str, FloatArray]
+    estimate: PayloadEstimate | None = None
+    failed: str = ""
+    check: Declaration | None = None
+
+
+def scored(
+    model: RobotEstimator,
+    case: LoadCase,
+    scale: FloatArray,
+    friction: Friction | Literal["auto"] = "auto",
+) -> Scored:
+    """A load's errors; an estimate that fails is told, not raised.
+
+    Args:
+        model: Fitted without it.
+        case: The load.
+        scale: (n,) torque per unit of effort.
+        friction: See `estimate_payload`.
+    """
+    loads = {"unaware": Payload(), "declared": case.declared}
+    found, failed = None, ""
+    if case.told is not None:
+        try:
+            found = estimate_payload(model, case.told, friction=friction)
+            loads["identified"] = found.payload
+        except FitError as error:
+            failed = error.message
+    errors = {told: _error(model, case.judged, load, scale) for told, load in loads.items()}
+    return Scored(case, errors, found, failed)
+
+
+def _error(model: RobotEstimator, data: Dataset, load: Payload, scale: FloatArray) -> FloatArray:
+    predicted = model.predict(with_identified(data, load))
+    torque = np.where(predicted.valid, predicted.effort, np.nan) * scale
+    return rmse_where(data["effort_f"] * scale, torque, np.isfinite(torque))

@@ -1,0 +1,180 @@
+"""The study of loads: what it fits to, what it judges on, what it says; and its verb."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from load_parts import OFF_AXIS, ON_AXIS, recorded, sweep
+from report_runs import dwell_plan, write_run
+from synthetic_motion import nominal, raw
+from typer.testing import CliRunner
+
+from hil.campaign import studies as campaign
+from hil.cli.app import app
+from hil.data.splits import assert_disjoint
+from hil.errors import DataError, FitError, SpecError
+from hil.identify.rigid import RigidWls
+from hil.payload import Payload
+from hil.study.base import study
+from hil.study.inverse_cases import recorded as recorded_from
+from hil.study.load_cases import load_cases, unseen
+from hil.study.result import StudyResult, Table
+from hil.study.soundness import faults_of
+
+SMALL: dict[str, Any] = {"cutoff_hz": 20.0, "rate_hz": 50.0, "estimator": "rigid-wls"}
+
+
+@cache
+def found(declared: tuple[Payload, ...] = OFF_AXIS) -> StudyResult:
+    return study("load-validation", **SMALL).run(sweep(declared=declared), nominal())
+
+
+JOINTS = [f"J{j}" for j in range(1, 7)]
+
+
+def table(result: StudyResult, key: str) -> Table:
+    (one,) = (table for part in result.parts for table in part.tables if table.key == key)
+    return one
+
+
+def test_told_of_the_load_a_model_errs_far_less() -> None:
+    mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
+    for load in ("1 kg", "3 kg", "5 kg"):
+        for told in ("declared", "identified"):
+            assert mean[f"{load}, {told}"] < 0.5 * mean[f"{load}, unaware"]
+    assert mean["0 kg, unaware"] == mean["0 kg, declared"]
+    assert "0 kg, identified" not in mean
+
+
+def test_every_load_has_its_bars_told_and_not() -> None:
+    (figure,) = found().parts[0].figures
+    assert [panel.title for panel in figure.panels] == ["Mean over the joints", *JOINTS]
+    for curve in figure.panels[0].curves:
+        assert curve.x == ("0 kg", "1 kg", "3 kg", "5 kg")
+    assert [c.name for c in figure.panels[0].curves] == ["unaware", "declared", "identified"]
+    assert faults_of(found()) == []
+
+
+def test_correct_declarations_are_said_to_agree() -> None:
+    assert [row[1] for row in table(found(), "table-declarations").rows] == 3 * ["agrees"]
+    assert found().summary[0].startswith("All 3 declared loads agree")
+    assert found().warnings == ()
+    off = {row[0]: row[5] for row in table(found(), "table-identified").rows}
+    assert len(off) == 30
+    assert abs(off["3 kg: mass [kg]"]) < 0.05
+
+
+def test_a_tool_mounted_the_wrong_way_round_is_named() -> None:
+    x, y, z = OFF_AXIS[1].com
+    declared = (OFF_AXIS[0], replace(OFF_AXIS[1], com=(-x, -y, z)), OFF_AXIS[2])
+    rows = table(found(declared), "table-declarations").rows
+    assert [row[1] for row in rows] == ["agrees", "CONTRADICTED", "agrees"]
+    assert "turned by" in str(rows[1][2])
+    assert found(declared).summary[0].startswith("3 kg: turned by")
+
+
+def test_loads_on_the_axis_are_said_to_hide_their_angle() -> None:
+    result = study("load-validation", **SMALL, figures=False).run(sweep(mounted=ON_AXIS), nominal())
+    assert any("1 kg, 3 kg and 5 kg" in note and "observed" in note for note in result.warnings)
+    assert {row[3] for row in table(result, "table-declarations").rows} == {"cannot be seen"}
+    assert result.parts[0].figures == ()
+
+
+def test_no_motion_is_identified_from_and_judged() -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+    cases = load_cases(of, frozenset([("run2", 2)]))
+    assert [case.name for case in cases] == ["0 kg", "1 kg", "3 kg", "5 kg"]
+    for case in cases[1:]:
+        assert case.told is not None
+        assert_disjoint(case.told, case.judged)
+        assert len(case.judged.conditions) == 1
+
+
+def test_a_stored_model_is_judged_on_what_it_has_not_seen(tmp_path: Path) -> None:
+    run = sweep()
+    seen = run.select(lambda c: c.load == 0 and c.trajectory not in (2, 3))
+    saved = RigidWls().fit(seen, nominal()).save(tmp_path)
+    _, held = unseen(saved, recorded_from(run, nominal(), 20.0, 50.0), 0)
+    assert sorted(number for _, number in held) == [2, 3]
+    result = study("load-validation", **SMALL | {"estimator": "none", "model": str(saved)})
+    assert result.run(run, nominal()).summary[0].startswith("All 3 declared loads agree")
+
+
+def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+    saved = RigidWls().fit(sweep().select(lambda c: c.load == 0), nominal()).save(tmp_path / "a")
+    with pytest.raises(DataError, match="every motion"):
+        unseen(saved, of, 0)
+    saved = RigidWls().fit(sweep(), nominal()).save(tmp_path / "b")
+    with pytest.raises(DataError, match="with a load"):
+        unseen(saved, of, 0)
+
+
+def test_a_run_with_one_load_is_refused() -> None:
+    bare = sweep().select(lambda c: c.load == 0)
+    with pytest.raises(FitError, match="no load besides its first"):
+        study("load-validation", **SMALL).run(bare, nominal())
+
+
+def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from hil.study import load_score
+
+    real = load_score.estimate_payload
+
+    def failing(model: Any, data: Any, **options: Any) -> Any:
+        if data.conditions[0].load == 1:
+            raise FitError("the load did not settle")
+        return real(model, data, **options)
+
+    monkeypatch.setattr(load_score, "estimate_payload", failing)
+    result = study("load-validation", **SMALL).run(sweep(), nominal())
+    assert "1 kg: not identified: the load did not settle" in result.warnings
+    verdicts = [row[1] for row in table(result, "table-declarations").rows]
+    assert verdicts == ["not checked", "agrees", "agrees"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"false_alarm": 0.0}, {"friction": "free"}, {"model": 3}, {"seed": -1}]
+)
+def test_parameters_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(SpecError, match=next(iter(wrong))):
+        study("load-validation", **wrong)
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(campaign, "_loaded", lambda run: (raw(sweep()), nominal()))
+    path = write_run(tmp_path, dwell_plan(poses=2)).path
+    told = "study: [{study: load-validation, cutoff_hz: 20, rate_hz: 50}]\n"
+    with (path / "spec.yaml").open("a", encoding="utf-8") as spec:
+        spec.write(told)
+    return path
+
+
+def test_the_verb_prints_verdicts_and_makes_the_page(run: Path) -> None:
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "-e", "rigid-wls"])
+    assert done.exit_code == 0, done.output
+    assert "All 3 declared loads agree" in done.stdout
+    assert f"report: {run / 'report.html'}" in done.stdout
+
+
+def test_the_verb_prints_one_document_with_a_stored_model(run: Path, tmp_path: Path) -> None:
+    saved = RigidWls().fit(recorded(1, 21, 22, 23), nominal()).save(tmp_path / "model")
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "--model", str(saved), "--json"])
+    assert done.exit_code == 0, done.output
+    (told,) = json.loads(done.stdout)["studies"]
+    assert told["study"] == "load-validation"
+    assert told["parameters"]["model"] == str(saved)
+
+
+def test_the_verb_takes_a_model_or_an_estimator(run: Path) -> None:
+    done = CliRunner().invoke(app, ["validate-loads", str(run), "--model", "m", "-e", "rigid-wls"])
+    assert isinstance(done.exception, SpecError)
+    assert "exclude each other" in done.exception.message
