@@ -5,14 +5,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from collision_parts import Push, fitted, joint_torque, motion, quiet, recorded, told
+from collision_parts import (
+    MIDDLE,
+    RATE_HZ,
+    Push,
+    fitted,
+    joint_torque,
+    motion,
+    quiet,
+    recorded,
+    told,
+)
+from mock_motions import blend, hold
 
 from hil.deploy.collision import CollisionDetector
 from hil.deploy.collision_thresholds import CollisionThresholds
+from hil.deploy.rest_margin import FADES_S, RestMargin, resting_friction
 from hil.dynamics import load_model
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.conformal import SpeedBands
 from hil.payload import Payload
+from hil_mock_robot.draw import draw_truth
 
 LOAD = Payload(3.0, (0.0, 0.0, 0.06), (0.005, 0.005, 0.004, 0.0, 0.0, 0.0))
 FIRST = 150
@@ -132,7 +145,8 @@ def test_few_motions_promise_little(model, calibration) -> None:
     assert "record 38" in caught.value.hint
 
 
-def test_bands_that_depend_on_speed_are_the_deviation() -> None:
+def test_bands_that_depend_on_speed_are_the_deviation(monkeypatch) -> None:
+    monkeypatch.setattr("hil.deploy.collision_thresholds.resting_friction", lambda m: np.ones(1))
     bands = SpeedBands(0.9, np.array([[0.01]]), np.array([[0.4, 0.2]]), np.array([[0.9, 0.9]]))
     fake = SimpleNamespace(
         bands_=bands, torque_scale_=np.array([10.0]), joint_names_=("a",), effort_kind_="current"
@@ -143,10 +157,28 @@ def test_bands_that_depend_on_speed_are_the_deviation() -> None:
     np.testing.assert_allclose(found.at(np.ones(1)), 6.0 * 10.0 * 0.2 / 1.6449, rtol=1e-4)
 
 
-def test_a_model_without_memory_allows_for_dry_friction_at_rest() -> None:
-    model = fitted(5, "rigid-wls")
-    found = CollisionThresholds.of(model)
-    assert np.all(found.at(np.zeros(6)) > found.at(np.ones(6)) + 0.5)
+def test_a_joint_that_stands_may_hide_its_dry_friction() -> None:
+    margin = RestMargin(np.array([5.0, 2.0]))
+    np.testing.assert_array_equal(margin.update(0.0, np.array([0.0, 0.5])), [5.0, 2.0])
+    np.testing.assert_allclose(margin.update(FADES_S, np.array([0.0, 0.5])), [5.0, 2.0 / np.e])
+    np.testing.assert_allclose(margin.update(9.0, np.array([0.5, 0.0])), [0.0, 2.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["rigid-wls", "rigid-hysteresis"])
+def test_dry_friction_is_known_of_models_with_and_without_memory(name) -> None:
+    level = resting_friction(fitted(5, name))
+    true = [joint.friction.coulomb_nm for joint in draw_truth("ur5", 5).joints]
+    assert np.all((level > 0.6 * np.array(true)) & (level < 2.2 * np.array(true)))
+
+
+def test_an_arm_that_rests_between_moves_alarms_nobody(model) -> None:
+    """Friction at rest changes unseen by more than thresholds of motion allow."""
+    way = blend(MIDDLE, np.add(MIDDLE, [0.6, 0.4, -0.7, 0.5, -0.5, 0.8]), RATE_HZ, 2.0)
+    data = recorded(5, np.concatenate([way, hold(way, RATE_HZ, 2.0), way[::-1] * [[1], [-1], [1]]]))
+    thresholds = CollisionThresholds.of(model)
+    assert told(CollisionDetector(model, thresholds=thresholds), data)[0] == []
+    bare = replace(thresholds, resting=np.zeros(6))
+    assert told(CollisionDetector(model, thresholds=bare), data)[0]
 
 
 def test_settings_that_cannot_be_are_refused(model, thresholds, calibration) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.deploy.collision_thresholds import CollisionThresholds
 from hil.deploy.momentum_observer import MomentumObserver
+from hil.deploy.rest_margin import RestMargin
 from hil.errors import SpecError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
@@ -76,6 +77,7 @@ class CollisionDetector:
                 hint="calibrate thresholds with the model that they are for",
             )
         self._observer = MomentumObserver(model, payload, gain=self.thresholds.gain)
+        self._margin = RestMargin(self.thresholds.resting)
         n = self._observer.n
         self._sign, self._since = np.zeros(n), np.full(n, np.inf)
         self._told = False
@@ -100,7 +102,7 @@ class CollisionDetector:
             DataError: A value is not finite, of another shape, or time does not go on.
         """
         residual = self._observer.update(t, q, qd, effort)
-        limit = self.thresholds.at(qd)
+        limit = self.thresholds.at(qd) + self._margin.update(t, qd)
         sign = np.where(np.abs(residual) > limit, np.sign(residual), 0.0)
         self._since[sign != self._sign] = t
         self._sign = sign

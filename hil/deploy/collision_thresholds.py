@@ -21,11 +21,11 @@ import numpy as np
 
 from hil.data.dataset import Conditions, Dataset
 from hil.deploy.momentum_observer import GAIN, MomentumObserver
+from hil.deploy.rest_margin import RestMargin, resting_friction
 from hil.errors import FitError, SpecError
 from hil.identify.base import RobotEstimator, load_of
-from hil.identify.conformal import STANDSTILL, SpeedBands
+from hil.identify.conformal import SpeedBands
 from hil.identify.parameters import number
-from hil.identify.standstill import dry_friction
 from hil.typing import FloatArray
 
 QUANTILE = 8.0
@@ -44,24 +44,23 @@ class CollisionThresholds:
     Attributes:
         joint_names: n of them.
         level: (n,) [N·m]; in `quantile` deviations where `bands` say the deviation.
+        resting: (n,) dry friction [N·m], which is added while a joint stands.
         gain: K of the observer they hold for [1/s].
         debounce_s: How long they have to be exceeded [s].
         false_alarms: Largest probability of an alarm in a motion without contact, on average over
             calibrations; None where nothing is promised.
         bands: Of a model whose uncertainty depends on speed.
         per_effort: (n,) torque per unit of the bands.
-        resting: (n,) what is added while the joint stands [N·m]: dry friction that a model without
-            memory does not know.
     """
 
     joint_names: tuple[str, ...]
     level: FloatArray
+    resting: FloatArray
     gain: float
     debounce_s: float
     false_alarms: float | None = None
     bands: SpeedBands | None = None
     per_effort: FloatArray | None = None
-    resting: FloatArray | None = None
 
     @classmethod
     def of(
@@ -88,8 +87,8 @@ class CollisionThresholds:
         bands = getattr(model, "bands_", None)
         scale = model.torque_scale_
         level = many * (model.sigma_ * scale if bands is None else np.ones_like(scale))
-        names, rest = model.joint_names_, dry_friction(model)
-        return cls(names, level, gain, debounce_s, None, bands, scale, rest)
+        rest = resting_friction(model)
+        return cls(model.joint_names_, level, rest, gain, debounce_s, None, bands, scale)
 
     @classmethod
     def calibrated(
@@ -120,19 +119,20 @@ class CollisionThresholds:
         model.require_match(dataset)
         motions = [slices for slices in dataset.slices() if slices[1].stop > slices[1].start]
         rank = _rank(len(motions), rate)
-        peaks = np.array([_peaks(model, dataset, *motion, gain, debounce_s) for motion in motions])
+        rest = resting_friction(model)
+        peaks = np.array(
+            [_peaks(model, dataset, *motion, rest, gain, debounce_s) for motion in motions]
+        )
         compared, judged = peaks[0::2], peaks[1::2]
         shape = np.maximum(compared.max(axis=0), 1e-9)
         level = shape * np.sort((judged / shape).max(axis=1))[rank - 1]
-        return cls(model.joint_names_, level, gain, debounce_s, rate)
+        return cls(model.joint_names_, level, rest, gain, debounce_s, rate)
 
     def at(self, qd: FloatArray) -> FloatArray:
-        """(n,) thresholds [N·m] at velocities (n,) [rad/s]."""
+        """(n,) thresholds [N·m] of joints that move with velocities (n,) [rad/s]."""
         level = self.level
         if self.bands is not None and self.per_effort is not None:
             level = level * self.bands.deviation(qd) * self.per_effort
-        if self.resting is not None:
-            level = level + np.where(np.abs(qd) < STANDSTILL, self.resting, 0.0)
         return level
 
 
@@ -141,6 +141,7 @@ def _peaks(
     dataset: Dataset,
     condition: Conditions,
     rows: slice,
+    rest: FloatArray,
     gain: float,
     debounce_s: float,
 ) -> FloatArray:
@@ -149,6 +150,9 @@ def _peaks(
     t = dataset["t"][rows]
     samples = zip(t, *(dataset[name][rows] for name in ("q", "qd", "effort")), strict=True)
     residual = np.array([observer.update(*sample).copy() for sample in samples])
+    margin = RestMargin(rest)
+    hidden = [margin.update(*sample) for sample in zip(t, dataset["qd"][rows], strict=True)]
+    residual = np.sign(residual) * np.maximum(np.abs(residual) - hidden, 0.0)
     period = float(np.median(np.diff(t))) if len(t) > 1 else debounce_s
     count = min(math.ceil(debounce_s / period - 1e-6) + 1, len(residual))
     held = np.lib.stride_tricks.sliding_window_view(residual, count, axis=0)

@@ -74,7 +74,7 @@ def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
     given = getattr(model, "inertial_", None)
     W = model.robot_.regressor(*motion, rotor=True)
     inertial = np.asarray(given) if given is not None else _nearest(model, W, torque)
-    coulomb, viscous = _friction(model)
+    coulomb, viscous = plain_friction(model)
     error = (torque.ravel() - W @ inertial).reshape(torque.shape)
     mismatch = np.sqrt(np.mean(error**2, axis=0))
     notes = []
@@ -91,9 +91,8 @@ def rigid_parameters(model: RobotEstimator) -> FloatArray:
     Raises:
         FitError: The model has no rigid part, or one that no links make.
     """
-    motion = _sampled(model)
+    motion, base = _sampled(model), base_parameters(model.robot_, rotor=True)
     torque = _rigid_torque(model, motion)
-    base = base_parameters(model.robot_, rotor=True)
     W = base.regressor(model.robot_, *motion)
     parameters = base.expand(np.asarray(np.linalg.lstsq(W, torque.ravel())[0], np.float64))
     error = torque - model.robot_.torque(parameters, *motion)
@@ -154,9 +153,9 @@ def _rigid_torque(
     return torque
 
 
-def _friction(model: RobotEstimator) -> tuple[FloatArray, FloatArray]:
+def plain_friction(model: RobotEstimator, hz: float = FRICTION_HZ) -> tuple[FloatArray, FloatArray]:
     """Coulomb and viscous friction (n,) that come nearest to the model's on a smooth motion."""
-    t = np.arange(0.0, FRICTION_S, 1.0 / FRICTION_HZ)
+    t = np.arange(0.0, FRICTION_S, 1.0 / hz)
     low, high = _range(model)
     q, qd, qdd = np.zeros((3, len(t), model.robot_.n))
     for j in range(model.robot_.n):
