@@ -28,8 +28,8 @@ from hil.identify.conformal import SpeedBands
 from hil.identify.parameters import number
 from hil.typing import FloatArray
 
-QUANTILE = 8.0
-"""Deviations. Largest peak in 100 motions of 10 s on five mock UR5: 7.5 (docs/how-to)."""
+QUANTILE = 4.0
+"""Deviations. Largest peak in 100 motions of 10 s on five mock UR5: 3.2 (docs/how-to)."""
 
 DEBOUNCE_S = 0.015
 """Three samples at 125 Hz."""
