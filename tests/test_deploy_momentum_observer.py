@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import residual_models
 from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal
 
 from hil.deploy.identified_parameters import rigid_parameters
@@ -75,6 +76,22 @@ def test_parameters_have_the_models_rigid_torques(model) -> None:
     expected = (parts["gravity"] + parts["inertia"]) * GAINS
     found = model.robot_.torque(rigid_parameters(model), *motion)
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_residual_network_takes_part() -> None:
+    """Its rigid body is that of its physics, whatever rate the network was trained at."""
+    pytest.importorskip("torch")
+    corrected = residual_models.model()
+    assert np.any(corrected.correction_.kept)
+    np.testing.assert_allclose(
+        rigid_parameters(corrected), rigid_parameters(corrected.base_), atol=1e-9
+    )
+    data = moving(9, samples=340)
+    alone = residuals(MomentumObserver(corrected), data)
+    without = residuals(MomentumObserver(corrected.base_), data)
+    assert np.abs(alone - without).max() > 0.05
+    found = residuals(MomentumObserver(corrected), data, PUSH) - alone
+    np.testing.assert_allclose(found[-1], PUSH, rtol=1e-3)
 
 
 def test_a_model_of_rest_has_no_momentum() -> None:

@@ -185,7 +185,8 @@ def _asked(
     columns = {"t": t, "q": q, "qd": qd, "effort": effort, "effort_f": effort}
     columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd}
     x, y, z = (float(value) for value in model.robot_.gravity_vector)
-    return model.predict(
+    physics: RobotEstimator = getattr(model, "base_", model)  # a network has no links
+    return physics.predict(
         Dataset(
             robot=model.robot_.name,
             joint_names=model.joint_names_,
