@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from dynamics_arms import mjcf, mujoco_torques
+from load_parts import OFF_AXIS, recorded
 from synthetic_motion import COULOMB, GAINS, LOAD, ROTORS, VISCOUS, fourier, moving, nominal, plant
 
 from hil.data import Conditions, Dataset
@@ -125,6 +126,25 @@ def test_warmer_friction_can_be_freed() -> None:
     assert found.friction == "scale"
     assert found.correction.scale == pytest.approx(0.3, abs=0.05)
     assert found.payload.mass == pytest.approx(LOAD.mass, rel=0.01)
+
+
+def test_a_load_settles_however_wrong_the_gains_are() -> None:
+    arm = RigidWls().fit(recorded(105, 1, 2, 3), nominal())
+    found = estimate_payload(arm, recorded(105, 7, 8, load=OFF_AXIS[1]), friction="model")
+    assert found.payload.mass == pytest.approx(3.0, rel=0.1)
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_a_load_is_as_much_too_light_as_gains_say(joint: int) -> None:
+    wide = replace(LOAD, inertia=(0.05, 0.06, 0.04, 0.0, 0.0, 0.0))  # no limit of bodies is near
+    data, arm = under_load(5, 6, load=wide), moving(5, 6, noise_a=NOISE_A)
+    larger = np.where(np.arange(6) == joint, 1.002, 1.0)
+    effort = arm["effort"] + (data["effort"] - arm["effort"]) / larger
+    short = data.with_columns(effort=effort, effort_f=effort)
+    true, found = (estimate_payload(model(), one, friction="model") for one in (data, short))
+    told = 0.002 * found.by_gain[:, joint]
+    assert true.values - found.values == pytest.approx(told, rel=0.03, abs=3e-5)
+    assert np.max(np.abs(told[:4])) > 1e-4
 
 
 def test_a_load_that_cannot_be_told_is_still_a_body() -> None:

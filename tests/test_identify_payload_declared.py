@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from load_parts import OFF_AXIS, ON_AXIS, estimates
+from scipy.stats import norm
 
-from hil.identify.payload_declared import check_declarations
+from hil.identify.payload_declared import FALSE_ALARM, Floor, check_declarations
 from hil.payload import Payload
 
 SEEDS = range(100, 107)
@@ -99,6 +100,12 @@ def test_a_load_that_was_forgotten_is_named_by_its_mass() -> None:
     assert kinds(100, 1, lambda _: Payload()) == [[], ["mass"], []]
 
 
+def test_a_load_that_nobody_mounted_is_named_by_its_mass() -> None:
+    mounted = (OFF_AXIS[0], Payload(), OFF_AXIS[2])
+    checked = check_declarations(OFF_AXIS, estimates(100, mounted))
+    assert [[finding.kind for finding in one.findings] for one in checked] == [[], ["mass"], []]
+
+
 def test_a_wrong_load_is_trusted_by_no_other() -> None:
     declared = [OFF_AXIS[0], heavier(OFF_AXIS[1], 0.4), OFF_AXIS[2]]
     checked = check_declarations(declared, estimates(100))
@@ -124,6 +131,22 @@ def test_the_angle_of_a_load_on_the_axis_cannot_be_observed() -> None:
     assert all(one.mount_observable for one in off)
     again = check_declarations([turned(load, 180.0) for load in ON_AXIS], estimates(100, ON_AXIS))
     assert all(one.agrees for one in again)
+
+
+def test_few_blocks_of_time_mean_wider_limits() -> None:
+    known = estimates(100)[1]
+    rare = replace(known, degrees=np.full(10, 3.0))
+    many = replace(known, degrees=np.full(10, 300.0))
+    limits = [check_declarations(OFF_AXIS[1:2], [one])[0].limit for one in (rare, many)]
+    assert np.all(limits[0] > limits[1])
+
+
+def test_an_estimate_without_noise_is_still_no_surer_than_the_model() -> None:
+    exact = replace(estimates(100)[1], covariance=np.zeros((10, 10)), by_gain=np.zeros((10, 6)))
+    limit = check_declarations(OFF_AXIS[1:2], [exact], floor=Floor(com_m=0.004))[0].limit
+    assert limit[1:4] == pytest.approx(limit[1])
+    assert limit[1] == pytest.approx(0.004 * norm.isf(FALSE_ALARM / 20))
+    assert limit[0] > 0.01 * 3.0 * 3.0
 
 
 def test_fewer_false_alarms_mean_wider_limits() -> None:

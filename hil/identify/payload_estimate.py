@@ -60,7 +60,8 @@ class PayloadEstimate:
         covariance: (10, 10) of the values, whose diagonal `std_error` squares.
         degrees: (10,) of Student's t.
         by_gain: (10, n) by how much a value is too small for each share by which the true gain of a
-            joint's drive is above the model's; the errors above know nothing of gains.
+            joint's drive is above the model's, had the arm's own torques been learned with it; the
+            errors above know nothing of gains.
         residual: (n,) RMS of the filtered effort less the prediction with the load.
         without: (n,) the same with nothing at the flange.
         unit: `A` or `N·m`, of the residuals.
