@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import sys
 import time
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -11,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
+from terminal_parts import terminal_on
 from test_campaign_verdict import COUNTS, run_with
 
 from hil import plugins
@@ -222,18 +221,6 @@ def test_ctrl_c_during_a_fit_says_how_to_go_on(
     assert isinstance(error, Stopped)
     assert "during the fits; the recording is complete; the training is kept" in error.message
     assert error.hint == f"go on with: hil resume {run.path}"
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def terminal_on(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("COLUMNS", "100")
-    return terminal
 
 
 EPOCH = {"stage": "joint", "epoch": 1, "epochs": 40, "loss": 2.0, "validation": 1.0, "best": 1.0,

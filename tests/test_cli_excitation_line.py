@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import sys
-
 import pytest
+from terminal_parts import terminal_on
 
 from hil.cli.excitation_line import ExcitationLine
 from hil.cli.progress import ProgressLines
@@ -14,20 +12,8 @@ from hil.excite.setting import Advance
 BUSY = Advance(3, 12, 2, 3, 17.25, 125.0)
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def terminal_on(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
-    monkeypatch.setenv("COLUMNS", "40")
-    return terminal
-
-
 def test_the_line_says_what_matters_first_and_never_wraps(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = terminal_on(monkeypatch)
+    terminal = terminal_on(monkeypatch, 40)
     with ExcitationLine() as line:
         line(BUSY)
         (shown,) = [part for part in terminal.getvalue().split("\r\x1b[K") if part]
@@ -45,7 +31,7 @@ def test_a_pipe_gets_notes_only(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_run_shows_it_until_the_next_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = terminal_on(monkeypatch)
+    terminal = terminal_on(monkeypatch, 40)
     lines = ProgressLines()
     lines.notify(BUSY.to_event())
     lines.notify({"kind": "stage", "stage": "running"})

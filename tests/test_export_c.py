@@ -11,8 +11,8 @@ from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 
 from hil.deploy.export.c_build import STRICT, built, compiler, self_tested
+from hil.deploy.export.c_columns import GROUPS
 from hil.deploy.export.c_export import export_c
-from hil.deploy.export.c_friction import GROUPS
 from hil.deploy.export.c_program import c_source
 from hil.deploy.export.c_text import array, number
 from hil.deploy.export.golden import golden_of
@@ -146,5 +146,4 @@ def test_golden_motions_turn_round_and_rest(models) -> None:
     assert np.all(golden.qd.min(axis=0) < 0)
     assert np.all(golden.qd.max(axis=0) > 0)
     assert np.all(np.sum(golden.qd == 0.0, axis=0) >= 30)
-    assert golden.share(golden.bare, golden.loaded) == 0.0
-    assert golden.share(golden.bare, golden.bare) > 0.01
+    assert np.all(np.abs(golden.loaded - golden.bare).max(axis=0)[:5] > 0.01)

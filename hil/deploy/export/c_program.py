@@ -152,8 +152,8 @@ int hil_set_load(hil_state *s, double mass, const double com[3], const double in
     return 0;
 }
 
-static void hil_explain(hil_state *s, hil_motion *m, const double *q, const double *qdd,
-                        const double *rigid, hil_parts *parts)
+static void hil_explain(hil_motion *m, const double *q, const double *qdd, const double *rigid,
+                        hil_parts *parts)
 {
     static const double still[HIL_N] = {0.0};
     double bare[HIL_N];
@@ -165,7 +165,6 @@ static void hil_explain(hil_state *s, hil_motion *m, const double *q, const doub
         parts->load[i] = (rigid[i] - bare[i]) * hil_scale[i];
         parts->inertia[i] = (bare[i] - parts->gravity[i]) * hil_scale[i];
         parts->gravity[i] *= hil_scale[i];
-        (void)s;
     }
 }
 
@@ -184,7 +183,7 @@ int hil_step(hil_state *s, const double q[HIL_N], const double qd[HIL_N], const 
         effort[i] = (rigid[i] + friction[i] + ripple[i] + drive[i]) * hil_scale[i];
     }
 @NETWORK@    if (parts) {
-        hil_explain(s, &m, q, qdd, rigid, parts);
+        hil_explain(&m, q, qdd, rigid, parts);
         for (i = 0; i < HIL_N; i++) {
             parts->friction[i] = friction[i] * hil_scale[i];
             parts->ripple[i] = ripple[i] * hil_scale[i];

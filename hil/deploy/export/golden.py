@@ -39,12 +39,6 @@ class Golden:
     bare: FloatArray
     loaded: FloatArray
 
-    def share(self, bare: FloatArray, loaded: FloatArray) -> float:
-        """Largest difference from efforts like these, as a share of each joint's largest effort."""
-        largest = np.maximum(np.abs(self.bare).max(axis=0), np.abs(self.loaded).max(axis=0))
-        difference = np.maximum(np.abs(bare - self.bare), np.abs(loaded - self.loaded))
-        return float(np.max(difference / np.maximum(largest, 1e-9)))
-
 
 def golden_of(model: RobotEstimator, samples: int = SAMPLES, rate_hz: float = RATE_HZ) -> Golden:
     """Vectors of a fitted model, by its own stream."""

@@ -58,7 +58,7 @@ class Program:
         flange: (4, 4) pose of the flange in the last joint's frame; loads are told in the flange's.
         rigid: (n, 11) per link: a body in the joint's frame, and the rotor's inertia.
         gears: (n, 11) the same for the torque that the gears transmit, on which friction depends.
-        friction: With or without memory; None for a model that has none.
+        friction: With or without memory.
         scale: (n,) torque per unit of effort.
         correction: Of a residual network, in effort units.
     """
@@ -71,7 +71,7 @@ class Program:
     flange: FloatArray
     rigid: FloatArray
     gears: FloatArray
-    friction: PlainFriction | FrictionLaw | None
+    friction: PlainFriction | FrictionLaw
     scale: FloatArray
     correction: Correction | None = None
 

@@ -10,6 +10,7 @@ from hil.deploy.export.program import PlainFriction, Program, bodies
 from hil.dynamics import RobotModel, base_parameters
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
+from hil.identify.friction.law import FrictionLaw
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST
@@ -61,7 +62,10 @@ def _corrected(model: CorrectedModel) -> Program:
 
 
 def _program(
-    model: RobotEstimator, rigid: FloatArray, gears: FloatArray, friction: object
+    model: RobotEstimator,
+    rigid: FloatArray,
+    gears: FloatArray,
+    friction: PlainFriction | FrictionLaw,
 ) -> Program:
     robot = model.robot_
     return Program(
@@ -73,7 +77,7 @@ def _program(
         flange=flange_in_last_joint(robot),
         rigid=bodies(rigid, robot.n),
         gears=bodies(gears, robot.n),
-        friction=friction,  # type: ignore[arg-type]  # what `program_of` hands over
+        friction=friction,
         scale=model.torque_scale_,
     )
 
