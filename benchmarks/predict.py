@@ -128,7 +128,7 @@ def _of_c(name: str, model: RobotEstimator, calls: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "c"
         told = export_c(model, folder)
-        figures[f"{name}_off_by"] = float(told.checked.split()[2])
+        figures[f"{name}_off_by"] = float(told.checked.split()[3])
         (folder / "harness.c").write_text(HARNESS.replace("@CALLS@", f"{calls}L"), "utf-8")
         for how, flags in FLAGS.items():
             program = built(folder, ("harness.c", "hil.c"), f"bench_{how}", flags)

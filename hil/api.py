@@ -22,8 +22,7 @@ from hil.engine import Observer
 from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
-    from hil.deploy.export.c_export import CExport
-    from hil.deploy.identified_urdf import UrdfExport
+    from hil.deploy.export.targets import Written
     from hil.fitting import FitReport
     from hil.identify.payload_estimate import PayloadEstimate
     from hil.identify.training_loop.problem import Watch
@@ -37,8 +36,7 @@ __all__ = [
     "describe_run",
     "estimate_payload",
     "evaluate",
-    "export_c",
-    "export_urdf",
+    "export_model",
     "figures",
     "fit",
     "import_recording",
@@ -251,47 +249,35 @@ def estimate_payload(
     return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
 
 
-def export_c(
-    model: AnyPath, out: AnyPath, *, prefix: str = "hil", unchecked: bool = False
-) -> CExport:
-    """Write a saved model as C99 for a controller, checked on golden vectors first.
+def export_model(
+    model: AnyPath,
+    out: AnyPath,
+    *,
+    to: str = "c",
+    prefix: str | None = None,
+    unchecked: bool | None = None,
+) -> Written:
+    """Write a saved model for other programs, compared with the model in Python first.
 
     Args:
         model: Its folder.
-        out: The folder to be made.
-        prefix: What files and symbols begin with.
-        unchecked: Write it although there is no C compiler to check it with.
+        out: The file or folder to be made.
+        to: `c` and the other targets of `hil.deploy.export.targets`.
+        prefix: What files and symbols of C begin with; by default `hil`.
+        unchecked: Write C although there is no compiler to check it with.
 
     Raises:
         DataError: The model cannot be read.
-        FitError: It is of a kind that is not exported, or the program does not agree with it.
-        PluginError: There is no C compiler.
-        RecordingError: The folder exists already.
-        SpecError: The prefix cannot be one.
+        FitError: It is of a kind that cannot be written so, or what was written does not agree.
+        PluginError: Something it takes is not installed, such as a C compiler or cvxpy.
+        RecordingError: The file or folder exists already.
+        SpecError: There is no such target, or an option is none of it.
     """
-    from hil.deploy.export.c_export import export_c as export
+    from hil.deploy.export.targets import export_model as export
     from hil.identify.model_file import load_model_file
 
-    return export(load_model_file(Path(model)), Path(out), prefix=prefix, unchecked=unchecked)
-
-
-def export_urdf(model: AnyPath, out: AnyPath) -> UrdfExport:
-    """Write the arm of a saved model as a URDF with its inertias, friction and rotor inertias.
-
-    Args:
-        model: Its folder.
-        out: The file to be made.
-
-    Raises:
-        DataError: The model cannot be read.
-        FitError: It has no rigid part.
-        PluginError: cvxpy is needed to find links that can exist, and is not installed.
-        RecordingError: The file exists already.
-    """
-    from hil.deploy.identified_urdf import export_urdf as export
-    from hil.identify.model_file import load_model_file
-
-    return export(load_model_file(Path(model)), Path(out))
+    stored = load_model_file(Path(model))
+    return export(stored, Path(out), to, prefix=prefix, unchecked=unchecked)
 
 
 def study(

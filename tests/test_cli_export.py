@@ -43,7 +43,8 @@ def test_json_says_what_was_written(model: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "kind", "words"),
     [
-        (["--to", "onnx"], SpecError, "--to is 'onnx'"),
+        (["--to", "simulink"], SpecError, "--to is 'simulink'"),
+        (["--to", "urdf", "--prefix", "arm"], SpecError, "has no option --prefix"),
         (["--prefix", "2nd"], SpecError, "cannot begin the names"),
         (["-o", "."], RecordingError, "exists already"),
     ],

@@ -184,14 +184,15 @@ def test_the_command_tells_what_is_in_the_file(
     out = tmp_path / "r.urdf"
     monkeypatch.setattr("hil.deploy.identified_urdf.export_urdf", lambda *_: exported)
     folder = model.save(tmp_path / "model")
-    arguments = ["urdf", str(folder), "-o", str(out), *(["--json"] if as_json else [])]
+    arguments = ["export", str(folder), "--to", "urdf", "-o", str(out)]
+    arguments += ["--json"] if as_json else []
     text = CliRunner().invoke(app, arguments, catch_exceptions=False).stdout
     if as_json:
         told = json.loads(text)
         assert told["rotor_inertia_kgm2"][2:] == pytest.approx(ROTORS[2:].tolist(), abs=0.02)
     else:
         assert "wrist_3_joint" in text
-        assert text.splitlines()[-1].startswith(f"{out}: made from the built-in arm")
+        assert text.splitlines()[-1].startswith(f"{exported.out}: made from the built-in arm")
 
 
 @pytest.mark.parametrize("load", [None, LOAD])

@@ -50,7 +50,7 @@ def models():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_program_says_what_the_model_says(kind, models, tmp_path) -> None:
     told = export_c(models(kind), tmp_path / "out")
-    assert float(told.checked.split()[2]) < 1e-12
+    assert float(told.checked.split()[3]) < 1e-12
     assert sorted(p.name for p in told.out.iterdir()) == sorted(told.files)
 
 

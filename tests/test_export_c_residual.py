@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compil
 
 def test_physics_and_networks_say_together_what_the_model_says(tmp_path) -> None:
     told = export_c(model(), tmp_path / "out", prefix="arm")
-    assert float(told.checked.split()[2]) < 1e-5
+    assert float(told.checked.split()[3]) < 1e-5
     assert "arm_network" in (told.out / "arm.c").read_text("utf-8")
     assert told.parts == "residual, with memory"
 
@@ -28,7 +28,7 @@ def test_a_network_that_every_joint_dropped_is_not_written(tmp_path) -> None:
     assert not dropped.correction_.kept.any()
     told = export_c(dropped, tmp_path / "out")
     assert "hil_network" not in (told.out / "hil.c").read_text("utf-8")
-    assert float(told.checked.split()[2]) < 1e-12
+    assert float(told.checked.split()[3]) < 1e-12
 
 
 def test_a_network_that_hears_the_torque_it_predicts_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""`hil export` and `hil urdf`: an identified model for other programs."""
+"""`hil export`: an identified model for other programs."""
 
 from __future__ import annotations
 
@@ -8,54 +8,54 @@ from typing import Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table
-from hil.errors import SpecError
+from hil.deploy.export.targets import TARGETS
 
 
 def register(app: typer.Typer) -> None:
     """Add this group's verb."""
-    app.command()(urdf)
     app.command()(export)
 
 
 def export(
     model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder to make.", show_default=False)],
-    to: Annotated[str, typer.Option("--to", help="What to write: c.")] = "c",
-    prefix: Annotated[str, typer.Option(help="What files and symbols begin with.")] = "hil",
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="File to make; for C a folder.", show_default=False)
+    ],
+    to: Annotated[str, typer.Option("--to", help=f"What to write: {', '.join(TARGETS)}.")] = "c",
+    prefix: Annotated[
+        str | None, typer.Option(help="C: what files and symbols begin with; by default hil.")
+    ] = None,
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="Write it without a compiler to check it with.")
+        bool, typer.Option("--unchecked", help="C: write it without a compiler to check it with.")
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Write a model as a C program for a controller, checked against the model in Python."""
+    """Write a model for a controller, simulator or runtime, compared with the model first."""
     from hil import api
 
-    if to != "c":
-        raise SpecError(
-            f"--to is {to!r}, but a model is written as: c", hint="urdf: see `hil urdf`"
-        )
-    told = api.export_c(model, out, prefix=prefix, unchecked=unchecked)
+    told = api.export_model(model, out, to=to, prefix=prefix, unchecked=unchecked or None)
+    found = {"model": str(model), "to": to, **told.to_dict()}
     if json:
-        print_json({"model": str(model), "to": to, **told.to_dict()})
-        return
-    typer.echo(f"{told.out}: {', '.join(told.files)}")
-    typer.echo(f"  {told.parts}; {len(told.joint_names)} joints, efforts in {told.effort_unit}")
+        print_json(found)
+    elif to == "urdf":
+        _print_urdf(found)
+    else:
+        _print(found)
+
+
+def _print(told: dict[str, Any]) -> None:
+    name = Path(told["out"]).name
+    files = [file for file in told["files"] if file != name]
+    typer.echo(f"{told['out']}: {', '.join(files)}" if files else told["out"])
+    joints = f"{len(told['joint_names'])} joints, efforts in {told['effort_unit']}"
+    typer.echo(f"  {told['parts']}; {joints}")
     unrun = "not checked: build it and run its self-test where it is used"
-    typer.echo(f"  {f'self-test: {told.checked}' if told.checked else unrun}")
+    typer.echo(f"  {told['checked'] or unrun}")
+    for note in told["notes"]:
+        typer.echo(f"  note: {note}")
 
 
-def urdf(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
-    out: Annotated[Path, typer.Option("-o", "--out", help="URDF to write.", show_default=False)],
-    json: JsonFlag = False,
-) -> None:
-    """Write a model's arm as a URDF with the identified inertias, friction and rotor inertias."""
-    from hil import api
-
-    told = api.export_urdf(model, out).to_dict()
-    if json:
-        print_json({"model": str(model), **told})
-        return
+def _print_urdf(told: dict[str, Any]) -> None:
     print_table(
         ("joint", "mass [kg]", "centre of mass [m]", "rotor [kg·m²]", "friction [N·m]",
          "damping [N·m·s/rad]", "off by [N·m]"),
@@ -64,7 +64,7 @@ def urdf(
     for note in told["notes"]:
         typer.echo(f"  note: {note}")
     made = "edited the robot's own URDF" if told["edited"] else "made from the built-in arm"
-    typer.echo(f"{out}: {made}; read back, torques agree to {told['round_trip']:.0e}")
+    typer.echo(f"{told['out']}: {made}; read back, torques agree to {told['round_trip']:.0e}")
 
 
 def _rows(told: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from hil.deploy.export.exported import require_new
 from hil.deploy.identified_parameters import IdentifiedParameters, identified_parameters
 from hil.deploy.urdf_edit import edited
 from hil.deploy.urdf_text import dynamics, inertial, written
 from hil.dynamics import RobotModel
-from hil.errors import FitError, RecordingError
+from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 
 EXACT = 1e-9
@@ -41,11 +42,11 @@ class UrdfExport:
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil urdf --json`."""
+        """The contract of `hil export --to urdf --json`."""
         n = len(self.joint_names)
         bodies = self.found.inertial[: 10 * n].reshape(n, 10)
         return {
-            "urdf": str(self.out),
+            "out": str(self.out),
             "edited": self.edited,
             "own_parameters": self.found.own,
             "joint_names": list(self.joint_names),
@@ -72,8 +73,7 @@ def export_urdf(model: RobotEstimator, out: Path) -> UrdfExport:
         PluginError: Consistent parameters have to be found and cvxpy is not installed.
         RecordingError: The file exists already.
     """
-    if out.exists():
-        raise RecordingError(f"{out} exists already", hint="choose another --out")
+    require_new(out)
     robot, found = model.robot_, identified_parameters(model)
     own = robot.arm is None
     if own:
