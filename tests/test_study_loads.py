@@ -26,7 +26,7 @@ from hil.study.load_cases import load_cases, unseen
 from hil.study.result import StudyResult, Table
 from hil.study.soundness import faults_of
 
-SMALL: dict[str, Any] = {"cutoff_hz": 20.0, "rate_hz": 50.0, "estimator": "rigid-wls"}
+SMALL: dict[str, Any] = {"cutoff_hz": 20.0, "rate_hz": 50.0, "estimators": ["rigid-wls"]}
 
 
 @cache
@@ -46,18 +46,73 @@ def test_told_of_the_load_a_model_errs_far_less() -> None:
     mean = {row[0]: row[-1] for row in table(found(), "table-load-errors").rows}
     for load in ("1 kg", "3 kg", "5 kg"):
         for told in ("declared", "identified"):
-            assert mean[f"{load}, {told}"] < 0.5 * mean[f"{load}, unaware"]
-    assert mean["0 kg, unaware"] == mean["0 kg, declared"]
-    assert "0 kg, identified" not in mean
+            assert mean[f"{load}, rigid-wls, {told}"] < 0.5 * mean[f"{load}, rigid-wls, unaware"]
+    assert mean["0 kg, rigid-wls, unaware"] == mean["0 kg, rigid-wls, declared"]
+    assert "0 kg, rigid-wls, identified" not in mean
 
 
 def test_every_load_has_its_bars_told_and_not() -> None:
-    (figure,) = found().parts[0].figures
-    assert [panel.title for panel in figure.panels] == ["Mean over the joints", *JOINTS]
-    for curve in figure.panels[0].curves:
-        assert curve.x == ("0 kg", "1 kg", "3 kg", "5 kg")
-    assert [c.name for c in figure.panels[0].curves] == ["unaware", "declared", "identified"]
+    mean, joints = found().parts[0].figures
+    assert [panel.title for panel in mean.panels] == ["rigid-wls"]
+    assert [panel.title for panel in joints.panels] == JOINTS
+    for figure in (mean, joints):
+        assert [c.name for c in figure.panels[0].curves] == ["unaware", "declared", "identified"]
+        for curve in figure.panels[0].curves:
+            assert curve.x == ("0 kg", "1 kg", "3 kg", "5 kg")
     assert faults_of(found()) == []
+
+
+BOTH = ("rigid-wls", "rigid-irls")
+
+
+@cache
+def found_of_both() -> StudyResult:
+    return study("load-validation", **SMALL | {"estimators": BOTH}).run(sweep(), nominal())
+
+
+def test_every_estimator_is_judged_under_every_load() -> None:
+    rows = {row[0]: row[1:] for row in table(found_of_both(), "table-load-errors").rows}
+    for name in BOTH:
+        for load in ("1 kg", "3 kg", "5 kg"):
+            assert (
+                rows[f"{load}, {name}, declared"][-1] < 0.5 * rows[f"{load}, {name}, unaware"][-1]
+            )
+            assert len(rows[f"{load}, {name}, identified"]) == 7
+    alone = {row[0]: row[1:] for row in table(found(), "table-load-errors").rows}
+    assert {key: rows[key] for key in alone} == alone
+    mean, joints = found_of_both().parts[0].figures
+    assert [panel.title for panel in mean.panels] == [*BOTH]
+    assert {tuple(c.name for c in panel.curves) for panel in joints.panels} == {BOTH}
+    assert faults_of(found_of_both()) == []
+
+
+def test_the_first_of_several_checks_the_declarations() -> None:
+    assert table(found_of_both(), "table-declarations").title.endswith("checked by rigid-wls")
+    for key in ("table-declarations", "table-identified"):
+        assert table(found_of_both(), key) == table(found(), key)
+
+
+def test_the_worst_load_is_said_of_every_estimator() -> None:
+    rows = {row[0]: row[-1] for row in table(found_of_both(), "table-load-errors").rows}
+    for name, said in zip(BOTH, found_of_both().summary[1:3], strict=True):
+        worst = max(float(rows[f"{load}, {name}, declared"]) for load in ("1 kg", "3 kg", "5 kg"))
+        assert said.startswith(f"{name} errs by")
+        assert f"at most {worst / float(rows[f'0 kg, {name}, declared']):.2f} times" in said
+
+
+def test_an_estimator_that_fails_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hil.identify.rigid_irls import RigidIrls
+
+    def failing(self: RigidIrls, data: Any, robot: Any) -> Any:
+        raise FitError("it does not converge")
+
+    monkeypatch.setattr(RigidIrls, "fit", failing)
+    asked = SMALL | {"figures": False, "estimators": ["rigid-irls", "rigid-wls"]}
+    result = study("load-validation", **asked).run(sweep(), nominal())
+    assert "rigid-irls: it does not converge" in result.warnings
+    assert table(result, "table-declarations").rows == table(found(), "table-declarations").rows
+    with pytest.raises(FitError, match="does not converge"):
+        study("load-validation", **asked | {"estimators": ["rigid-irls"]}).run(sweep(), nominal())
 
 
 def test_correct_declarations_are_said_to_agree() -> None:
@@ -99,20 +154,33 @@ def test_a_stored_model_is_judged_on_what_it_has_not_seen(tmp_path: Path) -> Non
     run = sweep()
     seen = run.select(lambda c: c.load == 0 and c.trajectory not in (2, 3))
     saved = RigidWls().fit(seen, nominal()).save(tmp_path)
-    _, held = unseen(saved, recorded_from(run, nominal(), 20.0, 50.0), 0)
+    _, held = unseen([saved], recorded_from(run, nominal(), 20.0, 50.0), 0)
     assert sorted(number for _, number in held) == [2, 3]
-    result = study("load-validation", **SMALL | {"estimator": "none", "model": str(saved)})
+    result = study("load-validation", **SMALL | {"estimators": ["none"], "models": [str(saved)]})
     assert result.run(run, nominal()).summary[0].startswith("All 3 declared loads agree")
+
+
+def test_of_several_stored_models_only_what_none_has_seen_is_judged(tmp_path: Path) -> None:
+    of = recorded_from(sweep(), nominal(), 20.0, 50.0)
+    first, second = (
+        RigidWls()
+        .fit(sweep().select(lambda c: c.load == 0 and c.trajectory in numbers), nominal())
+        .save(tmp_path / name)
+        for name, numbers in (("a", (1, 2)), ("b", (1, 3)))
+    )
+    models, held = unseen([first, second], of, 0)
+    assert {number for _, number in held} == {4}
+    assert [name for name, _ in models] == [first.name, second.name]
 
 
 def test_a_model_that_has_seen_everything_is_refused(tmp_path: Path) -> None:
     of = recorded_from(sweep(), nominal(), 20.0, 50.0)
     saved = RigidWls().fit(sweep().select(lambda c: c.load == 0), nominal()).save(tmp_path / "a")
-    with pytest.raises(DataError, match="every motion"):
-        unseen(saved, of, 0)
+    with pytest.raises(DataError, match="no motion of this run is left"):
+        unseen([saved], of, 0)
     saved = RigidWls().fit(sweep(), nominal()).save(tmp_path / "b")
     with pytest.raises(DataError, match="with a load"):
-        unseen(saved, of, 0)
+        unseen([saved], of, 0)
 
 
 def test_a_run_with_one_load_is_refused() -> None:
@@ -135,13 +203,22 @@ def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
 
     monkeypatch.setattr(load_score, "estimate_payload", failing)
     result = study("load-validation", **SMALL).run(sweep(), nominal())
-    assert "1 kg: not identified: the load did not settle" in result.warnings
+    assert "1 kg, rigid-wls: not identified: the load did not settle" in result.warnings
     verdicts = [row[1] for row in table(result, "table-declarations").rows]
     assert verdicts == ["not checked", "agrees", "agrees"]
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"false_alarm": 0.0}, {"friction": "free"}, {"model": 3}, {"seed": -1}]
+    "wrong",
+    [
+        {"false_alarm": 0.0},
+        {"friction": "free"},
+        {"models": 3},
+        {"seed": -1},
+        {"estimators": []},
+        {"estimators": "rigid-wls"},
+        {"estimators": ["rigid-wls", "rigid-wls"]},
+    ],
 )
 def test_parameters_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(SpecError, match=next(iter(wrong))):
@@ -171,7 +248,15 @@ def test_the_verb_prints_one_document_with_a_stored_model(run: Path, tmp_path: P
     assert done.exit_code == 0, done.output
     (told,) = json.loads(done.stdout)["studies"]
     assert told["study"] == "load-validation"
-    assert told["parameters"]["model"] == str(saved)
+    assert told["parameters"]["models"] == [str(saved)]
+
+
+def test_the_verb_takes_several_estimators(run: Path) -> None:
+    asked = ["validate-loads", str(run), "-e", "rigid-wls", "-e", "rigid-irls", "--json"]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    (told,) = json.loads(done.stdout)["studies"]
+    assert told["parameters"]["estimators"] == ["rigid-wls", "rigid-irls"]
 
 
 def test_the_verb_takes_a_model_or_an_estimator(run: Path) -> None:

@@ -73,24 +73,35 @@ def payload(
 def validate_loads(
     run: RunArgument,
     model: Annotated[
-        Path | None,
-        typer.Option("--model", help="Folder of a model fitted without a load; none is fitted."),
+        list[Path] | None,
+        typer.Option(
+            "--model",
+            help="Folder of a model fitted without a load; none is fitted. Repeat for several.",
+        ),
     ] = None,
     estimator: Annotated[
-        str,
-        typer.Option("--estimator", "-e", help="Fitted to the first load; by default the study's."),
-    ] = "",
+        list[str] | None,
+        typer.Option(
+            "--estimator",
+            "-e",
+            help="Fitted to the first load; repeat for several. By default the run's own models "
+            "(validate: {under_loads: true}), or what its study names.",
+        ),
+    ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Errors of a model of the bare arm under a run's loads, and each declared load checked."""
+    """Errors of models of the bare arm under a run's loads, and each declared load checked."""
     from hil.record.catalogue import find_run
 
-    if model is not None and estimator:
+    if model and estimator:
         raise SpecError("--model and --estimator exclude each other", hint="give one of them")
-    given = {"model": str(model) if model else "", "estimator": estimator}
-    path = find_run(run, runs)
-    make(path, "load-validation", {key: value for key, value in given.items() if value}, json)
+    given: dict[str, Any] = {}
+    if model:
+        given = {"models": [str(path) for path in model]}
+    elif estimator:
+        given = {"estimators": estimator, "models": []}
+    make(find_run(run, runs), "load-validation", given, json)
 
 
 FREED = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from hil.identify.model_file import load_model_file
 from hil.payload import Payload
 from hil.study.dynamic_data import held_out
 from hil.study.inverse_cases import Recorded, load_names
+from hil.study.separation_text import listed
 
 OTHER_MOTIONS = "record other motions, or fit with `validate: {hold_out: {trajectories: 3}}`"
 
@@ -36,28 +37,59 @@ class LoadCase:
     judged: Dataset
 
 
-def unseen(model: Path, of: Recorded, seed: int) -> tuple[RobotEstimator, frozenset[Group]]:
-    """A stored model, and the motions of a run to judge it on.
+def unseen(
+    models: Sequence[Path], of: Recorded, seed: int
+) -> tuple[list[tuple[str, RobotEstimator]], frozenset[Group]]:
+    """Stored models with their names, and the motions of a run to judge them on.
 
-    Those of the run are drawn where it has seen none of them.
+    Those of the run are drawn where no model has seen any of them.
+
+    Args:
+        models: Their folders; one that is not there is looked for in the run's.
+        of: The run.
+        seed: Of the draw.
 
     Raises:
-        DataError: It cannot be read, has seen all of them, or was fitted with another load.
+        DataError: One cannot be read or was fitted with another load, or there is no motion that
+            none has seen.
     """
-    stored = load_model_file(model)
-    if _knows(stored, _loaded(of)):
-        raise DataError(
-            f"{model} was fitted to recordings of this run with a load",
-            hint="fit a model to the first load alone, or name an --estimator",
-        )
+    stored = [(path, load_model_file(_place(path, of))) for path in models]
+    for path, model in stored:
+        if _knows(model, _loaded(of)):
+            raise DataError(
+                f"{path} was fitted to recordings of this run with a load",
+                hint="fit a model to the first load alone, or name an --estimator",
+            )
     bare = of.bare.data
     every = groups(bare, "trajectory")
-    fresh = [group for group in every if not _knows(stored, _motions(bare, frozenset([group])))]
+    fresh = [
+        group
+        for group in every
+        if not any(_knows(one, _motions(bare, frozenset([group]))) for _, one in stored)
+    ]
     if not fresh:
-        raise DataError(f"{model} was fitted to every motion of this run", hint=OTHER_MOTIONS)
-    if len(fresh) == len(every):
-        return stored, frozenset(held_out(of.bare, seed).held_out)
-    return stored, frozenset(fresh)
+        told = listed([str(path) for path in models])
+        raise DataError(
+            f"no motion of this run is left to judge on: {told} "
+            f"{'was' if len(models) == 1 else 'were'} fitted to all of them",
+            hint=OTHER_MOTIONS,
+        )
+    drawn = len(fresh) == len(every)
+    return _named(stored), frozenset(held_out(of.bare, seed).held_out if drawn else fresh)
+
+
+def _place(model: Path, of: Recorded) -> Path:
+    in_run = Path(of.bare.data.conditions[0].source) / model
+    return in_run if in_run.exists() and not model.exists() else model
+
+
+def _named(stored: Sequence[tuple[Path, RobotEstimator]]) -> list[tuple[str, RobotEstimator]]:
+    """By estimator; by folder where that is there twice."""
+    names = [model.estimator for _, model in stored]
+    return [
+        (model.estimator if names.count(model.estimator) == 1 else path.name, model)
+        for path, model in stored
+    ]
 
 
 def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:

@@ -1,9 +1,9 @@
-"""One load of a run under one model: its errors told and not told, and what was identified."""
+"""The loads of a run under a model: its errors told and not told, and what was identified."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,13 +11,14 @@ import numpy as np
 from hil.data.dataset import Dataset
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
-from hil.identify.payload_declared import Declaration
+from hil.identify.payload_declared import Declaration, check_declarations
 from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.payload_problem import Friction, with_identified
 from hil.payload import Payload
 from hil.study.dynamic_methods import rmse_where
 from hil.study.load_cases import LoadCase
+from hil.study.separation_text import mean_of
 from hil.typing import FloatArray
 
 TOLD = ("unaware", "declared", "identified")
@@ -34,7 +35,7 @@ class Scored:
             there is no estimate.
         estimate: The identified load; None for the first one, and where it failed.
         failed: Why it did.
-        check: The declaration against it; None without an estimate.
+        check: The declaration against it; None without an estimate, or where nobody asked.
     """
 
     case: LoadCase
@@ -42,6 +43,39 @@ class Scored:
     estimate: PayloadEstimate | None = None
     failed: str = ""
     check: Declaration | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnderLoads:
+    """What a model is worth under every load of a run.
+
+    Attributes:
+        name: Of the model, for people.
+        protocol: `honest`, or how its fit departs from that.
+        loads: The first one, under which it was fitted, then the others.
+    """
+
+    name: str
+    protocol: str
+    loads: tuple[Scored, ...]
+
+    def ratios(self) -> dict[str, float]:
+        """By load after the first: its error told as declared over that under the first load.
+
+        Both are means over the joints.
+        """
+        bare, *others = self.loads
+        least = mean_of(bare.errors["declared"])
+        return {one.case.name: mean_of(one.errors["declared"]) / least for one in others}
+
+
+def checked(loads: Sequence[Scored], false_alarm: float) -> tuple[Scored, ...]:
+    """With every declaration judged, gains told by the other loads."""
+    known = [one for one in loads if one.estimate is not None]
+    declared = [one.case.declared for one in known]
+    estimates = [one.estimate for one in known if one.estimate is not None]
+    checks = iter(check_declarations(declared, estimates, false_alarm=false_alarm))
+    return tuple(one if one.estimate is None else replace(one, check=next(checks)) for one in loads)
 
 
 def scored(

@@ -1,4 +1,4 @@
-"""What a model learned on the bare arm is worth under loads, and whether they are those declared.
+"""What models learned on the bare arm are worth under loads, and whether they are those declared.
 
 A load changes gravity, inertia and friction. A model is judged on motions held out, under every
 load, three ways (Fig. 8b of the PINN paper): nobody tells it of the load, it is told what was
@@ -7,38 +7,42 @@ declared, and it is told what other motions with the load say. The last also che
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from hil.data.dataset import Dataset, SeriesKind
-from hil.data.splits import Group
+from hil.data.splits import Group, Split
 from hil.dynamics import RobotModel
-from hil.errors import SpecError
-from hil.identify.base import RobotEstimator, estimator
+from hil.errors import HilError, SpecError
+from hil.identify.base import HONEST, RobotEstimator, estimator
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import MOST_SEED, choice, flag, number
-from hil.identify.payload_declared import FALSE_ALARM, check_declarations
+from hil.identify.payload_declared import FALSE_ALARM
 from hil.identify.payload_problem import Friction
 from hil.study import load_tables as tables
 from hil.study.base import Progress, Study, silent
 from hil.study.dynamic_data import held_out
 from hil.study.inverse_cases import Recorded, recorded
-from hil.study.load_cases import load_cases, unseen
-from hil.study.load_score import Scored, scored
+from hil.study.load_cases import LoadCase, load_cases, unseen
+from hil.study.load_score import UnderLoads, checked, scored
 from hil.study.load_words import TEXT, summary, warnings
 from hil.study.result import Part, StudyResult
 
 FRICTIONS = ("auto", "model", "offset", "scale")
+
+Failed = tuple[str, HilError]
+"""Name of an estimator, and why there is nothing of it."""
 
 
 class LoadValidation(Study):
     """Errors under loads, unaware, declared and identified; declarations checked.
 
     Args:
-        estimator: Fitted to the first load.
-        model: Folder of a fitted model to take in its place; empty: none.
+        estimators: Fitted to the first load; the first of them checks the declarations.
+        models: Folders of fitted models to take in their place; of a run, relative to it.
         friction: What of its friction may be another under a load, as in `estimate_payload`.
         false_alarm: Probability with which a correct declaration may be called wrong.
         cutoff_hz: Of the zero-phase Butterworth filter of order 5.
@@ -53,8 +57,8 @@ class LoadValidation(Study):
     def __init__(
         self,
         *,
-        estimator: str = "rigid-hysteresis",
-        model: str = "",
+        estimators: Sequence[str] = ("rigid-hysteresis",),
+        models: Sequence[str] = (),
         friction: Friction | Literal["auto"] = "auto",
         false_alarm: float = FALSE_ALARM,
         cutoff_hz: float = 50.0,
@@ -62,8 +66,10 @@ class LoadValidation(Study):
         seed: int = 0,
         figures: bool = True,
     ) -> None:
-        self.estimator = _word("estimator", estimator)
-        self.model = _word("model", model)
+        self.estimators = _words("estimators", estimators)
+        self.models = _words("models", models)
+        if not (self.estimators or self.models):
+            raise SpecError("estimators is empty", hint="name at least one, or a fitted model")
         self.friction = choice("friction", friction, FRICTIONS)
         self.false_alarm = number("false_alarm", false_alarm, above=0.0, at_most=0.5)
         self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
@@ -72,61 +78,96 @@ class LoadValidation(Study):
         self.figures = flag("figures", figures)
 
     def extras(self) -> Mapping[str, str]:
-        """What its estimator needs."""
-        return {} if self.model else estimator(self.estimator).extras()
+        """What its estimators need."""
+        fitted = () if self.models else self.estimators
+        return {key: why for name in fitted for key, why in estimator(name).extras().items()}
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
-        """Tables, a figure and sentences.
+        """Tables, figures and sentences; an estimator that fails is told, and costs no other.
 
         Raises:
-            FitError: There are too few trajectories or no second load, or the fit fails.
-            DataError: The data cannot be filtered as asked, or the model does not fit them.
+            FitError: There are too few trajectories or no second load, or every fit fails.
+            DataError: The data cannot be filtered as asked, or a model does not fit them.
+        """
+        return self.told(*self.found(dataset, robot, progress))
+
+    def found(
+        self, dataset: Dataset, robot: RobotModel, progress: Progress = silent
+    ) -> tuple[tuple[UnderLoads, ...], tuple[Failed, ...]]:
+        """What every model is worth, in the order asked for, and which there are not.
+
+        The first that there is checks the declarations.
+
+        Raises:
+            FitError, DataError: As `run`.
         """
         of = recorded(dataset, robot, self.cutoff_hz, self.rate_hz)
-        progress("fitting without a load", 0, 1)
-        model, held = self._model(of, robot)
-        found = self._scored(model, of, held, progress)
-        figures = (tables.by_load(found),) if self.figures else ()
-        told = (tables.declarations(found), tables.errors(found), tables.identified(found))
+        models, held = self._models(of, robot)
+        cases = load_cases(of, held)
+        found: list[UnderLoads] = []
+        failed: list[Failed] = []
+        for done, (name, fitted) in enumerate(models):
+            progress(f"judging {name} under loads", done, len(models))
+            try:
+                found.append(self._judged(name, fitted(), cases, of, check=not found))
+            except HilError as error:
+                failed.append((name, error))
+        if not found:
+            raise failed[0][1]
+        return tuple(found), tuple(failed)
+
+    def told(self, found: Sequence[UnderLoads], failed: Sequence[Failed]) -> StudyResult:
+        """The same as tables, figures and sentences."""
+        figures = tables.figures(found) if self.figures else ()
+        shown = (tables.declarations(found[0]), tables.errors(found), tables.identified(found[0]))
+        protocols = [one.protocol for one in found if one.protocol != HONEST]
+        part = Part("Under loads", next(iter(protocols), HONEST), TEXT, shown, figures)
         return StudyResult(
             self.study,
-            "Loads: what a model of the bare arm is worth, and are they those declared?",
-            summary(found, model.estimator, self.false_alarm),
-            (Part("Under loads", model.protocol, TEXT, told, figures),),
+            "Loads: what models of the bare arm are worth, and are they those declared?",
+            summary(found, self.false_alarm),
+            (part,),
             self.get_params(),
-            warnings=warnings(found),
+            warnings=warnings(found, failed),
         )
 
-    def _model(self, of: Recorded, robot: RobotModel) -> tuple[RobotEstimator, frozenset[Group]]:
-        if self.model:
-            return unseen(Path(self.model), of, self.seed)
+    def _models(
+        self, of: Recorded, robot: RobotModel
+    ) -> tuple[Sequence[tuple[str, Callable[[], RobotEstimator]]], frozenset[Group]]:
+        """Names and what gives the fitted models, and the motions to judge them on."""
+        if self.models:
+            stored, held = unseen([Path(model) for model in self.models], of, self.seed)
+            return [(name, partial(_as_it_is, model)) for name, model in stored], held
         outer = held_out(of.bare, self.seed)
-        fresh = estimator(self.estimator)
-        if "filters" in fresh.get_params():
-            fresh = estimator(self.estimator, filters=of.bare.filters)
-        return fresh.fit(outer.train, robot), frozenset(outer.held_out)
+        fits = [(name, partial(_fit, name, outer, of, robot)) for name in self.estimators]
+        return fits, frozenset(outer.held_out)
 
-    def _scored(
-        self, model: RobotEstimator, of: Recorded, held: frozenset[Group], progress: Progress
-    ) -> Sequence[Scored]:
-        cases = load_cases(of, held)
-        found = []
-        for done, case in enumerate(cases):
-            progress(f"judging {case.name}", done, len(cases))
-            found.append(scored(model, case, of.bare.scale, self.friction))
-        return _checked(found, self.false_alarm)
+    def _judged(
+        self, name: str, model: RobotEstimator, cases: Sequence[LoadCase], of: Recorded,
+        *, check: bool,
+    ) -> UnderLoads:  # fmt: skip
+        loads = tuple(scored(model, case, of.bare.scale, self.friction) for case in cases)
+        found = UnderLoads(name, model.protocol, loads)
+        return replace(found, loads=checked(loads, self.false_alarm)) if check else found
 
 
-def _checked(found: Sequence[Scored], false_alarm: float) -> list[Scored]:
-    """With every declaration judged, gains told by the other loads."""
-    known = [one for one in found if one.estimate is not None]
-    declared = [one.case.declared for one in known]
-    estimates = [one.estimate for one in known if one.estimate is not None]
-    checks = iter(check_declarations(declared, estimates, false_alarm=false_alarm))
-    return [one if one.estimate is None else replace(one, check=next(checks)) for one in found]
+def _as_it_is(model: RobotEstimator) -> RobotEstimator:
+    return model
 
 
-def _word(name: str, given: Any) -> str:
-    if not isinstance(given, str):
-        raise SpecError(f"{name} is {given!r}, but must be text")
-    return given
+def _fit(name: str, outer: Split, of: Recorded, robot: RobotModel) -> RobotEstimator:
+    fresh = estimator(name)
+    if "filters" in fresh.get_params():
+        fresh = estimator(name, filters=of.bare.filters)
+    return fresh.fit(outer.train, robot)
+
+
+def _words(name: str, given: Any) -> tuple[str, ...]:
+    several = isinstance(given, list | tuple)
+    if not several or not all(isinstance(word, str) and word for word in given):
+        raise SpecError(
+            f"{name} is {given!r}, but must be a list of names", hint=f"{name}: [first, second]"
+        )
+    if len(set(given)) < len(given):
+        raise SpecError(f"{name} has {given!r}, of which one is there twice")
+    return tuple(given)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from hil.study.load_score import Scored
+from hil.errors import HilError
+from hil.study.load_score import TOLD, Scored, UnderLoads
 from hil.study.load_tables import average
-from hil.study.separation_text import listed
+from hil.study.separation_text import listed, mean_of
 
 TEXT = (
-    "The model was fitted to the first load alone. Some motions are held out under every load; "
+    "Models were fitted to the first load alone. Some motions are held out under every load; "
     "each other load is identified from the rest of its motions, and all errors are on those held "
-    "out.",
+    "out. Every model identifies loads for itself; the first checks the declarations.",
     "A declaration is contradicted where the identified load is further from it than noise, drive "
     "gains and the model's own errors explain. A joint whose gain is really larger makes every "
     "load too light: the loads that agree with one another tell by how much. With a single load, "
@@ -19,16 +20,28 @@ TEXT = (
 )
 
 
-def summary(found: Sequence[Scored], estimator: str, false_alarm: float) -> tuple[str, ...]:
+def summary(found: Sequence[UnderLoads], false_alarm: float) -> tuple[str, ...]:
     """What to take away."""
-    return (*_wrong(found, false_alarm), *_errors(found, estimator))
+    return (
+        *_wrong(found[0].loads, false_alarm),
+        *(_ratio(model) for model in found),
+        *_errors(found),
+    )
 
 
-def warnings(found: Sequence[Scored]) -> tuple[str, ...]:
+def warnings(
+    found: Sequence[UnderLoads], unfitted: Sequence[tuple[str, HilError]]
+) -> tuple[str, ...]:
     """What could not be told."""
-    unseen = [o.case.name for o in found if o.check and not o.check.mount_observable]
-    failed = [f"{o.case.name}: not identified: {o.failed}" for o in found if o.failed]
-    checked = [one for one in found if one.check]
+    checked = [one for one in found[0].loads if one.check]
+    unseen = [o.case.name for o in checked if o.check and not o.check.mount_observable]
+    failed = [f"{name}: {error.message}" for name, error in unfitted]
+    failed += [
+        f"{one.case.name}, {model.name}: not identified: {one.failed}"
+        for model in found
+        for one in model.loads
+        if one.failed
+    ]
     if unseen:
         failed.append(
             f"{listed(unseen)}: the centre of mass lies on the flange's axis, so that the angle at "
@@ -52,10 +65,21 @@ def _wrong(found: Sequence[Scored], false_alarm: float) -> Iterator[str]:
         yield f"{len(wrong)} of {len(checked)} declared loads are contradicted. {rest}"
 
 
-def _errors(found: Sequence[Scored], estimator: str) -> Iterator[str]:
-    for one in found:
-        if one.case.told is None:
-            continue
-        each = [(told, average(one, told)) for told in ("unaware", "declared", "identified")]
-        figures = [f"{number:.3g} N·m {told}" for told, number in each if number is not None]
-        yield f"{one.case.name}, {estimator}, mean over the joints: {listed(figures)}."
+def _ratio(model: UnderLoads) -> str:
+    bare, ratios = model.loads[0], model.ratios()
+    load = max(ratios, key=ratios.__getitem__)
+    return (
+        f"{model.name} errs by {mean_of(bare.errors['declared']):.3g} N·m with {bare.case.name}, "
+        "mean over the joints, and told of the loads as declared by at most "
+        f"{ratios[load]:.2f} times as much ({load})."
+    )
+
+
+def _errors(found: Sequence[UnderLoads]) -> Iterator[str]:
+    for model in found:
+        for one in model.loads:
+            if one.case.told is None:
+                continue
+            each = [(told, average(one, told)) for told in TOLD]
+            figures = [f"{number:.3g} N·m {told}" for told, number in each if number is not None]
+            yield f"{one.case.name}, {model.name}, mean over the joints: {listed(figures)}."
