@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import RecordingError
+from hil.identify.model_file import write_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +90,8 @@ def write_file(content: bytes, out: Path) -> None:
     Raises:
         RecordingError: It cannot be made.
     """
-    draft = out.with_name(f".{out.name}.{os.getpid()}")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            draft.write_bytes(content)
-            draft.replace(out)
-        finally:
-            draft.unlink(missing_ok=True)
+        write_whole(out, content)
     except OSError as error:
         raise RecordingError(f"cannot write {out}: {error.strerror}") from error
