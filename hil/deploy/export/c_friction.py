@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hil.deploy.export.c_columns import GROUPS, LAWS, PEAKS, SUMS
+from hil.deploy.export.c_shaped import shaped_body, shaped_memory
 from hil.deploy.export.c_text import Piece, number
 from hil.deploy.export.program import PlainFriction, Program, terms_of
+from hil.deploy.export.shaped import ShapedFriction
 from hil.identify.friction.law import PARTS, FrictionLaw
 from hil.identify.friction.library import ORDERS
 from hil.identify.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
@@ -31,6 +34,11 @@ def friction_piece(program: Program) -> Piece:
     if isinstance(friction, PlainFriction):
         lines = [line for j in range(program.n) for line in _plain(friction, j)]
         return Piece(functions=SIGN * (friction.sign_width == 0) + _function([UNUSED, *lines]))
+    if isinstance(friction, ShapedFriction):
+        memory = shaped_memory(friction)
+        function = _function([shaped_body(friction)])
+        return replace(memory, functions=memory.functions + function)
+    assert isinstance(friction, FrictionLaw)
     return _remembering(friction)
 
 

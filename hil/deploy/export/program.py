@@ -1,6 +1,6 @@
 """What a controller computes every cycle, free of the estimator that found it.
 
-    torque = rigid body and load + friction
+    torque = rigid body and load + friction, or Lagrangian network + load + friction
     effort = torque / scale + correction
 
 A program knows joints, bodies and friction in plain arrays, so that C, ONNX or anything else can be
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from hil.dynamics.build import JointGeometry
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.residual.correction import Correction
 from hil.typing import FloatArray
+
+if TYPE_CHECKING:
+    from hil.deploy.export.lagrangian_terms import LagrangianTerms, NetworkFriction
+    from hil.deploy.export.shaped import ShapedFriction
 
 BODY = 10
 """Parameters of a body in `hil.dynamics.inertial`'s order; the rotor's inertia comes behind."""
@@ -56,11 +61,13 @@ class Program:
         geometry: Where the joints are.
         gravity: (3,) in the base frame [m/s²].
         flange: (4, 4) pose of the flange in the last joint's frame; loads are told in the flange's.
-        rigid: (n, 11) per link: a body in the joint's frame, and the rotor's inertia.
+        rigid: (n, 11) per link: a body in the joint's frame, and the rotor's inertia. Zeros where
+            a Lagrangian network stands for them.
         gears: (n, 11) the same for the torque that the gears transmit, on which friction depends.
         friction: With or without memory.
         scale: (n,) torque per unit of effort.
         correction: Of a residual network, in effort units.
+        lagrangian: Network that takes the place of the rigid body; loads stay bodies.
     """
 
     estimator: str
@@ -71,9 +78,10 @@ class Program:
     flange: FloatArray
     rigid: FloatArray
     gears: FloatArray
-    friction: PlainFriction | FrictionLaw
+    friction: PlainFriction | FrictionLaw | ShapedFriction | NetworkFriction
     scale: FloatArray
     correction: Correction | None = None
+    lagrangian: LagrangianTerms | None = None
 
     @property
     def n(self) -> int:
@@ -83,7 +91,8 @@ class Program:
     @property
     def remembers(self) -> bool:
         """Whether what comes out depends on samples before."""
-        return isinstance(self.friction, FrictionLaw) or self.correction is not None
+        carried = getattr(self.friction, "length", None) is not None
+        return carried or isinstance(self.friction, FrictionLaw) or self.correction is not None
 
 
 def bodies(full: FloatArray, n: int) -> FloatArray:

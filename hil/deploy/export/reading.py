@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.deploy.export.lagrangian_terms import NetworkFriction
 from hil.deploy.export.program import PlainFriction, Program, bodies
+from hil.deploy.export.shaped import ShapedFriction, shaped_of
 from hil.dynamics import RobotModel, base_parameters
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.residual.fitted import CorrectedModel
+from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST
 from hil.identify.rigid_linear import TERMS, RigidLinear
@@ -32,6 +35,11 @@ def program_of(model: RobotEstimator) -> Program:
         base = base_parameters(model.robot_, rotor=True)
         rigid, gears = (base.expand(beta) for beta in (model.rigid_, model.gear_rigid_))
         return _program(model, rigid, gears, model.law_)
+    if isinstance(model, RigidDiffnea):
+        base = base_parameters(model.robot_, rotor=True)
+        own = model.coefficients_[: base.rank]
+        rigid, gears = (base.expand(beta) for beta in (own, model.gear_rigid_))
+        return _program(model, rigid, gears, shaped_of(model))
     if isinstance(model, RigidLinear):
         n = model.robot_.n
         beta, friction = np.split(model.coefficients_, [-len(TERMS) * n])
@@ -65,7 +73,7 @@ def _program(
     model: RobotEstimator,
     rigid: FloatArray,
     gears: FloatArray,
-    friction: PlainFriction | FrictionLaw,
+    friction: PlainFriction | FrictionLaw | ShapedFriction | NetworkFriction,
 ) -> Program:
     robot = model.robot_
     return Program(
