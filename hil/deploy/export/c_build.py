@@ -55,7 +55,7 @@ def built(folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (
 
 
 def self_tested(folder: Path, program: Path) -> str:
-    """What a self-test says.
+    """What a self-test says: how well it agrees, and on a line of its own the size of the state.
 
     Raises:
         FitError: It does not pass.
@@ -68,6 +68,16 @@ def self_tested(folder: Path, program: Path) -> str:
             hint="this is a fault of hil's export: please report it with the model's folder",
         )
     return said
+
+
+def asked(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """The compiler with these arguments, in a folder; what comes of it is the caller's to judge.
+
+    Raises:
+        FitError: It cannot be run.
+        PluginError: There is no compiler.
+    """
+    return _run([require_compiler(), *arguments], folder)
 
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hil.deploy.export.c_build import built, require_compiler, self_tested
 from hil.deploy.export.c_program import CSource, c_source
+from hil.deploy.export.c_size import size_note
 from hil.deploy.export.c_test import cmake, self_test
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_folder
 from hil.deploy.export.golden import golden_of
@@ -42,18 +43,20 @@ def export_c(
         f"{prefix}_test.c": self_test(source, golden_of(model)),
         "CMakeLists.txt": cmake(source),
     }
-    checked = "" if unchecked else _checked(files, source)
+    checked, notes = ("", ()) if unchecked else _checked(files, source)
     write_folder(files, out)
     memory = "with" if program.remembers else "without"
     parts = f"{program.estimator}, {memory} memory"
     unit = effort_unit(program.effort_kind)
-    return Exported(out, tuple(files), program.joint_names, unit, parts, checked)
+    return Exported(out, tuple(files), program.joint_names, unit, parts, checked, notes)
 
 
-def _checked(files: dict[str, str], source: CSource) -> str:
+def _checked(files: dict[str, str], source: CSource) -> tuple[str, tuple[str, ...]]:
+    """What the self-test says, and what a task that calls the program has to have."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in files.items():
             (folder / file).write_text(text, "utf-8")
         names = (f"{source.prefix}.c", f"{source.prefix}_test.c")
-        return f"self-test: {self_tested(folder, built(folder, names, 'self_test'))}"
+        said, _, state = self_tested(folder, built(folder, names, "self_test")).partition("\n")
+        return f"self-test: {said}", (size_note(folder, source.prefix, state),)

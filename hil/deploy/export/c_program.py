@@ -107,6 +107,10 @@ HEADER = """#ifndef HIL_MODEL_H
 /* Joints: {joints}. Angles in rad, efforts in {unit}. */
 #define HIL_N {n}
 
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
 typedef struct {{
 {state}}} hil_state;
 
@@ -126,6 +130,10 @@ int hil_set_load(hil_state *s, double mass, const double com[3], const double in
 int hil_step(hil_state *s, const double q[HIL_N], const double qd[HIL_N], const double qdd[HIL_N],
              double effort[HIL_N], hil_parts *parts);
 
+#ifdef __cplusplus
+}}
+#endif
+
 #endif
 """
 
@@ -134,11 +142,16 @@ NETWORK = """    hil_network(s, q, qd, qdd, effort, residual);
 """
 
 STEP = r"""
+/* Within 1e6, by the bits: to compare what is no number is an invalid operation, and traps. */
 static int hil_finite(const double *v, int count)
 {
+    union { double number; unsigned long long bits; } size, most;
     int i;
+    most.number = 1e6;
     for (i = 0; i < count; i++) {
-        if (!(v[i] >= -1e6 && v[i] <= 1e6)) { return 0; }
+        size.number = v[i];
+        size.bits &= 0x7fffffffffffffffULL;
+        if (size.bits > most.bits) { return 0; }
     }
     return 1;
 }

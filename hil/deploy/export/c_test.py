@@ -43,7 +43,7 @@ int main(void)
 {{
     {p}_state state;
     double effort[{P}_N], worst = 0.0;
-    int load, i, j;
+    int load, i, j, wrong = 0;
     for (load = 0; load < 2; load++) {{
         {p}_reset(&state);
         if (load && {p}_set_load(&state, {mass}, com, inertia)) {{ return 2; }}
@@ -53,12 +53,16 @@ int main(void)
             }}
             for (j = 0; j < {P}_N; j++) {{
                 const double off = fabs(effort[j] - wanted[load][i][j]) / largest[j];
+                /* Numbers behind one that is none do not make up for it. */
+                if (!(off <= {most})) {{ wrong = 1; }}
                 if (!(off <= worst)) {{ worst = off; }}
             }}
         }}
     }}
     printf("largest difference %.2e of each joint's largest effort\\n", worst);
-    return worst <= {most} ? 0 : 1;
+    if (wrong) {{ return 1; }}
+    printf("%lu bytes of state\\n", (unsigned long)sizeof state);
+    return 0;
 }}
 """
 
