@@ -12,6 +12,7 @@ from hil.identify.base import RobotEstimator
 TARGETS = {
     "c": ("hil.deploy.export.c_export", "export_c"),
     "urdf": ("hil.deploy.identified_urdf", "export_urdf"),
+    "torch": ("hil.deploy.export.torch_export", "export_torch"),
 }
 """Name → module and function; imported when it is asked for, as some need heavy libraries."""
 
