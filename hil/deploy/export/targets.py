@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from hil.errors import SpecError
-from hil.identify.base import RobotEstimator
+
+if TYPE_CHECKING:
+    from hil.identify.base import RobotEstimator
 
 TARGETS = {
     "c": ("hil.deploy.export.c_export", "export_c"),
     "urdf": ("hil.deploy.identified_urdf", "export_urdf"),
     "torch": ("hil.deploy.export.torch_export", "export_torch"),
+    "json": ("hil.deploy.export.json_export", "export_json"),
 }
 """Name → module and function; imported when it is asked for, as some need heavy libraries."""
 
