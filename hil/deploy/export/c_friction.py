@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from hil.deploy.export.c_columns import GROUPS, LAWS, PEAKS, SUMS
+from hil.deploy.export.c_network_friction import network_friction_piece
 from hil.deploy.export.c_shaped import shaped_body, shaped_memory
 from hil.deploy.export.c_text import Piece, number
+from hil.deploy.export.lagrangian_terms import NetworkFriction
 from hil.deploy.export.program import PlainFriction, Program, terms_of
 from hil.deploy.export.shaped import ShapedFriction
 from hil.identify.friction.law import PARTS, FrictionLaw
@@ -19,6 +21,10 @@ from hil.identify.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RA
 from hil.typing import FloatArray
 
 UNUSED = "    (void)s; (void)q; (void)torque; (void)ripple; (void)drive;"
+
+LEARNED = """\
+    (void)s; (void)torque; (void)ripple; (void)drive;
+    hil_friction_network(q, qd, friction);"""
 
 SIGN = """
 static double hil_sign(double v) { return (double)((v > 0.0) - (v < 0.0)); }
@@ -38,7 +44,10 @@ def friction_piece(program: Program) -> Piece:
         memory = shaped_memory(friction)
         function = _function([shaped_body(friction)])
         return replace(memory, functions=memory.functions + function)
-    assert isinstance(friction, FrictionLaw)
+    if isinstance(friction, NetworkFriction):
+        network = network_friction_piece(friction)
+        function = _function([LEARNED])
+        return replace(network, functions=network.functions + function)
     return _remembering(friction)
 
 

@@ -11,6 +11,7 @@ import re
 from dataclasses import dataclass
 
 from hil.deploy.export.c_friction import friction_piece
+from hil.deploy.export.c_lagrangian import lagrangian_piece
 from hil.deploy.export.c_rigid import bodies_of_gears, rigid_piece
 from hil.deploy.export.c_text import Piece, array
 from hil.deploy.export.program import Program
@@ -58,7 +59,7 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
         from hil.deploy.export.c_network import network_piece
 
         network = network_piece(program.correction, program.n)
-    pieces = (rigid_piece(program), friction_piece(program), network)
+    pieces = (rigid_piece(program), lagrangian_piece(program), friction_piece(program), network)
     head = f"/* {told or program.estimator}. Written by hil; do not edit. */\n"
     header = head + _header(program, pieces)
     source = head + _source(program, pieces, network != Piece())
@@ -95,8 +96,12 @@ def _source(program: Program, pieces: tuple[Piece, ...], corrected: bool) -> str
     step = STEP.replace("@SECOND@", second).replace("@TRANSMITTED@", transmitted)
     step = step.replace("@DECLARED@", ", gears[HIL_N]" if second else "")
     step = step.replace("@NETWORK@", NETWORK if corrected else "")
+    learned = program.lagrangian is not None
+    for word, code in LEARNED.items():
+        step = step.replace(word, code if learned else "")
     scale = array("hil_scale", 1.0 / program.scale)
-    start = '#include "@HEADER@"\n\n#include <math.h>\n#include <stddef.h>\n\n'
+    start = '#include "@HEADER@"\n\n#include <math.h>\n#include <stddef.h>\n'
+    start += "#include <stdint.h>\n\n" if learned else "\n"
     begin = f"\nvoid hil_reset(hil_state *s)\n{{\n    int i;\n{reset}}}\n"
     return start + constants + scale + functions + begin + step
 
@@ -141,6 +146,13 @@ NETWORK = """    hil_network(s, q, qd, qdd, effort, residual);
     for (i = 0; i < HIL_N; i++) { effort[i] += residual[i]; }
 """
 
+LEARNED = {
+    "@LEARNED@": "    hil_lagrangian(q, qd, qdd, rigid);\n",
+    "@LEARNED_BARE@": "    hil_lagrangian(q, qd, qdd, bare);\n",
+    "@LEARNED_GRAVITY@": "    hil_lagrangian(q, still, still, parts->gravity);\n",
+}
+"""What a Lagrangian network adds to bodies that are nothing but the load."""
+
 STEP = r"""
 /* Within 1e6, by the bits: to compare what is no number is an invalid operation, and traps. */
 static int hil_finite(const double *v, int count)
@@ -165,16 +177,17 @@ int hil_set_load(hil_state *s, double mass, const double com[3], const double in
     return 0;
 }
 
-static void hil_explain(hil_motion *m, const double *q, const double *qdd, const double *rigid,
-                        hil_parts *parts)
+static void hil_explain(hil_motion *m, const double *q, const double *qd, const double *qdd,
+                        const double *rigid, hil_parts *parts)
 {
     static const double still[HIL_N] = {0.0};
     double bare[HIL_N];
     int i;
+    (void)qd;
     hil_collect(m, hil_bodies, NULL, qdd, bare);
-    hil_move(q, still, still, m);
+@LEARNED_BARE@    hil_move(q, still, still, m);
     hil_collect(m, hil_bodies, NULL, still, parts->gravity);
-    for (i = 0; i < HIL_N; i++) {
+@LEARNED_GRAVITY@    for (i = 0; i < HIL_N; i++) {
         parts->load[i] = (rigid[i] - bare[i]) * hil_scale[i];
         parts->inertia[i] = (bare[i] - parts->gravity[i]) * hil_scale[i];
         parts->gravity[i] *= hil_scale[i];
@@ -191,12 +204,12 @@ int hil_step(hil_state *s, const double q[HIL_N], const double qd[HIL_N], const 
     for (i = 0; i < HIL_N; i++) { friction[i] = ripple[i] = drive[i] = residual[i] = 0.0; }
     hil_move(q, qd, qdd, &m);
     hil_collect(&m, hil_bodies, s->load, qdd, rigid);
-@SECOND@    hil_friction(s, q, qd, @TRANSMITTED@, friction, ripple, drive);
+@LEARNED@@SECOND@    hil_friction(s, q, qd, @TRANSMITTED@, friction, ripple, drive);
     for (i = 0; i < HIL_N; i++) {
         effort[i] = (rigid[i] + friction[i] + ripple[i] + drive[i]) * hil_scale[i];
     }
 @NETWORK@    if (parts) {
-        hil_explain(&m, q, qdd, rigid, parts);
+        hil_explain(&m, q, qd, qdd, rigid, parts);
         for (i = 0; i < HIL_N; i++) {
             parts->friction[i] = friction[i] * hil_scale[i];
             parts->ripple[i] = ripple[i] * hil_scale[i];

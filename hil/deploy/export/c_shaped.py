@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from hil.deploy.export.c_text import Piece, number
 from hil.deploy.export.shaped import ShapedFriction
 
@@ -50,11 +52,13 @@ def shaped_body(friction: ShapedFriction) -> str:
 
 def shaped_memory(friction: ShapedFriction) -> Piece:
     """The states it carries, if any, and the function that its shapes need."""
+    peaked = (friction.static != friction.coulomb) & (friction.stribeck_exponent != 1.0)
+    power = POWER * bool(np.any(peaked) or np.any(friction.power))
     if friction.length is None:
-        return Piece(functions=POWER)
+        return Piece(functions=power)
     count = len(_multiples(friction)) * len(friction.coulomb)
     state, reset = STATE.format(count=count), RESET.format(count=count)
-    return Piece(state=state, functions=POWER, reset=reset)
+    return Piece(state=state, functions=power, reset=reset)
 
 
 def _multiples(friction: ShapedFriction) -> tuple[float, ...]:

@@ -85,12 +85,13 @@ class NetworkFriction:
 
 def lagrangian_terms(model: LagrangianModel) -> LagrangianTerms:
     """Those of a fitted `lagrangian`."""
-    settings, n = model.design_.network, model.robot_.n
-    typical = model.torque_std_ if settings.scaled else np.ones(n)
-    # The network's scales begin in single precision, whatever it is trained in.
-    unit = np.asarray(typical, dtype=np.float32)
-    potential = settings.gravity == "potential"
+    from hil.identify.lagrangian.stored import network_of
+
+    settings = model.design_.network
     of_factor = settings.epsilon_of == "factor"
+    dynamics = network_of(model.design_, model.torque_std_, model.weights_).dynamics
+    # An entry of L's diagonal stands alone in its row of the placement.
+    unit = dynamics.factor.placement[: model.robot_.n].sum(dim=-1).double().numpy()
     names = [f"dynamics.trunk.layers.{i}" for i in range(len(settings.hidden))]
     return LagrangianTerms(
         trunk=_layers(model.weights_, [*names, "dynamics.trunk.last"]),
@@ -100,9 +101,9 @@ def lagrangian_terms(model: LagrangianModel) -> LagrangianTerms:
         rectified=settings.diagonal == "relu",
         least=settings.epsilon if of_factor else 0.0,
         added=0.0 if of_factor else settings.epsilon,
-        unit=np.sqrt(unit).astype(np.float64),
-        potential=potential,
-        gravity_unit=np.atleast_1d(unit.max() if potential else unit).astype(np.float64),
+        unit=unit,
+        potential=settings.gravity == "potential",
+        gravity_unit=dynamics.gravity_unit.double().numpy(),
     )
 
 

@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.deploy.export.lagrangian_terms import NetworkFriction
-from hil.deploy.export.program import PlainFriction, Program, bodies
+from hil.deploy.export.lagrangian_terms import (
+    NetworkFriction,
+    lagrangian_friction,
+    lagrangian_terms,
+)
+from hil.deploy.export.program import BODY, PlainFriction, Program, bodies
 from hil.deploy.export.shaped import ShapedFriction, shaped_of
 from hil.dynamics import RobotModel, base_parameters
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.friction.law import FrictionLaw
+from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
@@ -35,6 +40,10 @@ def program_of(model: RobotEstimator) -> Program:
         base = base_parameters(model.robot_, rotor=True)
         rigid, gears = (base.expand(beta) for beta in (model.rigid_, model.gear_rigid_))
         return _program(model, rigid, gears, model.law_)
+    if isinstance(model, LagrangianModel):
+        nothing = np.zeros((BODY + 1) * model.robot_.n)
+        program = _program(model, nothing, nothing, lagrangian_friction(model))
+        return replace(program, lagrangian=lagrangian_terms(model))
     if isinstance(model, RigidDiffnea):
         base = base_parameters(model.robot_, rotor=True)
         own = model.coefficients_[: base.rank]
@@ -51,7 +60,8 @@ def program_of(model: RobotEstimator) -> Program:
         return _program(model, rigid, rigid, plain)
     raise FitError(
         f"{model.estimator} cannot be exported as a program",
-        hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), or residual on one",
+        hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), lagrangian, or residual "
+        "on one of them",
     )
 
 
