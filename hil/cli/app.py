@@ -25,6 +25,7 @@ from hil.cli import (
     loads,
     models,
     recover,
+    registry,
     replaying,
     resting,
     running,
@@ -59,7 +60,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, resting, exports, data, system, bench,
+    studies, registry, resting, exports, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -30,7 +30,7 @@ def collect_provenance(spec_folder: Path | None = None) -> dict[str, Any]:
     return {
         "uid": str(uuid.uuid4()),
         "started": utc_now(),
-        "operator": _operator(),
+        "operator": operator(),
         "host": platform.node(),
         "pid": os.getpid(),
         "platform": platform.platform(),
@@ -96,7 +96,8 @@ def _git(directory: Path, *arguments: str) -> str | None:
     return answer.stdout.strip() if answer.returncode == 0 else None
 
 
-def _operator() -> str:
+def operator() -> str:
+    """Who is at work: the user of this process."""
     try:
         return getpass.getuser()
     except (KeyError, OSError, ImportError):

@@ -1,0 +1,248 @@
+"""`hil models`: versions of models, who is champion, and the way back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.models import Sources, found
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+
+RegistryOption = Annotated[
+    Path,
+    typer.Option("--registry", envvar="HIL_REGISTRY", help="Folder of the registered models."),
+]
+NameArgument = Annotated[str, typer.Argument(help="Name of the models, such as the robot's.")]
+HERE = Path("registry")
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Registered models: versions, champion and challenger, promotion and the way back.",
+)
+
+
+def register(parent: typer.Typer) -> None:
+    """Add this group's verbs."""
+    parent.add_typer(app, name="models")
+
+
+@app.command("list")
+def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
+    """Names, their champions and challengers."""
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    told = [
+        {"name": name, "versions": len(home.versions(name)), **home.aliases(name).to_dict()}
+        for name in home.names()
+    ]
+    if json:
+        print_json({"registry": str(registry), "models": told})
+        return
+    if not told:
+        typer.echo(f"no models in {registry}; register one: hil models register MODEL --name NAME")
+        return
+    print_table(
+        ("name", "versions", "champion", "challenger"),
+        [(one["name"], str(one["versions"]), _label(one["champion"]), _label(one["challenger"]))
+         for one in told],
+    )  # fmt: skip
+
+
+@app.command()
+def show(
+    name: NameArgument,
+    version: Annotated[str, typer.Argument(help="champion, challenger or v3; all if none.")] = "",
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Versions of a name, or all that is known of one."""
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    if version:
+        print_json(home.version(name, version).to_dict())
+        return
+    aliases, versions = home.aliases(name), home.versions(name)
+    if json:
+        listed = [one.to_dict() for one in versions]
+        print_json({"name": name, **aliases.to_dict(), "versions": listed})
+        return
+    role = {aliases.champion: "champion", aliases.challenger: "challenger"}
+    print_table(
+        ("version", "is", "estimator", "registered", "by", "of run"),
+        [(one.label, role.get(one.number, ""), str(one.facts.get("estimator", "")),
+          one.registered[:16], one.by, _run(one.facts)) for one in versions],
+    )  # fmt: skip
+
+
+@app.command("register")
+def register_model(
+    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    name: Annotated[str, typer.Option("--name", help="Name of the models.", show_default=False)],
+    data: Annotated[
+        list[Path] | None,
+        typer.Option("--data", help="Recording it was fitted to, where it is not of a run."),
+    ] = None,
+    challenger: Annotated[
+        bool, typer.Option("--challenger", help="To be compared with the champion.")
+    ] = False,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Add a model as a version; the same model twice is one version."""
+    from hil.registry.facts import facts_of
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    version = home.register(name, model, facts_of(model, data or ()), challenger=challenger)
+    if json:
+        print_json(version.to_dict())
+        return
+    typer.echo(f"{name} {version.label}: {version.facts.get('estimator', '')} → {version.folder}")
+    if not home.aliases(name).champion:
+        typer.echo(f"make it champion: hil models promote {name} {version.label} --on SOURCE")
+
+
+@app.command()
+def compare(
+    name: NameArgument,
+    version: Annotated[str, typer.Argument(help="challenger or v3.")],
+    sources: Sources,
+    against: Annotated[str, typer.Option("--with", help="champion or v2.")] = "champion",
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Two versions on the same recordings, which neither was fitted to."""
+    from hil.registry.compare import compare_sources
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    old, new = home.version(name, against), home.version(name, version)
+    models = home.load(name, old.label), home.load(name, new.label)
+    told = compare_sources(*models, found(sources, runs)).to_dict()
+    if json:
+        print_json({"name": name, "champion": old.label, "challenger": new.label, **told})
+        return
+    _print_comparison(told, old.label, new.label)
+
+
+@app.command()
+def promote(
+    name: NameArgument,
+    version: Annotated[str, typer.Argument(help="challenger or v3.")] = "challenger",
+    on: Annotated[
+        list[str] | None,
+        typer.Option("--on", help="Run or MCAP file to compare on; repeat for several."),
+    ] = None,
+    max_rmse: Annotated[
+        float | None,
+        typer.Option("--max-rmse", help="Largest mean RMSE (raw) on each, in the data's unit."),
+    ] = None,
+    unless_worse: Annotated[
+        bool, typer.Option("--unless-worse", help="Also where neither errs less for sure.")
+    ] = False,
+    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Make a version champion, if it errs less on recordings that neither was fitted to."""
+    from hil.errors import SpecError
+    from hil.evaluate.verdict import Criterion
+    from hil.registry.promotion import challenge, require_promoted
+    from hil.registry.registry import Registry
+
+    if not on:
+        raise SpecError(
+            "nothing to compare on", hint="name a recording neither was fitted to: --on SOURCE"
+        )
+    criteria = () if max_rmse is None else (Criterion("rmse_raw", max_rmse),)
+    decision = challenge(
+        Registry(registry), name, version, found(on, runs),
+        criteria=criteria, unless_worse=unless_worse, reason=reason,
+    )  # fmt: skip
+    if json:
+        print_json(decision.to_dict())
+    elif decision.promoted:
+        told = decision.comparison
+        if told is not None and decision.instead_of is not None:
+            _print_comparison(told.to_dict(), decision.instead_of.label, decision.version.label)
+        typer.echo(f"{name}: {decision.version.label} is champion: {decision.reason}")
+    require_promoted(decision)
+
+
+@app.command()
+def rollback(
+    name: NameArgument,
+    to: Annotated[str, typer.Option("--to", help="v2; by default the champion before.")] = "",
+    reason: Annotated[str, typer.Option("--reason", help="For the log.")] = "",
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Make the champion before the present one champion again."""
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    number = home.version(name, to).number if to else 0
+    aliases = home.roll_back(name, reason=reason, to=number)
+    if json:
+        print_json({"name": name, **aliases.to_dict()})
+    else:
+        typer.echo(f"{name}: v{aliases.champion} is champion again")
+
+
+@app.command()
+def log(name: NameArgument, registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
+    """What was done to a name's versions, when, by whom and why."""
+    from hil.registry.registry import Registry
+
+    entries = Registry(registry).log(name)
+    if json:
+        print_json({"name": name, "log": [entry.to_dict() for entry in entries]})
+        return
+    print_table(
+        ("when", "version", "what", "by", "why"),
+        [(one.at[:19], f"v{one.version}", one.event, one.by, one.reason) for one in entries],
+    )
+
+
+@app.command()
+def check(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
+    """Compare every file with its digest and every log with itself; make the views anew."""
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    told = []
+    for name in home.names():
+        versions = home.versions(name)
+        for version in versions:
+            version.verify()
+        told.append({"name": name, "versions": len(versions), **home.rebuild(name).to_dict()})
+    if json:
+        print_json({"registry": str(registry), "models": told})
+    else:
+        count = sum(one["versions"] for one in told)
+        typer.echo(f"{registry}: {len(told)} names, {count} versions: all as they were registered")
+
+
+def _label(number: int | None) -> str:
+    return f"v{number}" if number else ""
+
+
+def _run(facts: Any) -> str:
+    run = facts.get("run") or {}
+    return Path(str(run.get("folder", ""))).name
+
+
+def _print_comparison(told: dict[str, Any], old: str, new: str) -> None:
+    joints = [f"J{j + 1}" for j in range(len(told["joint_names"]))]
+    rows = [
+        (label, *(f"{value:.4f}" for value in told[key]))
+        for label, key in ((old, "champion_rmse"), (new, "challenger_rmse"))
+    ]
+    print_table((f"RMSE [{told['unit']}]", *joints), rows)
+    typer.echo(f"{told['words']}; {told['blocks']} blocks of time, {told['samples']} samples")

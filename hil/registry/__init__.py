@@ -1,0 +1,6 @@
+"""Versions of models: immutable, compared before promotion, and always there to go back to.
+
+``REGISTRY/NAME/v0001/`` is a version: model files, and `version.json`, what it is, with digests.
+``REGISTRY/NAME/log.jsonl`` says what was done, line by line: the truth about champions.
+``REGISTRY/NAME/aliases.json`` names champion and challenger for people; it is made from the log.
+"""

@@ -1,0 +1,305 @@
+"""Models under names, in versions: registered, promoted, rolled back.
+
+Whatever is committed stays: folders appear whole, the log only grows, and nothing is deleted. A
+process that dies between the two leaves a version that the log does not know yet; the next writer
+enters it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.errors import RegistryError
+from hil.identify.base import RobotEstimator
+from hil.identify.model_file import json_bytes, load_model_file, write_whole
+from hil.record.provenance import operator, utc_now
+from hil.registry.lock import writing
+from hil.registry.log import Entry, Event, append, read_log
+from hil.registry.version import (
+    VERSION_FILE,
+    ModelVersion,
+    digest_of,
+    folder_of,
+    numbers_in,
+    read_version,
+    write_version,
+)
+from hil.suggest import closest
+
+ALIASES_FILE = "aliases.json"
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class Aliases:
+    """Who is what; 0 where nobody is.
+
+    Attributes:
+        champion: In use.
+        challenger: To be compared with it.
+        before: The champions before, newest last.
+    """
+
+    champion: int = 0
+    challenger: int = 0
+    before: tuple[int, ...] = ()
+
+    @staticmethod
+    def after(log: tuple[Entry, ...]) -> Aliases:
+        """What a log comes to."""
+        champion, challenger, before = 0, 0, list[int]()
+        for entry in log:
+            if entry.event == "challenger":
+                challenger = entry.version
+            elif entry.event == "promoted":
+                before += [champion] if champion else []
+                champion, challenger = entry.version, 0
+            elif entry.event == "rolled-back":
+                # What was left is no way back: it would be the way forward again.
+                while before and before.pop() != entry.version:
+                    pass
+                champion = entry.version
+            elif entry.event == "kept" and challenger == entry.version:
+                challenger = 0
+        return Aliases(champion, challenger, tuple(before))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "champion": self.champion or None,
+            "challenger": self.challenger or None,
+            "before": list(self.before),
+        }
+
+
+class Registry:
+    """A folder of named models.
+
+    Args:
+        root: Made when something is registered.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def names(self) -> list[str]:
+        """Names that have versions, in order."""
+        if not self.root.is_dir():
+            return []
+        return sorted(path.name for path in self.root.iterdir() if numbers_in(path))
+
+    def versions(self, name: str) -> list[ModelVersion]:
+        """All of a name, oldest first.
+
+        Raises:
+            RegistryError: There is no such name, or one is damaged.
+        """
+        home = self._home(name)
+        return [read_version(home, number) for number in numbers_in(home)]
+
+    def log(self, name: str) -> tuple[Entry, ...]:
+        """What was done to a name's versions.
+
+        Raises:
+            RegistryError: There is no such name, or its log is damaged.
+        """
+        return read_log(self._home(name))
+
+    def aliases(self, name: str) -> Aliases:
+        """Champion and challenger by the log."""
+        return Aliases.after(self.log(name))
+
+    def version(self, name: str, which: str = "champion") -> ModelVersion:
+        """A version by `champion`, `challenger` or number (`3`, `v3`).
+
+        Raises:
+            RegistryError: There is none.
+        """
+        home = self._home(name)
+        if which in ("champion", "challenger"):
+            aliases = self.aliases(name)
+            number = aliases.champion if which == "champion" else aliases.challenger
+            if not number:
+                raise RegistryError(
+                    f"{name} has no {which}", hint=f"see its versions with: hil models show {name}"
+                )
+            return read_version(home, number)
+        if not (digits := which.removeprefix("v")).isdecimal():
+            raise RegistryError(
+                f"{which!r} is no version of {name}", hint="give champion, challenger, or v3"
+            )
+        return read_version(home, int(digits))
+
+    def load(self, name: str, which: str = "champion") -> RobotEstimator:
+        """The model itself, its files compared with their digests first.
+
+        Raises:
+            RegistryError: There is none, or its files were changed.
+            DataError: They cannot be read.
+        """
+        version = self.version(name, which)
+        version.verify()
+        return load_model_file(version.folder)
+
+    def register(
+        self, name: str, model: Path, facts: Mapping[str, Any], *, challenger: bool = False
+    ) -> ModelVersion:
+        """Add a model folder as a version; the same model twice is one version.
+
+        Args:
+            name: Such as the robot's in its station.
+            model: Folder; read once, so that it may change or go afterwards.
+            facts: What is known of it, see `hil.registry.facts`.
+            challenger: Make it the one to be compared with the champion.
+
+        Raises:
+            RegistryError: The name cannot be, or the registry cannot be written.
+            DataError: The folder holds no model that can be read.
+        """
+        require_name(name)
+        load_model_file(model)
+        files = {p.name: p.read_bytes() for p in sorted(model.iterdir()) if p.is_file()}
+        files.pop(VERSION_FILE, None)
+        home = self.root / name
+        with writing(home):
+            self._adopt(home)
+            digest = digest_of(files)
+            known = [read_version(home, number) for number in numbers_in(home)]
+            found = next((one for one in known if one.digest == digest), None)
+            if found is None:
+                number = max(numbers_in(home), default=0) + 1
+                named = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
+                at, by, where = utc_now(), operator(), folder_of(home, number)
+                found = ModelVersion(name, number, where, digest, at, by, dict(facts), named)
+                write_version(home, found, files)
+                self._adopt(home)
+            # A champion cannot challenge itself.
+            now = Aliases.after(read_log(home))
+            if challenger and found.number not in (now.champion, now.challenger):
+                self._do(home, "challenger", found.number)
+        return found
+
+    def promote(
+        self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any], instead_of: int
+    ) -> Aliases:
+        """Make a version the champion.
+
+        Args:
+            name: Whose.
+            number: Which.
+            reason: In words.
+            evidence: What it rests on.
+            instead_of: Champion it was compared with, 0 for none.
+
+        Raises:
+            RegistryError: There is no such version, or the champion is another one by now.
+        """
+        home = self._home(name)
+        read_version(home, number).verify()
+        with writing(home):
+            self._adopt(home)
+            now = Aliases.after(read_log(home))
+            if now.champion == number:
+                return now
+            if now.champion != instead_of:
+                raise RegistryError(
+                    f"{name}: v{number} was compared with v{instead_of}, but v{now.champion} has "
+                    "become champion meanwhile",
+                    hint="compare it with that one",
+                )
+            return self._do(home, "promoted", number, reason, evidence)
+
+    def keep(self, name: str, number: int, *, reason: str, evidence: Mapping[str, Any]) -> Aliases:
+        """Note that a version was compared, and that the champion stays.
+
+        Raises:
+            RegistryError: There is no such version.
+        """
+        home = self._home(name)
+        read_version(home, number)
+        with writing(home):
+            self._adopt(home)
+            return self._do(home, "kept", number, reason, evidence)
+
+    def roll_back(self, name: str, *, reason: str, to: int = 0) -> Aliases:
+        """Make the champion before the present one champion again, or an earlier one.
+
+        Raises:
+            RegistryError: There was none, or it was never champion, or its files were changed.
+        """
+        home = self._home(name)
+        with writing(home):
+            self._adopt(home)
+            before = Aliases.after(read_log(home)).before
+            if not before or (to and to not in before):
+                was = ", ".join(f"v{one}" for one in before) or "no other"
+                raise RegistryError(
+                    f"{name} cannot go back{f' to v{to}' if to else ''}: champion before this one "
+                    f"was {was}",
+                    hint=f"see what was done with: hil models log {name}",
+                )
+            target = to or before[-1]
+            read_version(home, target).verify()
+            return self._do(home, "rolled-back", target, reason)
+
+    def rebuild(self, name: str) -> Aliases:
+        """Make the views from versions and log, and enter versions a crash has kept from it."""
+        home = self._home(name)
+        with writing(home):
+            self._adopt(home)
+            return _view(home)
+
+    def _home(self, name: str) -> Path:
+        require_name(name)
+        home = self.root / name
+        if not numbers_in(home):
+            guess = closest(name, self.names())
+            raise RegistryError(
+                f"{self.root} has no models of {name}",
+                hint=f"did you mean {guess!r}?" if guess else "register one: hil models register",
+            )
+        return home
+
+    def _adopt(self, home: Path) -> None:
+        """Enter versions that are there and not in the log."""
+        known = {entry.version for entry in read_log(home) if entry.event == "registered"}
+        for number in numbers_in(home):
+            if number not in known:
+                version = read_version(home, number)
+                append(home, Entry("registered", number, version.registered, version.by))
+
+    def _do(
+        self,
+        home: Path,
+        event: Event,
+        number: int,
+        reason: str = "",
+        evidence: Mapping[str, Any] | None = None,
+    ) -> Aliases:
+        append(home, Entry(event, number, utc_now(), operator(), reason, evidence or {}))
+        return _view(home)
+
+
+def _view(home: Path) -> Aliases:
+    aliases = Aliases.after(read_log(home))
+    write_whole(home / ALIASES_FILE, json_bytes(aliases.to_dict()))
+    return aliases
+
+
+def require_name(name: str) -> None:
+    """Refuse what cannot be a folder of its own everywhere.
+
+    Raises:
+        RegistryError: It cannot.
+    """
+    if not _NAME.match(name):
+        raise RegistryError(
+            f"{name!r} cannot be the name of a model",
+            hint="use letters, digits, dots, dashes and underscores, at most 64",
+        )

@@ -1,0 +1,171 @@
+"""A version of a model: its files as they were, and what is known of where they came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.errors import RegistryError
+from hil.identify.model_file import json_bytes
+from hil.record.files import fsync_directory
+
+VERSION_FILE = "version.json"
+FORMAT = 1
+
+_FOLDER = re.compile(r"v(\d{4,})\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelVersion:
+    """One version.
+
+    Attributes:
+        name: Of the models it is one of.
+        number: From 1.
+        folder: A model folder, as `load_model_file` takes it.
+        digest: SHA-256 over the model's files: equal models have equal digests.
+        registered: UTC, ISO 8601.
+        by: Who registered it.
+        facts: Estimator, robot, serial number, training sources with their digests, run,
+            evaluation and provenance, as far as known.
+        files: Name → SHA-256 of every file of it but `version.json`.
+    """
+
+    name: str
+    number: int
+    folder: Path
+    digest: str
+    registered: str
+    by: str
+    facts: Mapping[str, Any]
+    files: Mapping[str, str]
+
+    @property
+    def label(self) -> str:
+        """Such as `v3`."""
+        return f"v{self.number}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form: what `version.json` holds, and where it is."""
+        return _document(self) | {"folder": str(self.folder)}
+
+    def verify(self) -> None:
+        """Compare every file with its digest.
+
+        Raises:
+            RegistryError: One is missing, damaged or was changed.
+        """
+        for name, digest in self.files.items():
+            try:
+                found = hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+            except OSError as error:
+                raise self._damaged(f"{name} cannot be read: {error.strerror}") from error
+            if found != digest:
+                raise self._damaged(f"{name} is not the file that was registered")
+
+    def _damaged(self, what: str) -> RegistryError:
+        return RegistryError(
+            f"{self.name} {self.label}: {what}",
+            hint=f"restore {self.folder} from a backup; versions never change",
+        )
+
+
+def folder_of(home: Path, number: int) -> Path:
+    """Where a version is."""
+    return home / f"v{number:04d}"
+
+
+def numbers_in(home: Path) -> list[int]:
+    """Versions that are there, in order; what a crash has left unfinished is not among them."""
+    if not home.is_dir():
+        return []
+    found = (_FOLDER.match(path.name) for path in home.iterdir())
+    return sorted(int(match[1]) for match in found if match)
+
+
+def read_version(home: Path, number: int) -> ModelVersion:
+    """A version from its files.
+
+    Raises:
+        RegistryError: It is not there, or damaged.
+    """
+    path = folder_of(home, number) / VERSION_FILE
+    try:
+        told = json.loads(path.read_bytes())
+        if told["hil_version"] != FORMAT:
+            raise ValueError(f"format {told['hil_version']!r}")
+        return ModelVersion(
+            name=str(told["name"]),
+            number=int(told["number"]),
+            folder=path.parent,
+            digest=str(told["digest"]),
+            registered=str(told["registered"]),
+            by=str(told["by"]),
+            facts=dict(told["facts"]),
+            files={str(name): str(digest) for name, digest in told["files"].items()},
+        )
+    except FileNotFoundError as error:
+        raise RegistryError(
+            f"{home.name} has no version {number}", hint=f"see them with: hil models {home.name}"
+        ) from error
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise RegistryError(
+            f"{path} cannot be read: {error}", hint="restore the folder from a backup"
+        ) from error
+
+
+def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes]) -> None:
+    """Make a version's folder: it is there with everything in it, or not at all.
+
+    Raises:
+        RegistryError: It cannot be written.
+    """
+    draft = home / f".{version.folder.name}.{os.getpid()}"
+    try:
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir(parents=True)
+        for name, content in {**files, VERSION_FILE: json_bytes(_document(version))}.items():
+            _write(draft / name, content)
+        fsync_directory(draft)
+        draft.rename(version.folder)
+        fsync_directory(home)
+    except OSError as error:
+        raise RegistryError(f"cannot write {version.folder}: {error.strerror}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def digest_of(files: Mapping[str, bytes]) -> str:
+    """SHA-256 over names and contents, in the order of the names."""
+    whole = hashlib.sha256()
+    for name in sorted(files):
+        whole.update(f"{name} {hashlib.sha256(files[name]).hexdigest()}\n".encode())
+    return whole.hexdigest()
+
+
+def _document(version: ModelVersion) -> dict[str, Any]:
+    return {
+        "hil_version": FORMAT,
+        "name": version.name,
+        "number": version.number,
+        "digest": version.digest,
+        "registered": version.registered,
+        "by": version.by,
+        "facts": dict(version.facts),
+        "files": dict(version.files),
+    }
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    path.chmod(0o444)

@@ -1,0 +1,87 @@
+"""Who errs less, on the same data; chance is no reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from synthetic_motion import moving, nominal
+
+from hil.data import Dataset
+from hil.errors import RegistryError
+from hil.identify import estimator
+from hil.identify.base import RobotEstimator
+from hil.registry.compare import BLOCK_S, compare
+
+NOISE_A = 0.05
+
+
+def fitted(data: Dataset) -> RobotEstimator:
+    return estimator("rigid-wls").fit(data, nominal())
+
+
+def rougher(data: Dataset, joint: int, amount_a: float) -> Dataset:
+    """As after wear: one joint with more dry friction."""
+    more = np.zeros_like(data["effort"])
+    more[:, joint] = amount_a * np.tanh(data["qd"][:, joint] / 0.01)
+    changed = {name: data[name] + more for name in ("effort", "effort_f")}
+    return replace(data, columns=dict(data.columns) | changed)
+
+
+@pytest.fixture(scope="module")
+def champion() -> RobotEstimator:
+    return fitted(moving(1, 2, 3, noise_a=NOISE_A))
+
+
+FRESH = (11, 12, 13, 14, 15, 16)
+
+
+def test_after_wear_who_learned_of_it_errs_less(champion) -> None:
+    challenger = fitted(rougher(moving(4, 5, 6, noise_a=NOISE_A), 1, 0.1))
+    told = compare(champion, challenger, [rougher(moving(*FRESH, noise_a=NOISE_A), 1, 0.1)])
+    assert told.better
+    assert not told.worse
+    assert told.ratio[1] < 0.6
+    assert told.blocks == len(FRESH)
+    assert told.words.startswith("the challenger errs less: -")
+    back = compare(challenger, champion, [moving(*FRESH, noise_a=NOISE_A)])
+    assert back.better
+
+
+def test_who_learned_too_little_errs_more(champion) -> None:
+    few = fitted(moving(4, noise_a=8 * NOISE_A))
+    told = compare(champion, few, [moving(*FRESH, noise_a=NOISE_A)])
+    assert told.worse
+    assert not told.better
+    assert "errs more" in told.words
+
+
+def test_equals_are_rarely_told_apart() -> None:
+    """Nobody of six who learned as much is sure to err less than all the others."""
+    of = [fitted(moving(*range(100 + 3 * k, 103 + 3 * k), noise_a=NOISE_A)) for k in range(6)]
+    data = [moving(*range(900, 912), noise_a=NOISE_A)]
+    wins = [compare(old, new, data).better for old, new in pairwise([*of, of[0]])]
+    assert sum(wins) <= 2
+
+
+def test_a_joint_that_gets_clearly_worse_is_not_outweighed(champion) -> None:
+    data = rougher(moving(4, 5, 6, noise_a=NOISE_A), 1, 0.3)
+    challenger = fitted(rougher(data, 4, 0.02))
+    told = compare(champion, challenger, [rougher(moving(*FRESH, noise_a=NOISE_A), 1, 0.3)])
+    assert told.difference < 0
+    assert told.worse
+    assert not told.better
+    assert told.words.startswith("wrist_2_joint errs ")
+
+
+def test_too_little_data_decide_nothing(champion) -> None:
+    with pytest.raises(RegistryError, match=f"only 2 blocks of {BLOCK_S:.0f} s"):
+        compare(champion, champion, [moving(11, 12)])
+
+
+def test_models_of_another_unit_are_not_compared(champion) -> None:
+    other = fitted(moving(1, 2, 3, kind="torque"))
+    with pytest.raises(RegistryError, match="effort kind are current"):
+        compare(champion, other, [moving(*FRESH)])
