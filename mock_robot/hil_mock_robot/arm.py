@@ -12,8 +12,9 @@ from hil.typing import FloatArray
 from hil_mock_robot.draw import published
 from hil_mock_robot.motion import BRAKING_SHARE, Motion
 from hil_mock_robot.mounting import mount_of, mounted_of, require_same_mount
-from hil_mock_robot.options import Options, start_of, truth_of
+from hil_mock_robot.options import Options, start_of
 from hil_mock_robot.records import timing_of
+from hil_mock_robot.today import truth_of, wear_of
 
 if TYPE_CHECKING:
     from hil_mock_robot.simulation import Simulation
@@ -67,7 +68,8 @@ class Arm:
         self.description = published(self.truth.arm)
         self.rate_hz = options.rate_hz or self.description.rate_hz
         timing_of(self.rate_hz, options.substep_hz)
-        self._options = options
+        self._options, self.day = options, options.day
+        self._wear = wear_of(options, self.description.n_joints)
         self.motion = Motion(self.limits, self.rate_hz, start_of(self.description, options))
         self._declared = Payload()
         self._mounted = mounted_of(options)
@@ -125,6 +127,7 @@ class Arm:
         setting = Setting(self.rate_hz, options.substep_hz, self.gravity, options.temperature_c)
         simulation = Simulation(self.truth, setting, start_of(self.description, options))
         simulation.set_payloads(self._mounted or self._declared, self._declared)
+        simulation.disturbances.wear[:] = self._wear
         simulation.settle(SETTLING_S)
         return simulation
 

@@ -12,8 +12,7 @@ from hil.arms import ArmDescription
 from hil.errors import SpecError
 from hil.payload import Payload
 from hil.typing import FloatArray
-from hil_mock_robot.draw import draw_truth
-from hil_mock_robot.truth import Profile, Truth
+from hil_mock_robot.truth import Profile
 
 UPRIGHT_DEG = {"ur": (0.0, -90.0, 0.0, -90.0, 0.0, 0.0)}
 """Safe starting pose by the first two letters of the arm; all zeros for others."""
@@ -28,6 +27,7 @@ RANGES = {
     "substep_hz": (1000.0, MOST_SUBSTEP_HZ),
     "rate_hz": (1.0, 1000.0),
     "temperature_c": (-50.0, 100.0),
+    "room_c": (-50.0, 60.0),
     "speed": (0.1, 20.0),
     "queue_s": (0.05, 60.0),
     "watchdog_s": (0.0, 60.0),
@@ -56,6 +56,9 @@ class Options:
         truth_file: A truth written earlier, in place of `seed` and `profile`.
         start_q_deg: Pose in which the robot is switched on.
         temperature_c: Joint temperature at that moment; the room's when None.
+        room_c: Mean temperature of the room; that of the robot's truth when None.
+        day: Another day has other noise, and the room's slow drift stands elsewhere.
+        wear: Factor on all friction of each joint, 1 for as good as new.
         mount: `table`, `wall`, `ceiling`, or gravity in the base frame [m/s²]; what the station
             says (`gravity_m_s2`) when None, and no other than that.
         mounted_payload: What really hangs at the flange (`mass_kg`, `com_m`, `inertia_kgm2`);
@@ -76,6 +79,9 @@ class Options:
     truth_file: str | None = None
     start_q_deg: Sequence[float] | None = None
     temperature_c: float | None = None
+    room_c: float | None = None
+    day: int = 0
+    wear: Sequence[float] | None = None
     mount: str | Sequence[float] | None = None
     mounted_payload: Mapping[str, Any] | Payload | None = None
     clock: Literal["virtual", "wall"] = "virtual"
@@ -109,7 +115,7 @@ def options_of(given: Mapping[str, Any]) -> Options:
 
 
 def _require_numbers(options: Options) -> None:
-    for name, first in (("seed", 0), ("block", 1)):
+    for name, first in (("seed", 0), ("block", 1), ("day", 0)):
         value = getattr(options, name)
         if not isinstance(value, int) or isinstance(value, bool) or value < first:
             raise wrong_option(name, value, f"use a whole number from {first} up")
@@ -157,24 +163,6 @@ def wall_block_of(options: Options, rate_hz: float) -> int:
             hint="raise speed or rate_hz: stop() acts with the next sample",
         )
     return max(1, int(WALL_BLOCK_S * rate_hz + 1e-9))
-
-
-def truth_of(model: str, options: Options) -> Truth:
-    """The robot that the options name.
-
-    Raises:
-        SpecError: There is no such arm or profile, or the file is another arm's.
-        DataError: The file cannot be used.
-    """
-    if options.truth_file is None:
-        return draw_truth(model, options.seed, options.profile)
-    truth = Truth.from_json(options.truth_file)
-    if truth.arm != model:
-        raise SpecError(
-            f"{options.truth_file} is the truth of a {truth.arm}, the station says {model}",
-            hint=f"set model: {truth.arm}",
-        )
-    return truth
 
 
 def start_of(arm: ArmDescription, options: Options) -> FloatArray:

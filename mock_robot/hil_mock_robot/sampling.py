@@ -32,7 +32,7 @@ class Sampling:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._sensors = Sensors(arm.truth)
+        self._sensors = Sensors(arm.truth, arm.day)
         self._dtype = state_dtype(arm.description.n_joints)
         self.qd: FloatArray = np.zeros((0, arm.description.n_joints))
 

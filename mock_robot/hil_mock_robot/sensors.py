@@ -18,7 +18,7 @@ class Sensors:
     into blocks leaves no trace.
     """
 
-    def __init__(self, truth: Truth) -> None:
+    def __init__(self, truth: Truth, day: int = 0) -> None:
         each = [joint.sensor for joint in truth.joints]
         self._rest = np.array([sensor.rest_a for sensor in each])
         self._moving = np.array([sensor.moving_a for sensor in each])
@@ -27,7 +27,9 @@ class Sensors:
         self._qd = np.array([sensor.qd_rad_s for sensor in each])
         self._qd_rest = np.array([sensor.qd_rest_rad_s for sensor in each])
         self._half_speed = truth.noise_speed_rad_s
-        self._rng = np.random.default_rng([truth.seed, len(each), truth.ranges])
+        self._rng = np.random.default_rng(
+            [truth.seed, len(each), truth.ranges, *([day] if day else [])]
+        )
 
     def measure(
         self, q: FloatArray, qd: FloatArray, current: FloatArray, celsius: FloatArray
