@@ -1,0 +1,225 @@
+"""What a probe says has changed: the champion's residual in terms of what can happen to an arm.
+
+    measured − predicted = Δfriction · friction + Δgain · effort + offset + load
+
+Per joint by how much friction, drive gain and offset differ from the model's; for the arm what
+hangs at the flange besides what was declared. Each cause is estimated as if it were the only one
+(but for offsets): together they would hardly be told apart in a wrist, whose effort is friction.
+What one cause does to the estimates of the others is known from the motion (`response`), and
+`hil.drift.causes` tells them apart by it. How sure a number is comes from leaving out a block of
+time after the other: neighbouring residuals are alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hil.data.dataset import Dataset
+from hil.errors import DataError
+from hil.evaluate.evaluation import filtered_effort
+from hil.identify.base import RobotEstimator
+from hil.typing import BoolArray, FloatArray
+
+JOINT_FEATURES = ("friction", "gain", "offset")
+LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")
+UNITS = {"friction": "1", "gain": "1", "mass": "kg"} | dict.fromkeys(LOAD_FEATURES[1:], "kg·m")
+
+BLOCK_S = 5.0
+FEWEST_BLOCKS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """What one probe says.
+
+    Attributes:
+        names: Such as `elbow_joint friction`, `load mass`; joints first.
+        values: (K,) changes: friction and gain as shares of what they were (0.15 is 15 % more),
+            offset in effort units, the load in kg and kg·m.
+        std: (K,) of the noise of one probe.
+        temperature: (K,) mean of the joint's [°C], of all joints for the load; NaN if not measured.
+        rms: (n,) of the residual, in effort units.
+        samples: Rows used.
+        response: (K, K) estimate of each feature if another alone changed by 1.
+    """
+
+    names: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+    temperature: FloatArray
+    rms: FloatArray
+    samples: int
+    response: FloatArray
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form; NaN becomes null where it is written."""
+        return {
+            "names": list(self.names),
+            "values": self.values.tolist(),
+            "std": self.std.tolist(),
+            "temperature_c": self.temperature.tolist(),
+            "rms": self.rms.tolist(),
+            "samples": self.samples,
+            "response": self.response.tolist(),
+        }
+
+    @staticmethod
+    def from_dict(told: dict[str, Any]) -> Features:
+        """Inverse of `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: Something is missing or garbled.
+        """
+        arrays = {
+            key: np.array([np.nan if v is None else v for v in told[key]], dtype=np.float64)
+            for key in ("values", "std", "temperature_c", "rms")
+        }
+        names = tuple(str(name) for name in told["names"])
+        if any(len(arrays[key]) != len(names) for key in ("values", "std", "temperature_c")):
+            raise ValueError(f"{len(names)} names, {len(arrays['values'])} values")
+        response = np.array(told["response"], dtype=np.float64)
+        if response.shape != (len(names), len(names)):
+            raise ValueError(f"response of shape {response.shape} for {len(names)} names")
+        return Features(
+            names, arrays["values"], arrays["std"], arrays["temperature_c"], arrays["rms"],
+            int(told["samples"]), response,
+        )  # fmt: skip
+
+
+def feature_names(joint_names: Sequence[str]) -> tuple[str, ...]:
+    """In the order of every array of `Features`."""
+    joints = (f"{joint} {what}" for joint in joint_names for what in JOINT_FEATURES)
+    return (*joints, *(f"load {what}" for what in LOAD_FEATURES))
+
+
+def features_of(model: RobotEstimator, data: Dataset) -> Features:
+    """Features of a probe's trajectories under a model.
+
+    Args:
+        model: The champion; has a friction part and knows torques.
+        data: Whole series, each of some seconds, moving all joints.
+
+    Raises:
+        DataError: They are of another robot, too short, or the model has no friction part.
+    """
+    prediction = model.predict(data)
+    if "friction" not in prediction.components:
+        raise DataError(
+            f"{model.estimator} does not say which part of its prediction is friction",
+            hint="watch a robot with rigid-hysteresis, rigid-wls or another rigid model",
+        )
+    residual = filtered_effort(data) - prediction.effort
+    valid = prediction.valid & np.isfinite(residual)
+    weights = valid / np.maximum(model.sigma_, np.finfo(np.float64).tiny)
+    X = _columns(model, data, prediction.effort, prediction.components["friction"])
+    X *= weights[:, :, None]
+    y = np.where(valid, residual, 0.0) * weights
+    sums = [(_gram(X[rows]), _moment(X[rows], y[rows])) for rows in _blocks(data)]
+    if len(sums) < FEWEST_BLOCKS:
+        raise DataError(
+            f"a probe of {len(sums)} blocks of {BLOCK_S:.0f} s says too little",
+            hint=f"probe with trajectories of at least {FEWEST_BLOCKS * BLOCK_S:.0f} s together",
+        )
+    n = len(model.joint_names_)
+    values, std, response = _estimated(sums, n)
+    return Features(
+        feature_names(model.joint_names_), values, std, _temperatures(data, n),
+        _rms(residual, valid), int(np.sum(np.any(valid, axis=1))), response,
+    )  # fmt: skip
+
+
+def _columns(
+    model: RobotEstimator, data: Dataset, effort: FloatArray, friction: FloatArray
+) -> FloatArray:
+    """(N, n, K) the residual's derivative by every feature."""
+    samples, n = effort.shape
+    X = np.zeros((samples, n, len(JOINT_FEATURES) * n + len(LOAD_FEATURES)))
+    for j in range(n):
+        at = len(JOINT_FEATURES) * j
+        X[:, j, at], X[:, j, at + 1], X[:, j, at + 2] = friction[:, j], effort[:, j], 1.0
+    motion = [_smooth(data, name) for name in ("q", "qd", "qdd")]
+    load = model.robot_.payload_regressor(*motion).reshape(samples, n, -1)
+    load = load[:, :, : len(LOAD_FEATURES)]
+    X[:, :, -len(LOAD_FEATURES) :] = load / model.torque_scale_[None, :, None]
+    return X
+
+
+def _smooth(data: Dataset, name: str) -> FloatArray:
+    """The filtered motion where there is one; without accelerations the load counts at rest."""
+    for column in (f"{name}_f", name):
+        if column in data.columns:
+            return np.asarray(data[column])
+    return np.zeros_like(data["q"])
+
+
+def _blocks(data: Dataset) -> Iterator[slice]:
+    """Rows of about `BLOCK_S`, never over the end of a series."""
+    for _, rows in data.slices():
+        if rows.stop - rows.start < 2:
+            continue
+        t = data["t"][rows]
+        count = max(1, round(float(t[-1] - t[0]) / BLOCK_S))
+        edges = np.linspace(rows.start, rows.stop, count + 1).round().astype(int)
+        yield from (slice(a, b) for a, b in pairwise(edges))
+
+
+def _gram(X: FloatArray) -> FloatArray:
+    flat = X.reshape(-1, X.shape[-1])
+    return flat.T @ flat
+
+
+def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
+    return X.reshape(-1, X.shape[-1]).T @ y.reshape(-1)
+
+
+def _estimated(
+    sums: Sequence[tuple[FloatArray, FloatArray]], n: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values, their standard deviations by the jackknife over blocks, and the response."""
+    gram, moment = (np.sum([one[k] for one in sums], axis=0) for k in (0, 1))
+    values, response = _alone(gram, moment, n), _alone(gram, gram, n)
+    count = len(sums)
+    left = np.array([_alone(gram - g, moment - m, n) for g, m in sums])
+    variance = (count - 1) / count * np.sum((left - left.mean(axis=0)) ** 2, axis=0)
+    return values, np.sqrt(variance), response
+
+
+def _alone(gram: FloatArray, moment: FloatArray, n: int) -> FloatArray:
+    """(K, …) each feature as if it were the only one, offsets apart; moment is (K, …)."""
+    per = len(JOINT_FEATURES)
+    out = np.zeros_like(moment)
+    for j in range(n):
+        friction, gain, offset = range(per * j, per * j + per)
+        for wanted, beside in ((friction, offset), (gain, offset), (offset, friction)):
+            out[wanted] = _solve(gram, moment, [wanted, beside])[0]
+    load = list(range(per * n, len(gram)))
+    offsets = list(range(per - 1, per * n, per))
+    out[load] = _solve(gram, moment, [*load, *offsets])[: len(load)]
+    return out
+
+
+def _solve(gram: FloatArray, moment: FloatArray, chosen: Sequence[int]) -> FloatArray:
+    part = gram[np.ix_(chosen, chosen)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(part), np.finfo(np.float64).tiny))
+    right = (moment[chosen].T * scale).T
+    found = np.linalg.lstsq(part * scale[:, None] * scale, right)[0]
+    solved: FloatArray = (found.T * scale).T
+    return solved
+
+
+def _temperatures(data: Dataset, n: int) -> FloatArray:
+    if "temperature" not in data.columns:
+        return np.full(len(JOINT_FEATURES) * n + len(LOAD_FEATURES), np.nan)
+    joints = np.nanmean(data["temperature"], axis=0)
+    whole = np.full(len(LOAD_FEATURES), np.mean(joints))
+    return np.concatenate([np.repeat(joints, len(JOINT_FEATURES)), whole])
+
+
+def _rms(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    squares: FloatArray = np.nanmean(np.where(valid, residual, np.nan) ** 2, axis=0)
+    return np.sqrt(squares)

@@ -1,0 +1,127 @@
+"""Charts that call no robot changed which is not, more often than they say, and find what is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.drift.causes import causes, told
+from hil.drift.chart import REFERENCE, charted
+from hil.drift.features import Features, feature_names
+from hil.errors import DataError
+
+JOINTS = tuple(f"j{k + 1}" for k in range(6))
+NAMES = feature_names(JOINTS)
+SIGMA = np.full(6, 0.05)
+PER_K = {"friction": 0.006, "gain": 0.001, "offset": 0.001}
+NOISE = {"friction": 0.008, "gain": 0.004, "offset": 0.003}
+
+
+def robot(dice: np.random.Generator):
+    """A function from temperature to a probe's features, of a robot with a model's usual errors."""
+    what = [name.rsplit(" ", 1)[1] for name in NAMES]
+    slope = np.array([dice.normal(0, PER_K.get(w, 0.001)) for w in what])
+    level = np.array([dice.normal(0, 3 * NOISE.get(w, 0.005)) for w in what])
+    noise = np.array([NOISE.get(w, 0.005) for w in what])
+
+    def probe(celsius: float) -> Features:
+        values = level + slope * (celsius - 25.0) + noise * dice.standard_normal(len(NAMES))
+        warm = np.full(len(NAMES), celsius)
+        return Features(NAMES, values, noise, warm, np.zeros(6), 1000, np.eye(len(NAMES)))
+
+    return probe
+
+
+def changed(probe: Features, name: str, by: float) -> Features:
+    values = probe.values + by * (np.array(NAMES) == name)
+    return replace(probe, values=values)
+
+
+@pytest.mark.parametrize("swing", [0.0, 8.0])
+def test_a_robot_that_does_not_change_is_called_so_as_rarely_as_stated(swing: float) -> None:
+    dice, alarms, count = np.random.default_rng(3), 0, 0
+    for _ in range(60):
+        probe = robot(dice)
+        probes = [probe(25.0 + swing * dice.uniform(-1, 1)) for _ in range(20)]
+        for k in range(1, len(probes) + 1):
+            alarms += bool(charted(probes[:k], SIGMA, 0.05).alarm.any())
+            count += 1
+    assert count == 1200
+    assert alarms <= 60 + 3 * np.sqrt(60)  # 5 % of them, and what chance may add
+
+
+@pytest.mark.parametrize("swing", [0.0, 8.0])
+def test_more_friction_is_found_by_the_first_probe_and_named(swing: float) -> None:
+    found = 0
+    for seed in range(20):
+        dice = np.random.default_rng(seed)
+        probe = robot(dice)
+        probes = [probe(25.0 + swing * dice.uniform(-1, 1)) for _ in range(REFERENCE + 1)]
+        worn = changed(probe(25.0 + 0.5 * swing), "j2 friction", 0.15)
+        chart = charted([*probes, worn], SIGMA)
+        named = causes(worn, chart, 0.01, "A")
+        found += bool(named) and named[0].name == "j2 friction"
+        assert not named or abs(named[0].change - 0.15) < 5 * named[0].std
+    assert found >= 18
+
+
+def test_what_creeps_is_found_by_the_weighted_mean() -> None:
+    """A change too small for any single probe."""
+    single = crept = 0
+    for seed in range(20):
+        dice = np.random.default_rng(seed)
+        probe = robot(dice)
+        probes = [probe(25.0) for _ in range(REFERENCE)]
+        for _ in range(12):
+            probes.append(changed(probe(25.0), "j3 friction", 0.03))
+        chart = charted(probes, SIGMA)
+        k = NAMES.index("j3 friction")
+        single += bool(np.abs(chart.deviation[k]) > chart.limit[k])
+        crept += bool(chart.alarm[k])
+    assert crept > single
+    assert crept >= 10
+
+
+def test_before_anything_is_known_nothing_is_a_change() -> None:
+    probe = robot(np.random.default_rng(0))
+    chart = charted([probe(40.0)], SIGMA)
+    assert not chart.alarm.any()
+    assert chart.reference == 0
+    assert told(causes(probe(40.0), chart, 0.01, "A")) == "nothing has changed"
+
+
+def test_one_cause_that_moves_others_is_named_alone() -> None:
+    """Mass at the flange looks like gain in three joints."""
+    dice = np.random.default_rng(5)
+    probe = robot(dice)
+    response = np.eye(len(NAMES))
+    mass = NAMES.index("load mass")
+    for joint, share in (("j2", 0.2), ("j3", 0.3), ("j4", 0.25)):
+        response[NAMES.index(f"{joint} gain"), mass] = share
+    probes = [probe(25.0) for _ in range(REFERENCE)]
+    loaded = replace(probe(25.0), response=response)
+    loaded = replace(loaded, values=loaded.values + response[:, mass] * 0.4)
+    chart = charted([*probes, loaded], SIGMA)
+    assert chart.alarm.sum() >= 3
+    (cause,) = causes(loaded, chart, 0.01, "A")
+    assert cause.name == "load mass"
+    assert cause.change == pytest.approx(0.4, abs=0.05)
+    assert cause.text.startswith("load at the flange (mass): +0.4")
+
+
+def test_features_come_back_from_json_as_they_were() -> None:
+    one = robot(np.random.default_rng(1))(20.0)
+    again = Features.from_dict(one.to_dict())
+    assert np.array_equal(again.values, one.values)
+    assert again.names == one.names
+    with pytest.raises(ValueError, match="response"):
+        Features.from_dict(one.to_dict() | {"response": [[1.0]]})
+
+
+def test_probes_of_different_robots_are_not_charted_together() -> None:
+    probe = robot(np.random.default_rng(1))(20.0)
+    other = replace(probe, names=("x friction", *NAMES[1:]))
+    with pytest.raises(DataError, match="different robots"):
+        charted([probe, other], SIGMA)
