@@ -73,9 +73,17 @@ def append(folder: Path, entry: Entry) -> None:
     """
     lines = _lines(folder)
     before = lines[-1][1] if lines else ""
-    # Compact, so that no line break can be within a line.
-    text = json.dumps(entry.to_dict() | {"before": before}, ensure_ascii=False, allow_nan=False)
-    path = folder / LOG_FILE
+    append_line(folder / LOG_FILE, entry.to_dict() | {"before": before})
+
+
+def append_line(path: Path, document: Mapping[str, Any]) -> None:
+    """Add a line of JSON to a file that only grows; the caller holds the lock of its folder.
+
+    Raises:
+        RegistryError: It cannot be written.
+    """
+    # On one line, whatever line breaks are in it.
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False)
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
@@ -85,9 +93,24 @@ def append(folder: Path, entry: Entry) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-        fsync_directory(folder)
+        fsync_directory(path.parent)
     except OSError as error:
         raise RegistryError(f"cannot write {path}: {error.strerror}") from error
+
+
+def read_lines(path: Path) -> list[tuple[int, bytes]]:
+    """Committed lines of such a file with their numbers; a torn last one is none.
+
+    Raises:
+        RegistryError: It cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RegistryError(f"cannot read {path}: {error.strerror}") from error
+    return list(enumerate(content.split(b"\n")[:-1], start=1))
 
 
 def _write(descriptor: int, content: bytes) -> None:
@@ -103,14 +126,8 @@ def _committed(path: Path) -> int:
 def _lines(folder: Path) -> list[tuple[Entry, str]]:
     """Entries with the digests of their lines."""
     path = folder / LOG_FILE
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise RegistryError(f"cannot read {path}: {error.strerror}") from error
     found: list[tuple[Entry, str]] = []
-    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
+    for number, line in read_lines(path):
         before = found[-1][1] if found else ""
         found.append((_entry(path, number, line, before), hashlib.sha256(line).hexdigest()))
     return found
