@@ -17,6 +17,7 @@ import hil
 from hil.cli import (
     bench,
     data,
+    drift,
     exciting,
     exports,
     gains,
@@ -60,7 +61,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, registry, resting, exports, data, system, bench,
+    studies, registry, drift, resting, exports, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -1,0 +1,57 @@
+"""`hil drift`: is a robot still the one its champion was fitted to?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.models import found
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.registry import HERE, NameArgument, RegistryOption
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(drift)
+
+
+def drift(
+    name: NameArgument,
+    probes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PROBE]...", help="Runs or MCAP files, oldest first; or none."),
+    ] = None,
+    false_alarm: Annotated[
+        float,
+        typer.Option(help="Probability with which an unchanged robot is called changed, a probe."),
+    ] = 0.01,
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Judge probes against the champion; without any, what was said of those before."""
+    from hil.drift.history import assess, probes_of
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    if probes:
+        sources = found(probes, runs)
+        told = [assess(home, name, source, false_alarm=false_alarm) for source in sources]
+    else:
+        home.aliases(name)
+        told = probes_of(home, name)
+    documents = [probe.to_dict() for probe in told]
+    if json:
+        print_json({"name": name, "probes": documents})
+    elif told:
+        print_table(("taken", "probe", "champion", "changed", "what"), [_row(d) for d in documents])
+    else:
+        typer.echo(f"no probes of {name} yet: hil drift {name} PROBE")
+
+
+def _row(told: dict[str, Any]) -> tuple[str, ...]:
+    changed = "yes" if told["changed"] else "no"
+    name = Path(told["source"]).name
+    return told["at"][:16], name, f"v{told['champion']}", changed, told["text"]
