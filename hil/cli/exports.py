@@ -47,7 +47,9 @@ def _print(told: dict[str, Any]) -> None:
     name = Path(told["out"]).name
     files = [file for file in told["files"] if file != name]
     typer.echo(f"{told['out']}: {', '.join(files)}" if files else told["out"])
-    joints = f"{len(told['joint_names'])} joints, efforts in {told['effort_unit']}"
+    joints = f"{len(told['joint_names'])} joints"
+    if told["effort_unit"]:
+        joints += f", efforts in {told['effort_unit']}"
     typer.echo(f"  {told['parts']}; {joints}")
     unrun = "not checked: build it and run its self-test where it is used"
     typer.echo(f"  {told['checked'] or unrun}")

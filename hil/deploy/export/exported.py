@@ -21,7 +21,7 @@ class Exported:
         out: The file or folder.
         files: In the folder; the file's own name where it is one.
         joint_names: Order of all arrays.
-        effort_unit: Of what comes out.
+        effort_unit: Of what comes out; empty where that is no effort.
         parts: Estimator and whether it remembers, for people.
         checked: How well it agrees with the model in Python; empty if that was not looked at.
         notes: For people.

@@ -15,6 +15,7 @@ TARGETS = {
     "c": ("hil.deploy.export.c_export", "export_c"),
     "urdf": ("hil.deploy.identified_urdf", "export_urdf"),
     "torch": ("hil.deploy.export.torch_export", "export_torch"),
+    "onnx-mlp": ("hil.deploy.export.mlp_export", "export_onnx_mlp"),
     "json": ("hil.deploy.export.json_export", "export_json"),
 }
 """Name → module and function; imported when it is asked for, as some need heavy libraries."""
