@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil import plugins
+from hil.campaign.under_loads import under_loads
 from hil.data.load import load_source
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, HilError, SpecError
@@ -146,7 +147,10 @@ def run_studies(
 def _written(run: Path) -> tuple[StudyEntry, ...]:
     """The studies of the run's spec; a recording of somebody else's program has none."""
     file = run / "spec.yaml"
-    return load_spec(file, look_up=False).study if file.is_file() else ()
+    if not file.is_file():
+        return ()
+    spec = load_spec(file, look_up=False)
+    return (*spec.study, *under_loads(run, spec))
 
 
 def _loaded(run: Path) -> tuple[Dataset, RobotModel]:

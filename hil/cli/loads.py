@@ -31,21 +31,52 @@ def payload(
             "scale (offset and factor), or auto, which lets the recording choose.",
         ),
     ] = "auto",
+    bare: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--bare",
+            metavar="RUN",
+            help="At rest: the same program run with nothing mounted; much smaller errors.",
+        ),
+    ] = None,
+    gain_percent: Annotated[
+        float,
+        typer.Option(
+            "--gain-percent",
+            min=0.0,
+            max=100.0,
+            help="At rest: how well drive gains are known (one standard deviation).",
+        ),
+    ] = 5.0,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Mass, centre of mass and inertia of the load in recordings, with their uncertainty."""
+    """Mass, centre of mass and inertia of the load in recordings, with their uncertainty.
+
+    A recording of an arm at rest (experiments/ur5_weigh.yaml) tells mass and centre alone.
+    """
     from hil import api
 
-    told = api.estimate_payload(model, found(sources, runs), friction=friction).to_dict()
+    estimate = api.estimate_payload(
+        model,
+        found(sources, runs),
+        friction=friction,
+        bare=found(bare, runs) if bare else (),
+        gain_share=gain_percent / 100,
+    )
+    told = estimate.to_dict()
     if json:
         print_json({"model": str(model), **told})
         return
-    typer.echo(f"load in {told['samples']} samples, {told['blocks']} independent blocks of time")
+    if told["friction"] == "rest":
+        typer.echo(f"load weighed at rest, at {told['samples']} poses")
+    else:
+        blocks = f"{told['blocks']} independent blocks of time"
+        typer.echo(f"load in {told['samples']} samples, {blocks}")
     typer.echo(f"friction: {FREED[told['friction']]}")
     print_table(
         ("parameter", "value", "± std", "95 % interval", "well determined"),
-        [_row(each) for each in told["parameters"]],
+        [_row(each) for each in told["parameters"][: 4 if told["friction"] == "rest" else None]],
     )
     typer.echo("")
     n = len(told["joint_names"])
@@ -64,6 +95,8 @@ def payload(
             f"\nno load shows: {mass['value']:.3f} kg, and nothing up to "
             f"{mass['interval_95'][1]:.3f} kg can be told from none"
         )
+        return
+    if None in told["payload"]["com_m"]:
         return
     typer.echo("\nfor a spec, a map, or --payload:")
     for line in _lines(told["payload"]):
@@ -98,7 +131,7 @@ def validate_loads(
         raise SpecError("--model and --estimator exclude each other", hint="give one of them")
     given: dict[str, Any] = {}
     if model:
-        given = {"models": [str(path) for path in model]}
+        given = {"estimators": [], "models": [str(path) for path in model]}
     elif estimator:
         given = {"estimators": estimator, "models": []}
     make(find_run(run, runs), "load-validation", given, json)
@@ -108,10 +141,13 @@ FREED = {
     "model": "as the model has it",
     "offset": "the model's and an offset per joint",
     "scale": "the model's times a factor and an offset per joint",
+    "rest": "cancelled between the two approaches of every pose",
 }
 
 
 def _row(told: dict[str, Any]) -> tuple[str, ...]:
+    if told["value"] is None:
+        return f"{told['name']} [{told['unit']}]", "–", "–", "does not show", "no"
     low, high = told["interval_95"]
     decimals = {"kg": 3, "m": 4}.get(told["unit"], 5)
     value, error, low, high = (
@@ -128,9 +164,11 @@ def _errors(label: str, values: list[float]) -> tuple[str, ...]:
 
 def _lines(load: dict[str, Any]) -> tuple[str, str]:
     com = [f"{x:.4f}" for x in load["com_m"]]
-    inertia = ", ".join(f"{x:.5f}" for x in load["inertia_kgm2"])
     mass = f"{load['mass_kg']:.3f}"
+    inertia = ""
+    if None not in load["inertia_kgm2"]:
+        inertia = f", inertia_kgm2: [{', '.join(f'{x:.5f}' for x in load['inertia_kgm2'])}]"
     return (
-        f"payload: {{mass_kg: {mass}, com_m: [{', '.join(com)}], inertia_kgm2: [{inertia}]}}",
+        f"payload: {{mass_kg: {mass}, com_m: [{', '.join(com)}]{inertia}}}",
         f"--payload {','.join([mass, *com])}",
     )

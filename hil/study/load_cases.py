@@ -100,9 +100,18 @@ def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
     """
     bare, loaded = of.bare.data, _loaded(of)
     first = next(iter(bare.conditions))
-    names = load_names(bare) | load_names(loaded)
+    names = _told_apart(load_names(bare) | load_names(loaded))
     cases = [LoadCase(names[first.load], first.payload, None, _motions(bare, held))]
     return [*cases, *_others(loaded, held, of.bare.filters, names)]
+
+
+def _told_apart(names: dict[int, str]) -> dict[int, str]:
+    """One mass mounted twice is two loads."""
+    masses = list(names.values())
+    return {
+        load: name if masses.count(name) == 1 else f"{name} (load {load})"
+        for load, name in names.items()
+    }
 
 
 def _others(

@@ -59,14 +59,20 @@ class UnderLoads:
     protocol: str
     loads: tuple[Scored, ...]
 
-    def ratios(self) -> dict[str, float]:
-        """By load after the first: its error told as declared over that under the first load.
+    def worst(self) -> tuple[Scored, float]:
+        """The load told of which it errs most, and by how many times as much as with the first.
 
-        Both are means over the joints.
+        Both errors are means over the joints; NaN where one is not known.
         """
-        bare, *others = self.loads
-        least = mean_of(bare.errors["declared"])
-        return {one.case.name: mean_of(one.errors["declared"]) / least for one in others}
+        bare, *others = (mean_of(one.errors["declared"]) for one in self.loads)
+        ratios = np.array(others) / bare
+        i = int(np.argmax(ratios))  # a NaN counts as the largest
+        return self.loads[1 + i], float(ratios[i])
+
+    def contradicted(self) -> tuple[str, ...]:
+        """Loads whose declaration is contradicted, or could not be checked."""
+        others = (one for one in self.loads if one.case.told is not None)
+        return tuple(one.case.name for one in others if one.check is None or not one.check.agrees)
 
 
 def checked(loads: Sequence[Scored], false_alarm: float) -> tuple[Scored, ...]:

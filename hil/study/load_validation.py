@@ -24,12 +24,15 @@ from hil.identify.payload_declared import FALSE_ALARM
 from hil.identify.payload_problem import Friction
 from hil.study import load_tables as tables
 from hil.study.base import Progress, Study, silent
-from hil.study.dynamic_data import held_out
+from hil.study.dynamic_data import held_out, highest_cutoff
 from hil.study.inverse_cases import Recorded, recorded
 from hil.study.load_cases import LoadCase, load_cases, unseen
 from hil.study.load_score import UnderLoads, checked, scored
 from hil.study.load_words import TEXT, summary, warnings
 from hil.study.result import Part, StudyResult
+
+HIGHEST_HZ = 50.0
+"""Cut-off where nobody asks for another and the recording is quick enough."""
 
 FRICTIONS = ("auto", "model", "offset", "scale")
 
@@ -45,7 +48,8 @@ class LoadValidation(Study):
         models: Folders of fitted models to take in their place; of a run, relative to it.
         friction: What of its friction may be another under a load, as in `estimate_payload`.
         false_alarm: Probability with which a correct declaration may be called wrong.
-        cutoff_hz: Of the zero-phase Butterworth filter of order 5.
+        cutoff_hz: Of the zero-phase Butterworth filter of order 5; by default 50 Hz, or as high as
+            the recording allows.
         rate_hz: Samples a fit keeps per second after filtering.
         seed: Of the draw of the motions held out.
         figures: Whether to draw any.
@@ -61,7 +65,7 @@ class LoadValidation(Study):
         models: Sequence[str] = (),
         friction: Friction | Literal["auto"] = "auto",
         false_alarm: float = FALSE_ALARM,
-        cutoff_hz: float = 50.0,
+        cutoff_hz: float | None = None,
         rate_hz: float = 125.0,
         seed: int = 0,
         figures: bool = True,
@@ -72,7 +76,8 @@ class LoadValidation(Study):
             raise SpecError("estimators is empty", hint="name at least one, or a fitted model")
         self.friction = choice("friction", friction, FRICTIONS)
         self.false_alarm = number("false_alarm", false_alarm, above=0.0, at_most=0.5)
-        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
+        known = cutoff_hz is not None
+        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0) if known else None
         self.rate_hz = number("rate_hz", rate_hz, above=0.0)
         self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED)
         self.figures = flag("figures", figures)
@@ -101,7 +106,7 @@ class LoadValidation(Study):
         Raises:
             FitError, DataError: As `run`.
         """
-        of = recorded(dataset, robot, self.cutoff_hz, self.rate_hz)
+        of = recorded(dataset, robot, self._cutoff(dataset), self.rate_hz)
         models, held = self._models(of, robot)
         cases = load_cases(of, held)
         found: list[UnderLoads] = []
@@ -116,6 +121,12 @@ class LoadValidation(Study):
             raise failed[0][1]
         return tuple(found), tuple(failed)
 
+    def _cutoff(self, dataset: Dataset) -> float:
+        data = dataset.of_kind("trajectory")
+        if self.cutoff_hz is not None or not data.conditions:
+            return self.cutoff_hz or HIGHEST_HZ
+        return min(HIGHEST_HZ, highest_cutoff(data, self.rate_hz))
+
     def told(self, found: Sequence[UnderLoads], failed: Sequence[Failed]) -> StudyResult:
         """The same as tables, figures and sentences."""
         figures = tables.figures(found) if self.figures else ()
@@ -124,7 +135,7 @@ class LoadValidation(Study):
         part = Part("Under loads", next(iter(protocols), HONEST), TEXT, shown, figures)
         return StudyResult(
             self.study,
-            "Loads: what models of the bare arm are worth, and are they those declared?",
+            "Under loads: what models are worth, and are the loads those declared?",
             summary(found, self.false_alarm),
             (part,),
             self.get_params(),

@@ -22,11 +22,7 @@ TEXT = (
 
 def summary(found: Sequence[UnderLoads], false_alarm: float) -> tuple[str, ...]:
     """What to take away."""
-    return (
-        *_wrong(found[0].loads, false_alarm),
-        *(_ratio(model) for model in found),
-        *_errors(found),
-    )
+    return (*_wrong(found[0].loads, false_alarm), *(_worst(model) for model in found))
 
 
 def warnings(
@@ -65,21 +61,12 @@ def _wrong(found: Sequence[Scored], false_alarm: float) -> Iterator[str]:
         yield f"{len(wrong)} of {len(checked)} declared loads are contradicted. {rest}"
 
 
-def _ratio(model: UnderLoads) -> str:
-    bare, ratios = model.loads[0], model.ratios()
-    load = max(ratios, key=ratios.__getitem__)
+def _worst(model: UnderLoads) -> str:
+    bare, (worst, ratio) = model.loads[0], model.worst()
+    words = {"declared": f"declared ({ratio:.2f} times that of {bare.case.name})"}
+    each = [(words.get(told, told), average(worst, told)) for told in TOLD]
+    figures = [f"{number:.3g} N·m {told}" for told, number in each if number is not None]
     return (
-        f"{model.name} errs by {mean_of(bare.errors['declared']):.3g} N·m with {bare.case.name}, "
-        "mean over the joints, and told of the loads as declared by at most "
-        f"{ratios[load]:.2f} times as much ({load})."
+        f"{model.name}, mean over the joints: {mean_of(bare.errors['declared']):.3g} N·m with "
+        f"{bare.case.name}; at worst, with {worst.case.name}, {listed(figures)}."
     )
-
-
-def _errors(found: Sequence[UnderLoads]) -> Iterator[str]:
-    for model in found:
-        for one in model.loads:
-            if one.case.told is None:
-                continue
-            each = [(told, average(one, told)) for told in TOLD]
-            figures = [f"{number:.3g} N·m {told}" for told, number in each if number is not None]
-            yield f"{one.case.name}, {model.name}, mean over the joints: {listed(figures)}."
