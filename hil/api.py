@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
     from hil.rest_report import RestReport
     from hil.study.result import StudyResult
+    from hil.trial.trial import Trial
 
 __all__ = [
     "Experiment",
@@ -47,6 +48,7 @@ __all__ = [
     "resume",
     "run",
     "study",
+    "try_out",
 ]
 
 AnyPath = str | Path
@@ -226,27 +228,39 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
 
 
 def estimate_payload(
-    model: AnyPath, sources: AnyPath | Iterable[AnyPath], *, friction: str = "auto"
+    model: AnyPath,
+    sources: AnyPath | Iterable[AnyPath],
+    *,
+    friction: str = "auto",
+    bare: AnyPath | Iterable[AnyPath] = (),
+    gain_share: float = 0.05,
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a saved model of the arm.
+
+    A recording of an arm at rest tells mass and centre of mass, one of motion inertia as well.
 
     Args:
         model: Its folder.
         sources: Run directories or MCAP files recorded with that load, or just one.
         friction: What of the model's friction may differ on that day: nothing (`model`), an
             `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
-            choose, by stretches that are left out in turn.
+            choose, by stretches that are left out in turn. At rest it is not asked.
+        bare: At rest: the same program run with nothing mounted; much smaller errors.
+        gain_share: At rest: standard deviation of a drive gain, as a share of it.
 
     Raises:
         DataError: A source cannot be read, is of another robot, or was fitted to.
         FitError: The recording does not tell the load.
-        SpecError: There is no such way to treat friction.
+        SpecError: There is no such way to treat friction, or `bare` was given with motion.
     """
     from typing import cast
 
     from hil.load_fit import payload_of_sources
 
-    return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
+    return payload_of_sources(
+        Path(model), _paths(sources), cast("Any", friction),
+        bare=_paths(bare), gain_share=gain_share,
+    )  # fmt: skip
 
 
 def export_model(
@@ -382,6 +396,59 @@ def rest_poses(
         seed=seed,
         unchecked=unchecked,
     )
+
+
+def try_out(
+    model: AnyPath,
+    out: AnyPath,
+    *,
+    station: AnyPath | None = None,
+    robot: str | None = None,
+    payload: str | None = None,
+    seed: int = 0,
+    friction_share: float = 0.5,
+    progress: Callable[[str], object] = lambda text: None,
+) -> Trial:
+    """What a model is worth to a controller, on a simulated arm driven by torque.
+
+    Args:
+        model: Its folder.
+        out: Folder for `report.html` and `try-out.json`, made where it is missing.
+        station: Has the simulated arm the model was fitted on; by default the station experiments
+            here would use, or a mock of its kind.
+        robot: Name in the station; by default its only robot that is the model's.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted and told to the model.
+        seed: Of the trajectory, which is never one of an experiment's.
+        friction_share: Of the dry friction, compensated while a hand leads the arm; below 1.
+        progress: Is told what is being run.
+
+    Raises:
+        SpecError: The robot is no simulated one with torque control, is another arm, or an
+            argument cannot be.
+        FitError: The model has no gravity, or cannot tell torques.
+        PlanError: There is no clear motion.
+        RecordingError: The folder cannot be written.
+    """
+    from hil.fitting import parse_payload
+    from hil.identify.model_file import json_bytes
+    from hil.record.files import write_replacing
+    from hil.report.trial_page import REPORT_FILE, write_trial_page
+    from hil.trial.trial import run_trial
+
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    trial = run_trial(
+        Path(model),
+        station=Path(station) if station else None,
+        robot=robot,
+        payload=parse_payload(payload) if payload else None,
+        seed=seed,
+        friction_share=friction_share,
+        progress=progress,
+    )
+    write_trial_page(trial, folder / REPORT_FILE)
+    write_replacing(folder / "try-out.json", json_bytes(trial.to_dict()))
+    return trial
 
 
 def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:

@@ -53,9 +53,11 @@ class PayloadEstimate:
     centre of mass along the flange's axes.
 
     Attributes:
-        payload: The load: always one that positive masses can make.
-        values: (10,) the same as numbers.
-        std_error: (10,) standard errors, given the form of the model and its drive gains.
+        payload: The load: always one that positive masses can make. Of an arm at rest a point mass,
+            coordinates that do not show being 0; nothing where no load shows.
+        values: (10,) the same as numbers; NaN for what does not show at rest.
+        std_error: (10,) standard errors, given the form of the model and its drive gains; at rest
+            with the errors of both.
         interval: (10, 2) 95 % intervals of Student's t by blocks of time.
         covariance: (10, 10) of the values, whose diagonal `std_error` squares.
         degrees: (10,) of Student's t.
@@ -66,10 +68,11 @@ class PayloadEstimate:
         without: (n,) the same with nothing at the flange.
         unit: `A` or `N·m`, of the residuals.
         joint_names: Length n.
-        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`.
+        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`; or
+            `rest`, where two approaches cancel it.
         correction: By how much, zeros where it was not.
-        samples: Rows used.
-        blocks: Blocks of time that counted as independent.
+        samples: Rows used; at rest, poses.
+        blocks: Blocks of time that counted as independent; at rest, poses.
         bounded: Whether the recording alone would have had a body that cannot be; the errors are
             those without that knowledge.
         notes: For people.
@@ -110,13 +113,14 @@ class PayloadEstimate:
         return {
             "payload": {
                 "mass_kg": self.payload.mass,
-                "com_m": list(self.payload.com),
-                "inertia_kgm2": list(self.payload.inertia),
+                "com_m": _numbers(self.values[1:4]),
+                "inertia_kgm2": _numbers(self.values[4:]),
             },
             "parameters": [
                 {
-                    "name": name, "unit": unit, "value": float(value), "std_error": float(error),
-                    "interval_95": [float(end) for end in ends], "determined": known[name],
+                    "name": name, "unit": unit, "value": _number(value),
+                    "std_error": _number(error), "interval_95": _numbers(ends),
+                    "determined": known[name],
                 }
                 for name, unit, value, error, ends in rows
             ],
@@ -134,3 +138,12 @@ class PayloadEstimate:
             "bounded": self.bounded,
             "notes": list(self.notes),
         }  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    """JSON has no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers(values: FloatArray) -> list[float | None]:
+    return [_number(value) for value in values]
