@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TARGETS = {
     "c": ("hil.deploy.export.c_export", "export_c"),
     "urdf": ("hil.deploy.identified_urdf", "export_urdf"),
+    "onnx": ("hil.deploy.export.onnx_export", "export_onnx"),
     "torch": ("hil.deploy.export.torch_export", "export_torch"),
     "onnx-mlp": ("hil.deploy.export.mlp_export", "export_onnx_mlp"),
     "json": ("hil.deploy.export.json_export", "export_json"),
