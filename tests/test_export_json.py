@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dynamics_arms import motion
+from dynamics_arms import motion, urdf, written
 from json_models import KINDS, fitted
-from synthetic_motion import dwelling, nominal
+from synthetic_motion import dwelling, moving, nominal
 from test_dynamics_momentum import SLIDING
 from typer.testing import CliRunner
 
 from hil import plugins
 from hil.cli.app import app
-from hil.deploy.export import json_read
+from hil.deploy.export import json_check, json_friction, json_parameters, json_read
 from hil.deploy.export.golden import LOAD
 from hil.deploy.export.json_base import of_base
 from hil.deploy.export.json_check import checked
@@ -44,6 +44,7 @@ PAGE = (DOCS / "reference" / "export-json.md").read_text("utf-8")
 HOW_TO = (DOCS / "how-to" / "export-parameters.md").read_text("utf-8")
 EXTRA = {"residual": "torch", "lagrangian": "torch", "rigid-lmi": "cvxpy", "rigid-irls": "cvxpy",
          "rigid-hysteresis": "cvxpy"}  # fmt: skip
+ELBOW = "elbow_joint.coulomb"
 FREE = {"settings", "filters", "training", "combination", "constants", "layout"}
 """Keys whose contents are somebody else's: settings of estimators, names of columns."""
 
@@ -198,6 +199,31 @@ def test_currents_without_gains_have_no_torques() -> None:
     document = document_of(estimator("static-linear").fit(bare, nominal()))
     assert document["effort"]["torque_per_effort"]["values"] is None
     assert entry(document, "joint2.phi1")["unit"] == "A"
+
+
+def test_estimators_from_elsewhere_have_their_numbers_told_and_nothing_more(monkeypatch) -> None:
+    class NotThis:
+        pass
+
+    for module in (json_parameters, json_friction, json_check):
+        monkeypatch.setattr(module, "RigidLinear", NotThis)
+    document = document_of(fitted("rigid-linear"))
+    assert document["checked"].startswith("not compared: an estimator that this version of hil")
+    one, like = entry(document, ELBOW), entry(told("rigid-linear"), ELBOW)
+    assert (one["group"], one["unit"]) == ("unknown", "")
+    assert [one[key] for key in ("value", "std", "interval_95")] == [
+        like[key] for key in ("value", "std", "interval_95")
+    ]
+
+
+@pytest.mark.parametrize("kind", ["current", "torque"])
+def test_robots_of_urdfs_and_torques_are_told_too(kind: str, tmp_path: Path) -> None:
+    robot = RobotModel.from_urdf(written(tmp_path, urdf("ur5")))
+    model = estimator("rigid-wls").fit(moving(1, 2, 3, kind=kind), robot)
+    document = document_of(model)
+    assert "/" not in document["robot"]["name"]
+    assert document["effort"]["kind"] == kind
+    assert "300 efforts: " in document["checked"]
 
 
 def test_a_folder_gives_the_same_document_and_its_fingerprint(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def _not_compared(physics: RobotEstimator, document: dict[str, Any]) -> list[str
         left_out += sorted(groups & {"drive", "ripple"})
     if document["networks"]:
         left_out.append("networks, whose weights are not in the document")
-    if not (document["parameters"] or document["networks"]):
+    if not (groups - {"unknown"} or document["networks"]):
         left_out.append("an estimator that this version of hil does not know")
     return left_out
 

@@ -36,6 +36,7 @@ from hil.identify.rigid_irls import RigidIrls
 from hil.identify.rigid_linear import RigidLinear
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
+from hil.identify.wls import WlsEstimator
 
 
 def parameters_of(model: RobotEstimator) -> list[Entry]:
@@ -56,8 +57,9 @@ def parameters_of(model: RobotEstimator) -> list[Entry]:
     names = [str(name) for name in getattr(model, "parameter_names_", ())]
     values = np.asarray(getattr(model, "coefficients_", ()), dtype=np.float64)
     unknown = Term("", "", "of an estimator that this version of hil does not know")
-    pairs = zip(names, values.tolist(), strict=False)
-    return [entry(name, None, "unknown", value, unknown) for name, value in pairs]
+    told = spread_of(model) if isinstance(model, WlsEstimator) else Spread.none(len(names))
+    pairs = enumerate(zip(names, values.tolist(), strict=False))
+    return [entry(name, None, "unknown", x, unknown, told.row(k)) for k, (name, x) in pairs]
 
 
 def torque_unit(model: RobotEstimator) -> str:

@@ -30,7 +30,7 @@ NO_LINKS = "the estimator knows sums of inertial parameters only, not those of s
 GAINS_UNKNOWN = (
     "the model knows where its gains come from, not how sure they are; hil gains tells that"
 )
-NO_GAINS = "the model was fitted to currents without drive gains, so it knows no torques"
+NO_GAINS = "fitted to currents without drive gains: what others have in N·m is told in A, 1 A per A"
 A_TORQUE = "efforts are torques"
 
 
