@@ -39,6 +39,7 @@ from hil.validation import (
     require_unseen,
     serial_notes,
 )
+from hil.validation_load import under_load
 
 DIGEST_LENGTH = 12
 
@@ -186,7 +187,8 @@ def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any
         require_unseen(stored, source, data)
         errors = evaluate(stored, data, trained.effort_std if trained else None)
         notes = serial_notes(trained.serial if trained else "", source)
-        found.append(Validation(str(source), errors, tuple(notes)).to_dict())
+        under = under_load(stored, data, [Payload()])  # what it was fitted with is not stored
+        found.append(Validation(str(source), errors, tuple(notes), under).to_dict())
     return found
 
 
@@ -260,7 +262,10 @@ def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> V
     serial = model.training_.serial if model.training_ else ""
     seen = motion_notes(usable_part(train, model), judged)
     notes = (*model.notes_, *serial_notes(serial, source), *seen)
-    return Validation(str(source), errors, notes)
+    known = {condition.payload for condition in usable_part(train, model).conditions}
+    with threadpool_limits(1):
+        under = under_load(model, judged, known)
+    return Validation(str(source), errors, notes, under)
 
 
 def _one_serial(sources: Sequence[Path]) -> str:

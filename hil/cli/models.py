@@ -11,6 +11,7 @@ import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 from hil.cli.runs import RunArgument
+from hil.cli.under_load import print_under_load
 
 Sources = Annotated[
     list[str],
@@ -169,5 +170,7 @@ def _print_validation(rows: list[dict[str, Any]]) -> None:
                 for label, key in (("raw", "raw"), ("filtered", "filtered"))
             ],
         )
+        if row["under_load"]:
+            print_under_load(row["under_load"])
         for note in row["notes"]:
             typer.echo(f"  note: {note}")

@@ -1,0 +1,44 @@
+"""What a validation says of a load that a model was not fitted with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from hil.cli.output import print_table
+
+
+def print_under_load(told: dict[str, Any]) -> None:
+    """Errors by what the model is told of the load, and whether it is the one declared."""
+    declared, found = told["declared"], told["identified"]
+    n = len(told["rmse"]["unaware"])
+    typer.echo(f"with a load that it was not fitted with, {_load(declared)} declared")
+    print_table(
+        ("RMSE filtered", *(f"J{j + 1}" for j in range(n)), "mean"),
+        [_row(word, errors) for word, errors in told["rmse"].items()],
+    )
+    if found is None:
+        typer.echo(f"  not identified: {told['failed']}")
+        return
+    typer.echo(f"  identified: {_load(found)}, mass ± {told['mass_std_kg']:.3f} kg by noise alone")
+    if told["agrees"]:
+        typer.echo("  the declared load agrees with it")
+    else:
+        typer.echo(f"  the declared load is CONTRADICTED: {'; '.join(told['contradictions'])}")
+    if not told["mount_observable"]:
+        typer.echo(
+            "  its declared centre is on the flange's axis: no angle of its mount is checked"
+        )
+
+
+def _load(told: dict[str, Any]) -> str:
+    x, y, z = told["com_m"]
+    return f"{told['mass_kg']:.3f} kg at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+
+
+def _row(told: str, errors: Sequence[float | None]) -> tuple[str, ...]:
+    known = [error for error in errors if error is not None]
+    mean = sum(known) / len(known) if known else None
+    return (told, *("–" if error is None else f"{error:.4f}" for error in (*errors, mean)))
