@@ -13,7 +13,6 @@ from synthetic_motion import moving, nominal  # noqa: E402
 
 from hil.deploy.export.agreement import largest_difference  # noqa: E402
 from hil.deploy.export.golden import golden_of  # noqa: E402
-from hil.deploy.export.reading import program_of  # noqa: E402
 from hil.deploy.export.torch_export import export_torch  # noqa: E402
 from hil.deploy.export.torch_model import module_of  # noqa: E402
 from hil.identify import estimator  # noqa: E402
@@ -35,9 +34,7 @@ def off_by(model) -> float:
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_module_says_what_the_network_says(case) -> None:
-    model = lagrangian(case)
-    double = program_of(model).lagrangian.kind == "double"
-    assert off_by(model) < (1e-12 if double else 2e-6)
+    assert off_by(lagrangian(case)) < 2e-6
 
 
 @pytest.mark.parametrize("friction", FORMS)

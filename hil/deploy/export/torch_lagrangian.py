@@ -1,7 +1,8 @@
 """Lagrangian networks in PyTorch, with loads and with friction by a network of its own.
 
-The network is that of `hil.identify.lagrangian.network`, in the precision of its training; what
-goes in and comes out is double. Nothing scatters, gathers or branches.
+The network is that of `hil.identify.lagrangian.network`, in single precision whatever it was
+trained in: runtimes lack some of its functions in double. What goes in and comes out is double.
+Nothing scatters, gathers or branches.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from hil.deploy.export.torch_rigid import RigidTorque
 from hil.identify.lagrangian.network import LagrangianNetwork
 from hil.identify.lagrangian.settings import NetworkSettings
 
-DTYPES = {"float": torch.float32, "double": torch.float64}
+SINGLE = torch.float32
 
 
 class LagrangianTorque(nn.Module):
@@ -34,12 +35,11 @@ class LagrangianTorque(nn.Module):
         super().__init__()
         self.load = RigidTorque(program)
         self.network = lagrangian_network(terms)
-        self.dtype = DTYPES[terms.kind]
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor, load: Tensor) -> tuple[Tensor, Tensor]:
         """As `torch_rigid.RigidTorque.forward`."""
         carried, _ = self.load(q, qd, qdd, load)
-        found = self.network(q.to(self.dtype), qd.to(self.dtype), qdd.to(self.dtype))
+        found = self.network(q.to(SINGLE), qd.to(SINGLE), qdd.to(SINGLE))
         torque = found.to(torch.float64) + carried
         return torque, torque
 
@@ -58,7 +58,7 @@ def lagrangian_network(terms: LagrangianTerms) -> LagrangianNetwork:
         scaled=False,
     )
     network = LagrangianNetwork(n, settings)
-    network.to(DTYPES[terms.kind])
+    network.to(SINGLE)
     linear = [*network.trunk.layers, network.trunk.last]
     with torch.no_grad():
         for layer, weight, bias in zip(linear, layers.weights, layers.biases, strict=True):
@@ -85,20 +85,20 @@ class NetworkLaw(nn.Module):
     def __init__(self, friction: NetworkFriction) -> None:
         super().__init__()
         self.dissipative, self.rest = friction.dissipative, friction.rest_speed
-        self.dtype, self.count = DTYPES[friction.kind], len(friction.layers.weights)
+        self.count = len(friction.layers.weights)
         self.n = friction.layers.weights[0].shape[1] // 3
-        hold(self, self.dtype, scale=friction.scale)
+        hold(self, SINGLE, scale=friction.scale)
         both = zip(friction.layers.weights, friction.layers.biases, strict=True)
         for k, (weight, bias) in enumerate(both):
-            hold(self, self.dtype, **{f"weight{k}": weight, f"bias{k}": bias})
+            hold(self, SINGLE, **{f"weight{k}": weight, f"bias{k}": bias})
         if self.dissipative:
-            hold(self, self.dtype, places=_places(self.n))
+            hold(self, SINGLE, places=_places(self.n))
 
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
         """As `torch_friction.MemoryLaw.forward`."""
-        q, qd = q.to(self.dtype), qd.to(self.dtype)
+        q, qd = q.to(SINGLE), qd.to(SINGLE)
         speed = torch.abs(qd) + self.rest
         velocity = torch.log(speed) if self.dissipative else qd
         value = torch.cat([torch.cos(q), torch.sin(q), velocity], dim=1)
