@@ -23,6 +23,7 @@ from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST
 from hil.identify.rigid_linear import TERMS, RigidLinear
+from hil.identify.static_model import StaticModel
 from hil.typing import FloatArray
 
 
@@ -58,6 +59,12 @@ def program_of(model: RobotEstimator) -> Program:
         width = model.sign_width or NARROWEST
         plain = PlainFriction(coulomb, viscous, offset, model.sign_width, exponent, width)
         return _program(model, rigid, rigid, plain)
+    if isinstance(model, StaticModel):
+        raise FitError(
+            f"{model.estimator} says what an arm needs at rest, a program what it needs in motion",
+            hint="guide by hand with hil.deploy.hand_guiding.HandGuiding, which takes this model "
+            "as it is; take its parameters with --to json; or fit rigid-hysteresis to trajectories",
+        )
     raise FitError(
         f"{model.estimator} cannot be exported as a program",
         hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), lagrangian, or residual "
