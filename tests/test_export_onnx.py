@@ -13,6 +13,7 @@ pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 pytest.importorskip("onnxscript", reason="onnxscript is not installed")
 
 from export_models import KINDS, fitted  # noqa: E402
+from lagrangian_models import lagrangian  # noqa: E402
 from onnx import TensorProto, helper  # noqa: E402
 
 from hil.deploy.export import onnx_export  # noqa: E402
@@ -79,6 +80,12 @@ def test_the_file_says_how_to_call_it_and_not_where_it_was_made(written) -> None
     assert [value.name for value in model.graph.output] == ["effort", "state_next"]
     assert b".py" not in told.out.read_bytes()
     assert "its network counts samples: call it at 100 Hz" in told.notes
+
+
+@pytest.mark.parametrize("case", ["stribeck dahl", "dissipative"])
+def test_lagrangian_networks_become_graphs_too(case, tmp_path) -> None:
+    told = export_onnx(lagrangian(case), tmp_path / "model.onnx")
+    assert float(told.checked.split()[4]) < 2e-6
 
 
 def test_without_memory_there_is_no_state(written) -> None:
