@@ -407,7 +407,7 @@ def try_out(
     payload: str | None = None,
     seed: int = 0,
     friction_share: float = 0.5,
-    progress: Callable[[str], object] = lambda text: None,
+    progress: Callable[[str], object] | None = None,
 ) -> Trial:
     """What a model is worth to a controller, on a simulated arm driven by torque.
 
@@ -444,7 +444,7 @@ def try_out(
         payload=parse_payload(payload) if payload else None,
         seed=seed,
         friction_share=friction_share,
-        progress=progress,
+        progress=progress or (lambda text: None),
     )
     write_trial_page(trial, folder / REPORT_FILE)
     write_replacing(folder / "try-out.json", json_bytes(trial.to_dict()))

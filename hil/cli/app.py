@@ -32,6 +32,7 @@ from hil.cli import (
     specs,
     studies,
     system,
+    trying,
 )
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
@@ -59,7 +60,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, resting, exports, data, system, bench,
+    studies, resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

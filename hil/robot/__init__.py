@@ -11,6 +11,7 @@ from hil.robot.protocol import (
     Listens,
     Robot,
     Segment,
+    TorqueControlled,
 )
 from hil.robot.state import STATE_SCHEMA_VERSION, Status, state_dtype
 
@@ -28,5 +29,6 @@ __all__ = [
     "Robot",
     "Segment",
     "Status",
+    "TorqueControlled",
     "state_dtype",
 ]
