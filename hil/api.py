@@ -233,7 +233,7 @@ def estimate_payload(
     *,
     friction: str = "auto",
     bare: AnyPath | Iterable[AnyPath] = (),
-    gain_share: float = 0.05,
+    gain_share: float | None = None,
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a saved model of the arm.
 
@@ -246,7 +246,8 @@ def estimate_payload(
             `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
             choose, by stretches that are left out in turn. At rest it is not asked.
         bare: At rest: the same program run with nothing mounted; much smaller errors.
-        gain_share: At rest: standard deviation of a drive gain, as a share of it.
+        gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
+            0.05 at rest, and 0 in motion.
 
     Raises:
         DataError: A source cannot be read, is of another robot, or was fitted to.

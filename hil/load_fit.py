@@ -30,7 +30,7 @@ def payload_of_sources(
     friction: Friction | Literal["auto"] = "auto",
     *,
     bare: Sequence[Path] = (),
-    gain_share: float = GAIN_SHARE,
+    gain_share: float | None = None,
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a stored model of the arm.
 
@@ -42,7 +42,8 @@ def payload_of_sources(
         sources: Runs or files recorded with the same load.
         friction: See `estimate_payload`.
         bare: At rest: the same program with nothing mounted.
-        gain_share: At rest: standard deviation of a drive gain, as a share of it.
+        gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
+            that of `hil.dynamics.weighing` at rest, and 0 in motion.
 
     Raises:
         DataError: The model or a source cannot be read, they do not belong together, or the model
@@ -68,9 +69,10 @@ def payload_of_sources(
         if at_rest:
             require_one_load(data)
             tare = Dataset.concatenate([load_source(one) for one in bare]) if bare else None
-            found = estimate_payload_at_rest(stored, data, bare=tare, gain_share=gain_share)
+            share = GAIN_SHARE if gain_share is None else gain_share
+            found = estimate_payload_at_rest(stored, data, bare=tare, gain_share=share)
         else:
-            found = estimate_payload(stored, data, friction=friction)
+            found = estimate_payload(stored, data, friction=friction).with_gains(gain_share or 0.0)
     return replace(found, notes=(*found.notes, *_notes(stored, data, (*sources, *bare))))
 
 

@@ -131,7 +131,7 @@ def test_a_centre_on_the_axis_does_not_show_the_angle_of_the_mount() -> None:
 def test_from_one_side_friction_is_part_of_the_errors() -> None:
     both = estimate_payload_at_rest(arm(RigidWls), held())
     one = estimate_payload_at_rest(arm(RigidWls), held(both=False))
-    assert one.std_error[0] > 3 * both.std_error[0]
+    assert 3 * both.std_error[0] < one.std_error[0] < 6 * both.std_error[0]
     assert one.interval[0, 0] <= LOAD.mass <= one.interval[0, 1]
     assert any("6 of 6 poses were approached from one side only" in note for note in one.notes)
     with pytest.raises(FitError, match="approached from both sides"):
@@ -153,5 +153,5 @@ def test_motion_without_a_rest_says_so() -> None:
 def test_a_model_without_gains_does_not_weigh() -> None:
     data = replace(dwelling(60, seed=1, both=True), drive_gains=None)
     blind = StaticWls(form="paper").fit(data, nominal())
-    with pytest.raises(FitError, match="without drive gains"):
+    with pytest.raises(FitError, match="nobody knows how much torque"):
         estimate_payload_at_rest(blind, held(load=None))

@@ -40,14 +40,15 @@ def payload(
         ),
     ] = None,
     gain_percent: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--gain-percent",
             min=0.0,
             max=100.0,
-            help="At rest: how well drive gains are known (one standard deviation).",
+            help="How well drive gains are known (one standard deviation), for the intervals; by "
+            "default 5 at rest, and from motion 0.",
         ),
-    ] = 5.0,
+    ] = None,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
@@ -62,7 +63,7 @@ def payload(
         found(sources, runs),
         friction=friction,
         bare=found(bare, runs) if bare else (),
-        gain_share=gain_percent / 100,
+        gain_share=None if gain_percent is None else gain_percent / 100,
     )
     told = estimate.to_dict()
     if json:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hil.data.prediction import Prediction
+from hil.identify.clustered import interval
 from hil.payload import Payload
 from hil.typing import FloatArray
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))
 KEYS = ("mass_kg", "com_m", "inertia_kgm2")
+LEVEL = 0.95
 
 MASS_SHARE = 0.05
 """A mass is well determined when its 95 % interval reaches no further than this share of it."""
@@ -95,6 +97,18 @@ class PayloadEstimate:
     blocks: int
     bounded: bool
     notes: tuple[str, ...] = ()
+
+    def with_gains(self, share: float) -> PayloadEstimate:
+        """The same with errors that know of the gains, independent from joint to joint.
+
+        Args:
+            share: Standard deviation of a drive gain [share of it]. Torques have no gains.
+        """
+        gains = share if self.unit == "A" else 0.0
+        covariance = self.covariance + gains**2 * self.by_gain @ self.by_gain.T
+        error = np.sqrt(np.diag(covariance))
+        ends = interval(self.values, error, self.degrees, LEVEL)
+        return replace(self, covariance=covariance, std_error=error, interval=ends)
 
     @property
     def determined(self) -> dict[str, bool]:
