@@ -155,3 +155,12 @@ def test_a_model_without_gains_does_not_weigh() -> None:
     blind = StaticWls(form="paper").fit(data, nominal())
     with pytest.raises(FitError, match="nobody knows how much torque"):
         estimate_payload_at_rest(blind, held(load=None))
+
+
+def test_a_model_that_hardly_knows_its_arm_is_unsure() -> None:
+    vague = StaticWls().fit(dwelling(60, seed=1, both=True), nominal())
+    vague.sigma_ = 3.0 * FRICTION_NM / GAINS
+    found = estimate_payload_at_rest(vague, held())
+    assert found.std_error[0] > 1.5 * estimate_payload_at_rest(arm(), held()).std_error[0]
+    tared = estimate_payload_at_rest(vague, held(), bare=held(load=None))
+    assert tared.std_error[0] < 0.3 * found.std_error[0]

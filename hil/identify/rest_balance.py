@@ -63,7 +63,7 @@ class RestProblem:
         bare: (P, n) torque of the bare arm by the model [N·m].
         errors: Of the model.
         variance: (P, n) of `found`, errors that repeat from pose to pose left out [N²·m²].
-        friction: (n,) dry friction [N·m].
+        friction: (n,) dry friction, or the model's own residual if that is larger [N·m].
         gain_share: Standard deviation of a drive gain, as a share of it.
         one_sided: How many poses have all of their friction left.
     """
@@ -101,6 +101,9 @@ class RestProblem:
             # From one side friction cancels as well, if it was the same side.
             errors, one_sided = TARED, np.zeros_like(one_sided)
             change = np.nan_to_num(readings.half - first.half) * K
+        else:
+            # A model that errs by more than friction does not know its arm.
+            friction = np.maximum(friction, model.sigma_ * K)
         whole = np.where(one_sided, 1.0, errors.pose)[:, None]
         variance = (whole * friction) ** 2 + (errors.change * change) ** 2 + LEAST_NM**2
         gains = 0.0 if model.effort_kind_ == "torque" else gain_share
