@@ -23,7 +23,7 @@ from hil.study.soundness import faults_of
 from hil.trial import laws, leading
 from hil.trial.arm import Arm, require_simulated
 from hil.trial.found import found, improvement, relief
-from hil.trial.gains import spring_for
+from hil.trial.gains import Spring, spring_for
 from hil.trial.leading import lead
 from hil.trial.reference import leading_for, trajectory_for
 from hil.trial.tracking import track
@@ -108,11 +108,12 @@ def test_a_torque_that_is_no_number_brakes_the_arm() -> None:
 
 
 def test_tracking_ends_safely_when_the_arm_strays() -> None:
-    asked = reference()
+    asked, still = reference(), np.zeros(6)
     with bench().arm(asked.q[0]) as arm:
-        pd = spring_for(model().robot_, asked.q[::50])
-        run = track(arm, "wrong", np.full_like(asked.q, 400.0) * [1, 0, 0, 0, 0, 0], asked, pd)
-    assert run.stopped
+        laws_of = laws.feed_forwards(model(), Payload(), asked, arm.gains)
+        pushed = dict(laws_of)[laws.GRAVITY] + [15.0, 0, 0, 0, 0, 0]
+        run = track(arm, "wrong", pushed, asked, Spring(still, still))
+    assert run.stopped.startswith("J1 was 20° off")
     assert np.isnan(run.rms).all()
 
 
