@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ from hil.deploy.export.onnx_export import export_onnx, loaded  # noqa: E402
 from hil.deploy.export.onnx_graph import nodes_of, require_plain  # noqa: E402
 from hil.errors import FitError, PluginError  # noqa: E402
 from hil.identify import estimator  # noqa: E402
+
+PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 
 EVERYTHING = "rigid-hysteresis everything"
 
@@ -134,6 +138,15 @@ def graph_of(*nodes, more=(), shape=("rows", 3)):
     y = helper.make_tensor_value_info("y", TensorProto.DOUBLE, shape)
     opsets = [helper.make_opsetid("", 20), *(helper.make_opsetid(name, 1) for name in more)]
     return helper.make_model(helper.make_graph(nodes, "g", [x], [y]), opset_imports=opsets)
+
+
+def test_the_example_of_the_page_runs(written, tmp_path, monkeypatch) -> None:
+    (tmp_path / "arm.onnx").write_bytes(written(EVERYTHING).out.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    golden = golden_of(fitted(EVERYTHING), samples=80)
+    found = {"samples": zip(golden.q, golden.qd, golden.qdd, strict=True)}
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0], found)
+    assert found["effort"][0] == pytest.approx(golden.bare[-1], abs=1e-11)
 
 
 def test_a_graph_with_what_they_lack_is_refused() -> None:

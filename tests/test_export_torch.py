@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,6 +31,8 @@ from hil.dynamics import RobotModel  # noqa: E402
 from hil.errors import FitError, PluginError, RecordingError  # noqa: E402
 from hil.identify import estimator  # noqa: E402
 from hil.payload import Payload  # noqa: E402
+
+PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 
 
 def stepping(module):
@@ -149,6 +153,17 @@ def test_the_file_says_how_to_call_it(written) -> None:
     assert said["estimator"] == "rigid-hysteresis"
     assert said["effort_unit"] == "A"
     assert int(said["state_size"]) == sum(size for _, size in json.loads(said["state"]))
+
+
+def test_the_example_of_the_page_runs(written, tmp_path, monkeypatch) -> None:
+    model, told = written
+    (tmp_path / "arm.pt2").write_bytes(told.out.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    golden = golden_of(model, samples=80)
+    rows = {name: torch.tensor(getattr(golden, name)[:1]) for name in ("q", "qd", "qdd")}
+    found = {**rows, "load": torch.tensor(load_row(LOAD))}
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], found)
+    assert found["effort"][0].numpy() == pytest.approx(golden.loaded[0], abs=1e-12)
 
 
 def test_many_streams_at_once_say_what_each_says(written) -> None:
