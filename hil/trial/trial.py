@@ -200,7 +200,7 @@ def _lead(
 def _in_torque(guiding: HandGuiding, arm: Arm) -> Drives:
     """What it gives, in N·m as the arm's own controller counts."""
     scale = arm.gains if guiding.unit == "A" else np.ones_like(arm.gains)
-    # A joint that trembles where friction is a spring would be kept trembling.
+    # Unfiltered, wrists do not come to rest: see hil.deploy.hand_guiding.
     slow = LowPass(SPEED_HZ, RATE_HZ)
     return lambda q, qd: guiding(q, slow(qd)) * scale
 
