@@ -17,9 +17,9 @@ wear. Half of 1.9 is still below 1, hence the default. With the friction of a ty
 measurement at low speed 0.7 is safe. Nothing is compensated within the dead band: a joint at rest
 keeps all of its stick friction, which holds what the model does not know of gravity.
 
-**Low-pass the velocity** (`hil.deploy.low_pass`, 10 Hz). Fed with velocities as they are measured at
-1 kHz, wrists of the mock do not come to rest: they tremble by a millirad at 20 to 30 Hz. Over so
-short a way friction is much of a spring, which takes no power out, so that the argument above fails.
+**Low-pass the velocity** (`hil.deploy.low_pass`, 10 Hz). Fed with velocities as they are measured
+at 1 kHz, wrists of the mock do not come to rest: they tremble by a millirad at 20 to 30 Hz. Over
+so short a way friction is much of a spring, which takes no power out: the argument above fails.
 
 **What a person feels.** All of the stick friction until a joint moves, then 1 − share of the dry
 friction, all of the viscous friction and the inertia. A joint that moves drifts on by itself where
