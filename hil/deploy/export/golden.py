@@ -65,7 +65,8 @@ def motion(robot: RobotModel, samples: int, rate_hz: float) -> tuple[FloatArray,
     q, qd = middle + reach * np.sin(angle), reach * w * np.cos(angle)
     qdd = -reach * w**2 * np.sin(angle)
     for joint in range(robot.n):
-        rest = slice(samples // 2 + 5 * joint, samples // 2 + 5 * joint + samples // 10)
+        start = samples // 2 + joint * (samples // 60)
+        rest = slice(start, start + samples // 10)
         q[rest, joint], qd[rest, joint], qdd[rest, joint] = q[rest.start, joint], 0.0, 0.0
     return q, qd, qdd
 

@@ -104,6 +104,7 @@ def _program(
         gears=bodies(gears, robot.n),
         friction=friction,
         scale=model.torque_scale_,
+        coupling=getattr(robot, "joints_per_motor", None),
     )
 
 
