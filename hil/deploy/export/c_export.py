@@ -36,7 +36,7 @@ def export_c(
     if not unchecked:
         require_compiler()
     program = program_of(model)
-    source = c_source(program, prefix, f"{program.estimator} of {model.robot_.name}")
+    source = c_source(program, prefix, f"{program.estimator} of {Path(model.robot_.name).name}")
     files = {
         f"{prefix}.h": source.header,
         f"{prefix}.c": source.source,

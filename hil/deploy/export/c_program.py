@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from hil.deploy.export.c_friction import friction_piece
 from hil.deploy.export.c_lagrangian import lagrangian_piece
 from hil.deploy.export.c_rigid import bodies_of_gears, rigid_piece
-from hil.deploy.export.c_text import Piece, array
+from hil.deploy.export.c_text import Piece, array, comment
 from hil.deploy.export.program import Program
 from hil.errors import SpecError
 
@@ -44,7 +44,7 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
     Args:
         program: What to compute.
         prefix: What all symbols begin with; also the name of the files.
-        told: For the head of both files: which model this is. Plain text without comment marks.
+        told: For the head of both files: which model this is.
 
     Raises:
         SpecError: The prefix cannot be one.
@@ -60,7 +60,7 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
 
         network = network_piece(program.correction, program.n)
     pieces = (rigid_piece(program), lagrangian_piece(program), friction_piece(program), network)
-    head = f"/* {told or program.estimator}. Written by hil; do not edit. */\n"
+    head = f"/* {comment(told or program.estimator)}. Written by hil; do not edit. */\n"
     header = head + _header(program, pieces)
     source = head + _source(program, pieces, network != Piece())
     source = _renamed(source, prefix).replace("@HEADER@", f"{prefix}.h")
@@ -79,7 +79,11 @@ def _header(program: Program, pieces: tuple[Piece, ...]) -> str:
     parts = "".join(f"    double {name}[HIL_N];\n" for name in PARTS)
     unit = "A" if program.effort_kind == "current" else "N*m"
     return HEADER.format(
-        n=program.n, state=state, parts=parts, unit=unit, joints=", ".join(program.joint_names)
+        n=program.n,
+        state=state,
+        parts=parts,
+        unit=unit,
+        joints=comment(", ".join(program.joint_names)),
     )
 
 
