@@ -14,6 +14,7 @@ from synthetic_motion import fourier, moving, nominal
 
 import hil
 from hil.deploy.identified_urdf import UrdfExport, export_urdf
+from hil.errors import FitError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 
@@ -78,7 +79,12 @@ def test_base_parameters_of_the_mock_miss_them_by_no_more_than_is_told(recorded,
     """Fifteen seconds with noise: no links that exist have just these base parameters."""
     pytest.importorskip("cvxpy")
     model = estimator("rigid-wls").fit(recorded, nominal())
-    told = export_urdf(model, tmp_path / "arm.urdf")
+    with pytest.raises(FitError, match=r"no links that can exist come near .*: wrist") as refused:
+        export_urdf(model, tmp_path / "arm.urdf")
+    assert "--unchecked" in str(refused.value.hint)
+    told = export_urdf(model, tmp_path / "arm.urdf", unchecked=True)
+    assert "gravity and inertia missed by " in told.checked
+    assert told.miss.rigid.max() > 0.05
     assert told.found.notes == (
         "no links within bounds have the model's base parameters; these come nearest",
     )

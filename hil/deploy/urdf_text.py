@@ -21,7 +21,7 @@ def written(robot: RobotModel, found: IdentifiedParameters, comment: str) -> str
     """The URDF of a robot that has none of its own."""
     geometry = robot.joint_geometry()
     links = ["base_link", *(_link_name(name) for name in robot.joint_names)]
-    lines = ['<?xml version="1.0"?>', f"<!-- {_plain(comment)} -->"]
+    lines = ['<?xml version="1.0"?>', f"<!-- {plain(comment)} -->"]
     lines += [f"<robot name={quoteattr(robot.name)}>", f"  <link name={quoteattr(links[0])}/>"]
     pose = np.eye(4)
     for j, joint in enumerate(robot.joint_names):
@@ -122,6 +122,6 @@ def _number(value: float) -> str:
     return repr(float(value) + 0.0)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Text as a comment may hold it."""
     return text.replace("--", "- -")

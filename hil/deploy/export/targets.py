@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from hil.errors import SpecError
+from hil.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from hil.identify.base import RobotEstimator
@@ -21,7 +22,15 @@ TARGETS = {
 }
 """Name → module and function; imported when it is asked for, as some need heavy libraries."""
 
-OPTIONS = {"c": ("prefix", "unchecked")}
+ENDINGS = {
+    "c": "", "urdf": ".urdf", "onnx": ".onnx", "torch": ".pt2", "onnx-mlp": ".onnx", "json": ".json"
+}  # fmt: skip
+"""Of the file's name; C is a folder."""
+
+FOREIGN = {".c", ".h", ".cc", ".cpp", ".zip", ".pt", ".yaml", *filter(None, ENDINGS.values())}
+"""Endings that promise something; any other may stand for anything."""
+
+OPTIONS = {"c": ("prefix", "unchecked"), "urdf": ("unchecked",)}
 """What else a target takes."""
 
 
@@ -46,16 +55,30 @@ def export_model(model: RobotEstimator, out: Path, to: str, **options: Any) -> W
         options: Those of `OPTIONS`, where they are not None.
 
     Raises:
-        SpecError: There is no such target, or it has no such option.
+        SpecError: There is no such target, it has no such option, or `out` ends as another's file.
         FitError: The model is of a kind that it cannot be, or what it would be does not agree.
         PluginError: What it takes to write or check it is not installed.
         RecordingError: It exists already, or cannot be written.
     """
     if to not in TARGETS:
-        raise SpecError(f"--to is {to!r}", hint=f"a model is written as {', '.join(TARGETS)}")
+        raise SpecError(f"--to is {to!r}", hint=did_you_mean(to, TARGETS))
     given = {name: value for name, value in options.items() if value is not None}
     if strange := sorted(set(given) - set(OPTIONS.get(to, ()))):
         raise SpecError(f"--to {to} has no option --{strange[0]}", hint="leave it out")
+    _require_ending(out, to)
     module, name = TARGETS[to]
     written: Written = getattr(import_module(module), name)(model, out, **given)
     return written
+
+
+def _require_ending(out: Path, to: str) -> None:
+    ending, found = ENDINGS[to], out.suffix.lower()
+    if found == ending or found not in FOREIGN:
+        return
+    what = f"a file that ends with {ending}" if ending else "a folder"
+    fitting = next((name for name, of in ENDINGS.items() if of == found), None)
+    other = f", or with --to {fitting}" if fitting else ""
+    raise SpecError(
+        f"--to {to} makes {what}, but --out is {out}",
+        hint=f"for example: --out {out.with_suffix(ending)}{other}",
+    )
