@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from hil.deploy.compiled import CompiledProgram
 from hil.deploy.export.c_build import compiler
+from hil.deploy.export.reading import NotExported
+from hil.deploy.sample import as_sample, require_within
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
@@ -13,8 +15,9 @@ from hil.typing import FloatArray
 class Predictor:
     """What a model says of each sample of a motion, as it comes.
 
-    Where a C compiler is found and the model is of a kind that is exported, it is machine code and
-    allocates nothing in steady state; else it is the model's own stream, slower and without parts.
+    Where a C compiler is found and the model is of a kind that is exported, it is machine code that
+    was compared with the model, and allocates nothing in steady state; else it is the model's own
+    stream, slower and without parts. It has one state, so it belongs to one thread at a time.
     Friction and networks remember: feed every sample, at the rate of the training.
 
     Args:
@@ -26,8 +29,10 @@ class Predictor:
         compiled: Which it is.
 
     Raises:
-        FitError: `compiled` is asked for, and the model is of a kind that is not exported.
-        PluginError: `compiled` is asked for, and there is no C compiler.
+        FitError: The program does not compile or agree with the model, or `compiled` is asked for
+            and the model is of a kind that is not exported.
+        PluginError: The compiler makes nothing that runs here, or `compiled` is asked for and
+            there is none.
     """
 
     def __init__(
@@ -56,10 +61,12 @@ class Predictor:
         Of a compiled predictor the same array comes back every time: copy what is to stay.
 
         Raises:
-            DataError: An input is not one number per joint, or, compiled, not finite.
+            DataError: An input is not one finite number per joint, or beyond 1e6.
         """
         if self._program is None:
-            return self._stream.step(q, qd, qdd)
+            sample = as_sample(self._model.robot_.n, q, qd, qdd)
+            require_within(sample)
+            return self._stream.step(*sample)
         return self._program.step(q, qd, qdd)
 
     def explain(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
@@ -83,7 +90,7 @@ def _program(model: RobotEstimator, compiled: bool | None) -> CompiledProgram | 
         return None
     try:
         return CompiledProgram(model)
-    except FitError:
+    except NotExported:
         if compiled:
             raise
         return None

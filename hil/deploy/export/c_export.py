@@ -40,7 +40,7 @@ def export_c(
     files = {
         f"{prefix}.h": source.header,
         f"{prefix}.c": source.source,
-        f"{prefix}_test.c": self_test(source, golden_of(model)),
+        f"{prefix}_test.c": self_test(source, program, golden_of(model)),
         "CMakeLists.txt": cmake(source),
     }
     checked, notes = ("", ()) if unchecked else _checked(files, source)

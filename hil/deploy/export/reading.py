@@ -27,11 +27,16 @@ from hil.identify.static_model import StaticModel
 from hil.typing import FloatArray
 
 
+class NotExported(FitError):
+    """The model is of a kind that no program can be written of."""
+
+
 def program_of(model: RobotEstimator) -> Program:
     """What the model computes, as arithmetic.
 
     Raises:
-        FitError: It is not fitted, or of a kind that is not exported.
+        NotExported: It is of a kind that is not exported.
+        FitError: It is not fitted.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
@@ -60,12 +65,12 @@ def program_of(model: RobotEstimator) -> Program:
         plain = PlainFriction(coulomb, viscous, offset, model.sign_width, exponent, width)
         return _program(model, rigid, rigid, plain)
     if isinstance(model, StaticModel):
-        raise FitError(
+        raise NotExported(
             f"{model.estimator} says what an arm needs at rest, a program what it needs in motion",
             hint="guide by hand with hil.deploy.hand_guiding.HandGuiding, which takes this model "
             "as it is; take its parameters with --to json; or fit rigid-hysteresis to trajectories",
         )
-    raise FitError(
+    raise NotExported(
         f"{model.estimator} cannot be exported as a program",
         hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), lagrangian, or residual "
         "on one of them",
@@ -78,7 +83,7 @@ def _corrected(model: CorrectedModel) -> Program:
     if not np.any(correction.kept):
         return replace(inner, estimator=model.estimator)
     if correction.settings.inputs != "motion":
-        raise FitError(
+        raise NotExported(
             f"the residual network has inputs: {correction.settings.inputs}, so it needs the "
             "torque that a controller wants predicted",
             hint="fit residual with inputs: motion",
