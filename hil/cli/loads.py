@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.models import Sources, found
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.models import ModelArgument, Sources, found, found_model
+from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.runs import RunArgument
 from hil.cli.studies import make
 from hil.errors import SpecError
@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
 
 
 def payload(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelArgument,
     sources: Sources,
     friction: Annotated[
         str,
@@ -58,8 +58,9 @@ def payload(
     """
     from hil import api
 
+    folder = found_model(model, runs)
     estimate = api.estimate_payload(
-        model,
+        folder,
         found(sources, runs),
         friction=friction,
         bare=found(bare, runs) if bare else (),
@@ -67,14 +68,14 @@ def payload(
     )
     told = estimate.to_dict()
     if json:
-        print_json({"model": str(model), **told})
+        print_json({"model": str(folder), **told})
         return
     if told["friction"] == "rest":
-        typer.echo(f"load weighed at rest, at {told['samples']} poses")
+        say(f"load weighed at rest, at {told['samples']} poses")
     else:
         blocks = f"{told['blocks']} independent blocks of time"
-        typer.echo(f"load in {told['samples']} samples, {blocks}")
-    typer.echo(f"friction: {FREED[told['friction']]}")
+        say(f"load in {told['samples']} samples, {blocks}")
+    say(f"friction: {FREED[told['friction']]}")
     print_table(
         ("parameter", "value", "± std", "95 % interval", "well determined"),
         [_row(each) for each in told["parameters"][: 4 if told["friction"] == "rest" else None]],
@@ -87,21 +88,21 @@ def payload(
          _errors("with nothing", told["residual_without_load"])],
     )  # fmt: skip
     if told["bounded"]:
-        typer.echo("  note: the best fit is no body that exists; this is the best one that is")
+        say("  note: the best fit is no body that exists; this is the best one that is")
     for note in told["notes"]:
-        typer.echo(f"  note: {note}")
+        say(f"  note: {note}")
     mass = told["parameters"][0]
     if mass["interval_95"][0] <= 0.0:
-        typer.echo(
+        say(
             f"\nno load shows: {mass['value']:.3f} kg, and nothing up to "
             f"{mass['interval_95'][1]:.3f} kg can be told from none"
         )
         return
     if None in told["payload"]["com_m"]:
         return
-    typer.echo("\nfor a spec, a map, or --payload:")
+    say("\nfor a spec, a map, or --payload:")
     for line in _lines(told["payload"]):
-        typer.echo(line)
+        say(line)
 
 
 def validate_loads(
@@ -152,7 +153,7 @@ def _row(told: dict[str, Any]) -> tuple[str, ...]:
     low, high = told["interval_95"]
     decimals = {"kg": 3, "m": 4}.get(told["unit"], 5)
     value, error, low, high = (
-        f"{number:.{decimals}f}" for number in (told["value"], told["std_error"], low, high)
+        fixed(number, decimals) for number in (told["value"], told["std_error"], low, high)
     )
     known = "yes" if told["determined"] else "no"
     return f"{told['name']} [{told['unit']}]", value, error, f"{low} … {high}", known
@@ -164,11 +165,11 @@ def _errors(label: str, values: list[float]) -> tuple[str, ...]:
 
 
 def _lines(load: dict[str, Any]) -> tuple[str, str]:
-    com = [f"{x:.4f}" for x in load["com_m"]]
-    mass = f"{load['mass_kg']:.3f}"
+    com = [fixed(x, 4) for x in load["com_m"]]
+    mass = fixed(load["mass_kg"], 3)
     inertia = ""
     if None not in load["inertia_kgm2"]:
-        inertia = f", inertia_kgm2: [{', '.join(f'{x:.5f}' for x in load['inertia_kgm2'])}]"
+        inertia = f", inertia_kgm2: [{', '.join(fixed(x, 5) for x in load['inertia_kgm2'])}]"
     return (
         f"payload: {{mass_kg: {mass}, com_m: [{', '.join(com)}]{inertia}}}",
         f"--payload {','.join([mass, *com])}",

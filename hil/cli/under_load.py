@@ -5,37 +5,33 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import typer
-
-from hil.cli.output import print_table
+from hil.cli.output import fixed, print_table, say
 
 
 def print_under_load(told: dict[str, Any]) -> None:
     """Errors by what the model is told of the load, and whether it is the one declared."""
     declared, found = told["declared"], told["identified"]
     n = len(told["rmse"]["unaware"])
-    typer.echo(f"with a load that it was not fitted with, {_load(declared)} declared")
+    say(f"with a load that it was not fitted with, {_load(declared)} declared")
     print_table(
         ("RMSE filtered", *(f"J{j + 1}" for j in range(n)), "mean"),
         [_row(word, errors) for word, errors in told["rmse"].items()],
     )
     if found is None:
-        typer.echo(f"  not identified: {told['failed']}")
+        say(f"  not identified: {told['failed']}")
         return
-    typer.echo(f"  identified: {_load(found)}, mass ± {told['mass_std_kg']:.3f} kg by noise alone")
+    say(f"  identified: {_load(found)}, mass ± {told['mass_std_kg']:.3f} kg by noise alone")
     if told["agrees"]:
-        typer.echo("  the declared load agrees with it")
+        say("  the declared load agrees with it")
     else:
-        typer.echo(f"  the declared load is CONTRADICTED: {'; '.join(told['contradictions'])}")
+        say(f"  the declared load is CONTRADICTED: {'; '.join(told['contradictions'])}")
     if not told["mount_observable"]:
-        typer.echo(
-            "  its declared centre is on the flange's axis: no angle of its mount is checked"
-        )
+        say("  its declared centre is on the flange's axis: no angle of its mount is checked")
 
 
 def _load(told: dict[str, Any]) -> str:
-    x, y, z = told["com_m"]
-    return f"{told['mass_kg']:.3f} kg at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    centre = ", ".join(fixed(x, 3) for x in told["com_m"])
+    return f"{told['mass_kg']:.3f} kg at ({centre}) m"
 
 
 def _row(told: str, errors: Sequence[float | None]) -> tuple[str, ...]:
