@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from hil.deploy.export import c_dense_text as text
+from hil.deploy.export import c_activations_text as text
 from hil.deploy.export.c_text import Kind
 
 NAMES = {"softplus": "softplus", "relu": "relu", "tanh": "curve", "silu": "silu"}

@@ -8,9 +8,9 @@ have no branches, which would have loops computed one by one.
 
 FORWARD = """\
 /* y = b + x w, and the same of the rates dx without b. */
-static void hil_along_IN_OUT(const REAL *restrict w, const REAL *restrict b,
-                             const REAL *restrict x, const REAL *restrict dx,
-                             REAL *restrict y, REAL *restrict dy)
+static void hil_along_IN_OUT(const REAL *HIL_RESTRICT w, const REAL *HIL_RESTRICT b,
+                             const REAL *HIL_RESTRICT x, const REAL *HIL_RESTRICT dx,
+                             REAL *HIL_RESTRICT y, REAL *HIL_RESTRICT dy)
 {
     int i, c;
     for (c = 0; c < OUT; c++) { y[c] = b[c]; dy[c] = ZERO; }
@@ -29,8 +29,8 @@ static void hil_along_IN_OUT(const REAL *restrict w, const REAL *restrict b,
 
 VALUE = """\
 /* y = b + x w. */
-static void hil_value_IN_OUT(const REAL *restrict w, const REAL *restrict b,
-                             const REAL *restrict x, REAL *restrict y)
+static void hil_value_IN_OUT(const REAL *HIL_RESTRICT w, const REAL *HIL_RESTRICT b,
+                             const REAL *HIL_RESTRICT x, REAL *HIL_RESTRICT y)
 {
     int i, c;
     for (c = 0; c < OUT; c++) { y[c] = b[c]; }
@@ -47,7 +47,8 @@ static void hil_value_IN_OUT(const REAL *restrict w, const REAL *restrict b,
 
 BACK = """\
 /* x = w y: the gradient by the inputs of what has the gradient y by the outputs. */
-static void hil_back_IN_OUT(const REAL *restrict w, const REAL *restrict y, REAL *restrict x)
+static void hil_back_IN_OUT(const REAL *HIL_RESTRICT w, const REAL *HIL_RESTRICT y,
+                            REAL *HIL_RESTRICT x)
 {
     int i, l;
     for (i = 0; i < IN; i += 4) {
@@ -79,7 +80,7 @@ SUMS            }
 
 BEND = """\
 /* Activation of a layer: values, and rates by its slopes, which the way back needs again. */
-static void hil_bend_OUT(REAL *restrict y, REAL *restrict dy, REAL *restrict slope)
+static void hil_bend_OUT(REAL *HIL_RESTRICT y, REAL *HIL_RESTRICT dy, REAL *HIL_RESTRICT slope)
 {
     REAL e[OUT];
     int c;
@@ -101,108 +102,4 @@ FADE = """\
 
 NO_FADE = """\
     for (c = 0; c < OUT; c++) { e[c] = ZERO; }
-"""
-
-WITHIN = """\
-/* e to the -80 is as good as e to the minus infinity. */
-static inline REAL hil_within(REAL y) { return y < EIGHTY ? y : EIGHTY; }
-
-"""
-
-DECAY_FLOAT = """\
-/* e to the -y for y from 0 to 80 (a Taylor series between powers of 2), within 2e-7 of it. */
-static inline float hil_decay(float y)
-{
-    union { float number; uint32_t bits; } power;
-    float r, p;
-    int n;
-    n = (int)(y * 1.44269504f + 0.5f);
-    r = ((float)n * 0.693359375f - y) - (float)n * 2.12194440e-4f;
-    p = 1.0f + r * (1.0f + r * (0.5f + r * (1.66666667e-1f + r * (4.16666667e-2f
-        + r * (8.33333333e-3f + r * 1.38888889e-3f)))));
-    power.bits = (uint32_t)(127 - n) << 23;
-    return p * power.number;
-}
-
-"""
-
-DECAY_DOUBLE = """\
-static inline double hil_decay(double y) { return exp(-y); }
-
-"""
-
-LOG1P_FLOAT = """\
-/* log(1 + e) for e from 0 to 1: a series of the inverse hyperbolic tangent. */
-static inline float hil_log1p(float e)
-{
-    const float s = e / (2.0f + e), z = s * s;
-    return 2.0f * s * (1.0f + z * (3.33333333e-1f + z * (0.2f + z * (1.42857143e-1f
-        + z * (1.11111111e-1f + z * (9.09090909e-2f + z * 7.69230769e-2f))))));
-}
-
-"""
-
-LOG1P_DOUBLE = """\
-static inline double hil_log1p(double e) { return log1p(e); }
-
-"""
-
-SOFTPLUS = """\
-static inline REAL hil_softplus(REAL x, REAL e) { return HALF * (x + FABS(x)) + hil_log1p(e); }
-
-"""
-
-SOFTPLUS_SLOPE = """\
-static inline REAL hil_softplus_slope(REAL x, REAL e)
-{
-    return HALF + COPYSIGN(HALF - e / (ONE + e), x);
-}
-
-"""
-
-SILU = """\
-static inline REAL hil_silu(REAL x, REAL e) { return x * hil_softplus_slope(x, e); }
-
-"""
-
-SILU_SLOPE = """\
-static inline REAL hil_silu_slope(REAL x, REAL e)
-{
-    const REAL gate = hil_softplus_slope(x, e);
-    return gate + x * gate * (ONE - gate);
-}
-
-"""
-
-CURVE = """\
-/* The hyperbolic tangent; here e is e to the -2 |x|, and to the -|x| everywhere else. */
-static inline REAL hil_curve(REAL x, REAL e) { return COPYSIGN((ONE - e) / (ONE + e), x); }
-
-"""
-
-CURVE_SLOPE = """\
-static inline REAL hil_curve_slope(REAL x, REAL e)
-{
-    const REAL value = hil_curve(x, e);
-    return ONE - value * value;
-}
-
-"""
-
-RELU = """\
-static inline REAL hil_relu(REAL x, REAL e)
-{
-    (void)e;
-    return HALF * (x + FABS(x));
-}
-
-"""
-
-RELU_SLOPE = """\
-static inline REAL hil_relu_slope(REAL x, REAL e)
-{
-    (void)e;
-    return x > ZERO ? ONE : ZERO;
-}
-
 """
