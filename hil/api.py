@@ -20,6 +20,7 @@ from hil.campaign.view import describe_run, list_runs
 from hil.data.dataset import Dataset
 from hil.engine import Observer
 from hil.plan.plan import Plan
+from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
     from hil.deploy.export.targets import Written
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
     from hil.rest_report import RestReport
     from hil.study.result import StudyResult
-    from hil.trial.trial import Trial
+    from hil.trial.result import Trial
 
 __all__ = [
     "Experiment",
@@ -244,10 +245,10 @@ def estimate_payload(
         sources: Run directories or MCAP files recorded with that load, or just one.
         friction: What of the model's friction may differ on that day: nothing (`model`), an
             `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
-            choose, by stretches that are left out in turn. At rest it is not asked.
-        bare: At rest: the same program run with nothing mounted; much smaller errors.
+            choose, by stretches that are left out in turn. At rest it is `auto`.
+        bare: At rest: the same program run with nothing mounted, nor declared; much smaller errors.
         gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
-            0.05 at rest, and 0 in motion.
+            0.05, or 0.01 where they were calibrated (`hil gains`); torques have none.
 
     Raises:
         DataError: A source cannot be read, is of another robot, or was fitted to.
@@ -407,37 +408,39 @@ def try_out(
     robot: str | None = None,
     payload: str | None = None,
     seed: int = 0,
-    friction_share: float = 0.5,
+    friction_share: float = FRICTION_SHARE,
     progress: Callable[[str], object] | None = None,
 ) -> Trial:
     """What a model is worth to a controller, on a simulated arm driven by torque.
 
     Args:
         model: Its folder.
-        out: Folder for `report.html` and `try-out.json`, made where it is missing.
+        out: Folder to make, with `report.html` and `try-out.json`.
         station: Has the simulated arm the model was fitted on; by default the station experiments
             here would use, or a mock of its kind.
         robot: Name in the station; by default its only robot that is the model's.
         payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted and told to the model.
-        seed: Of the trajectory, which is never one of an experiment's.
+        seed: Of the trajectory; counted apart from those of experiments.
         friction_share: Of the dry friction, compensated while a hand leads the arm; below 1.
         progress: Is told what is being run.
 
     Raises:
-        SpecError: The robot is no simulated one with torque control, is another arm, or an
-            argument cannot be.
+        SpecError: The robot is no simulated one with torque control, or is another arm; nobody
+            named a station, and the mock there is otherwise is not the model's; an argument
+            cannot be.
         FitError: The model has no gravity, or cannot tell torques.
         PlanError: There is no clear motion.
-        RecordingError: The folder cannot be written.
+        RecordingError: The folder exists, or cannot be written.
     """
+    from hil.deploy.export.exported import require_new, write_folder
     from hil.fitting import parse_payload
     from hil.identify.model_file import json_bytes
-    from hil.record.files import write_replacing
-    from hil.report.trial_page import REPORT_FILE, write_trial_page
+    from hil.report.render import page_html
+    from hil.report.trial_page import REPORT_FILE, trial_page
     from hil.trial.trial import run_trial
 
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
+    require_new(folder)
     trial = run_trial(
         Path(model),
         station=Path(station) if station else None,
@@ -447,8 +450,8 @@ def try_out(
         friction_share=friction_share,
         progress=progress or (lambda text: None),
     )
-    write_trial_page(trial, folder / REPORT_FILE)
-    write_replacing(folder / "try-out.json", json_bytes(trial.to_dict()))
+    document = json_bytes(trial.to_dict()).decode()
+    write_folder({REPORT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
     return trial
 
 

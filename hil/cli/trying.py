@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json
+from hil.cli.models import ModelArgument, found_model
+from hil.cli.output import JsonFlag, RunsOption, fold, print_json, width_of
+from hil.errors import Rejected
+from hil.trial.settings import FRICTION_SHARE, MOST_SEED
+
+if TYPE_CHECKING:
+    from hil.trial.result import Trial
 
 
 def register(app: typer.Typer) -> None:
@@ -17,9 +23,9 @@ def register(app: typer.Typer) -> None:
 
 
 def try_out(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelArgument,
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Folder for the report.", show_default=False)
+        Path, typer.Option("-o", "--out", help="Folder to make for the report.", show_default=False)
     ],
     station: Annotated[
         Path | None,
@@ -35,24 +41,25 @@ def try_out(
     payload: Annotated[
         str, typer.Option("--payload", help="What is mounted: MASS_KG or MASS_KG,X_M,Y_M,Z_M.")
     ] = "",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the trajectory.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, max=MOST_SEED, help="Of the trajectory.")
+    ] = 0,
     friction_share: Annotated[
         float,
         typer.Option("--friction-share", help="Of the dry friction, compensated while led; < 1."),
-    ] = 0.5,
+    ] = FRICTION_SHARE,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Drive a simulated arm by torque with and without a model: tracking, and leading by hand."""
     from hil import api
-    from hil.cli.study_tables import print_study
-    from hil.trial.found import found
 
     def told(text: str) -> None:
         if sys.stderr.isatty():
             typer.echo(text, err=True)
 
     trial = api.try_out(
-        model,
+        found_model(model, runs),
         out,
         station=station,
         robot=robot or None,
@@ -63,6 +70,35 @@ def try_out(
     )
     if json:
         print_json({"report": str(out / "report.html"), **trial.to_dict()})
-        return
-    print_study(found(trial))
-    typer.echo(f"report: {out / 'report.html'}")
+    else:
+        _print(trial, out / "report.html")
+    _require_met(trial)
+
+
+def _print(trial: Trial, report: Path) -> None:
+    """Where everything is, and what a reader must know; all tables are on the page."""
+    from hil.trial.found import found
+
+    width = width_of(sys.stdout)
+    told = found(trial)
+    for warning in told.warnings:
+        typer.echo(fold(f"warning: {warning}", width))
+    typer.echo(f"report: {report}")
+    for text in told.summary:
+        typer.echo(fold(text, width))
+
+
+def _require_met(trial: Trial) -> None:
+    """End with the exit code of a bad result when the model missed a criterion.
+
+    Raises:
+        Rejected: It has.
+    """
+    from hil.trial.judged import judged
+
+    if missed := [criterion for criterion in judged(trial) if not criterion.met]:
+        asked = ", and ".join(criterion.asked for criterion in missed)
+        raise Rejected(
+            f"{trial.estimator} missed what it is held to: {asked}",
+            hint="; ".join(dict.fromkeys(criterion.mend for criterion in missed)),
+        )

@@ -11,9 +11,9 @@ from hil.robot.protocol import (
     Listens,
     Robot,
     Segment,
-    TorqueControlled,
 )
 from hil.robot.state import STATE_SCHEMA_VERSION, Status, state_dtype
+from hil.robot.torque import TorqueControlled, is_simulated
 
 __all__ = [
     "STATE_SCHEMA_VERSION",
@@ -30,5 +30,6 @@ __all__ = [
     "Segment",
     "Status",
     "TorqueControlled",
+    "is_simulated",
     "state_dtype",
 ]

@@ -181,18 +181,3 @@ class Listens(Protocol):
     @property
     def program_running(self) -> bool:
         """Whether a program was running (or paused) in the newest row that `read` has given."""
-
-
-@runtime_checkable
-class TorqueControlled(Protocol):
-    """What a simulated robot also offers when its joints can be driven by torque and pushed.
-
-    For simulated arms alone: `hil` commands torque to no real robot, whatever that could do.
-    `hil try-out` uses it: `command_torque`, `push`, `read`, one sample after the other.
-    """
-
-    def command_torque(self, torque: FloatArray | None) -> None:
-        """Drive the joints by torque (n,) [N·m] until told otherwise; None brakes and holds."""
-
-    def push(self, torque: FloatArray) -> None:
-        """Let an external joint torque (n,) [N·m] act from now on; zeros end it."""

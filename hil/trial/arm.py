@@ -13,7 +13,7 @@ from hil import plugins
 from hil.campaign.robots import connected
 from hil.errors import PluginError, RobotFault, SpecError
 from hil.payload import Payload
-from hil.robot import Robot, TorqueControlled
+from hil.robot import Robot, TorqueControlled, is_simulated
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
@@ -70,9 +70,10 @@ def require_simulated(name: str, robot: StationRobot) -> None:
         driver = plugins.load("hil.drivers", robot.driver)
     except PluginError as error:
         raise PluginError(f"{name}: {error.message}", hint=error.hint) from error
-    if not all(hasattr(driver, member) for member in ("command_torque", "push")):
+    if not is_simulated(driver):
         raise SpecError(
-            f"{name} has the driver {robot.driver}, which offers no torque control: {REFUSED}",
+            f"{name} has the driver {robot.driver}, which does not declare itself a simulated arm "
+            f"under torque control: {REFUSED}",
             hint="choose a station whose robot has driver: mock (experiments/stations/mock.yaml)",
         )
     if robot.options.get("clock", "virtual") != "virtual":
@@ -92,9 +93,11 @@ class Arm:
     """
 
     def __init__(self, robot: Robot) -> None:
-        if not isinstance(robot, TorqueControlled):
-            raise SpecError(f"{robot.identity.model} offers no torque control: {REFUSED}")
-        self._robot, self._drives = robot, robot
+        if not (is_simulated(robot) and isinstance(robot, TorqueControlled)):
+            raise SpecError(
+                f"{robot.identity.model} is no simulated arm under torque control: {REFUSED}"
+            )
+        self._robot = robot
         limits, can = robot.limits, robot.capabilities
         self.serial = robot.identity.serial
         self.limit, self.speed_limit = limits.effort_max, limits.qd_max
@@ -114,8 +117,8 @@ class Arm:
             self.brake()
             return False
         try:
-            self._drives.command_torque(np.clip(torque, -self.limit, self.limit))
-            self._drives.push(self._still if push is None else push)
+            self._robot.command_torque(np.clip(torque, -self.limit, self.limit))
+            self._robot.push(self._still if push is None else push)
             self._read()
         except RobotFault:
             return False
@@ -127,8 +130,8 @@ class Arm:
     def brake(self) -> None:
         """Let the brakes bring the arm to rest, nobody pushing."""
         with contextlib.suppress(RobotFault):
-            self._drives.push(self._still)
-            self._drives.command_torque(None)
+            self._robot.push(self._still)
+            self._robot.command_torque(None)
 
     def wait(self) -> bool:
         """Let one sample pass with things as they are; False when the arm has a fault."""

@@ -18,6 +18,9 @@ from hil.typing import FloatArray
 
 NOTHING, GRAVITY, NOMINAL, MODEL = "no model", "gravity", "datasheet arm", "model"
 
+UNIDENTIFIED = (NOTHING, NOMINAL)
+"""Laws for which nobody has to identify anything."""
+
 TOLD = {
     NOTHING: "the PD controller alone",
     GRAVITY: "the model's gravity (and load, and offset) at the position wanted",
@@ -48,8 +51,13 @@ def feed_forwards(
 
 def nominal(robot: RobotModel, payload: Payload, reference: Reference) -> FloatArray:
     """(N, n) torque [N·m] of the arm as its maker describes it."""
-    loaded = robot if payload.is_empty else robot.with_payload(payload)
+    loaded = as_made(robot, payload)
     return loaded.inverse_dynamics(reference.q, reference.qd, reference.qdd)
+
+
+def as_made(robot: RobotModel, payload: Payload) -> RobotModel:
+    """The arm as its maker describes it, with a load."""
+    return robot if payload.is_empty else robot.with_payload(payload)
 
 
 def predicted(model: RobotEstimator, payload: Payload, reference: Reference) -> FloatArray:

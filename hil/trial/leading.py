@@ -19,7 +19,9 @@ from hil.typing import FloatArray
 Drives = Callable[[FloatArray, FloatArray], FloatArray]
 """Torque (n,) [N·m] from position and velocity."""
 
-NOTHING, GRAVITY, FRICTION = "drives off", "gravity", "gravity and friction"
+NOTHING, DATASHEET = "drives off", "datasheet gravity"
+GRAVITY, FRICTION = "gravity", "gravity and friction"
+OF_THE_MODEL = (GRAVITY, FRICTION)
 
 HAND_FIRMNESS = 2.0
 """Times the bandwidth of the trial's controller."""

@@ -1,4 +1,4 @@
-"""The motions of a trial: a trajectory no training has seen, and a way a hand leads an arm along.
+"""The motions of a trial: a trajectory of its own, and a way a hand leads an arm along.
 
 Both keep the limits of the arm and its distance from what stands around it, the load included.
 """
@@ -16,10 +16,8 @@ from hil.plan.build import build_plan
 from hil.plan.place import plannable_arm, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.trial.arm import RATE_HZ, Bench
+from hil.trial.settings import SEEDS_APART
 from hil.typing import FloatArray
-
-SEEDS_APART = 900_000
-"""Between the seeds of trials and those that people give their experiments."""
 
 SETTLE_S = 1.0
 """At rest before the motion begins; not counted."""
@@ -103,7 +101,7 @@ def spec_of(name: str, payload: Payload, seed: int) -> ExperimentSpec:
 
 
 def trajectory_for(bench: Bench, seed: int) -> Reference:
-    """A trajectory from rest to rest that no training has seen.
+    """A trajectory from rest to rest, of a seed that experiments do not have by themselves.
 
     Raises:
         PlanError: There is no clear one.
