@@ -23,14 +23,19 @@ from typer.testing import CliRunner
 
 from hil import plugins
 from hil.cli.app import app
-from hil.deploy.export import json_check, json_friction, json_parameters, json_read
+from hil.deploy.export import (
+    json_check,
+    json_columns,
+    json_friction,
+    json_parameters,
+    json_read,
+)
 from hil.deploy.export.golden import LOAD
-from hil.deploy.export.json_base import of_base
 from hil.deploy.export.json_check import checked
+from hil.deploy.export.json_entries import Spread, of_base
 from hil.deploy.export.json_export import document_of, export_json
 from hil.deploy.export.json_read import rigid_torque
 from hil.deploy.export.json_robot import robot_part
-from hil.deploy.export.json_spread import Spread
 from hil.deploy.export.json_terms import adapted, library_term
 from hil.dynamics import RobotModel, base_parameters
 from hil.errors import FitError, RecordingError
@@ -211,6 +216,8 @@ def test_estimators_from_elsewhere_have_their_numbers_told_and_nothing_more(monk
     assert document["checked"].startswith("not compared: an estimator that this version of hil")
     one, like = entry(document, ELBOW), entry(told("rigid-linear"), ELBOW)
     assert (one["group"], one["unit"]) == ("unknown", "")
+    assert document["friction"]["law"] == "unknown"
+    assert "noise" not in document["friction"]["formula"]
     assert [one[key] for key in ("value", "std", "interval_95")] == [
         like[key] for key in ("value", "std", "interval_95")
     ]
@@ -253,7 +260,8 @@ def test_a_model_that_is_not_fitted_is_refused(tmp_path: Path) -> None:
 
 def test_the_how_to_runs_as_it_stands_there_without_hil(tmp_path: Path) -> None:
     (tmp_path / "parameters.json").write_text(json.dumps(told("rigid-wls")), "utf-8")
-    shutil.copy(json_read.__file__, tmp_path)
+    for module in (json_read, json_columns):
+        shutil.copy(module.__file__, tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", HOW_TO, re.DOTALL)
     told_last = "\nimport sys; print(effort.tolist(), 'hil' in sys.modules)"
     script = "\n".join(blocks) + told_last

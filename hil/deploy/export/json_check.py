@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.data.dataset import Conditions, Dataset
-from hil.deploy.export.golden import LOAD, RATE_HZ, SAMPLES, golden_of, motion
-from hil.deploy.export.json_read import (
-    combined,
-    friction_torque,
-    links_of,
-    of_joints,
-    paper_gravity,
-    rigid_torque,
-    steady_friction,
-)
+from hil.deploy.asked import motion_of
+from hil.deploy.export.golden import LOAD, RATE_HZ, golden_of
+from hil.deploy.export.json_columns import Document, friction_torque
+from hil.deploy.export.json_read import combined, links_of, rigid_torque, torque_per_effort
+from hil.deploy.export.json_rest import at_rest
+from hil.deploy.export.program import bodies
+from hil.dynamics import base_parameters
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.motor import has_current
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_linear import RigidLinear
-from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
 from hil.typing import FloatArray
 
@@ -38,10 +32,18 @@ SINGLE = 1e-5
 NOTHING = 1e-9
 """Joints whose largest value is less than this have none."""
 
-Compared = tuple[str, FloatArray, FloatArray]
+LOAD_ROW = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])
 
 
-def checked(model: RobotEstimator, document: dict[str, Any]) -> str:
+class Compared(NamedTuple):
+    """Something that the model says (N, n), and how it follows from a document."""
+
+    what: str
+    theirs: FloatArray
+    ours: Callable[[Document], FloatArray]
+
+
+def checked(model: RobotEstimator, document: Document) -> str:
     """What was compared, how well it agrees and what was not compared.
 
     Args:
@@ -52,9 +54,25 @@ def checked(model: RobotEstimator, document: dict[str, Any]) -> str:
         FitError: The document says something else than the model.
     """
     physics = model.base_ if isinstance(model, CorrectedModel) else model
+    told = differences(physics, document, comparisons(physics, document))
+    alone = "computed from the document alone, largest difference as a share of the largest value: "
+    left_out = _not_compared(physics, document)
+    more = [f"not compared: {', '.join(left_out)}"] if left_out else []
+    return "; ".join([alone + ", ".join(told), *more] if told else more)
+
+
+def differences(
+    physics: RobotEstimator, document: Document, compared: Sequence[Compared]
+) -> list[str]:
+    """How well each agrees, in words.
+
+    Raises:
+        FitError: One does not.
+    """
     told = []
-    for what, ours, theirs in _pairs(physics, document):
-        difference = _difference(ours, theirs)
+    for what, theirs, ours in compared:
+        with np.errstate(all="ignore"):
+            difference = _difference(ours(document), theirs)
         if not difference < (SINGLE if isinstance(physics, LagrangianModel) else EXACT):
             raise FitError(
                 f"{what} computed from the document differ from the model's by {difference:.1g} "
@@ -62,10 +80,24 @@ def checked(model: RobotEstimator, document: dict[str, Any]) -> str:
                 hint="please report this; the model folder itself is as it was",
             )
         told.append(f"{what}: {difference:.1g}")
-    alone = "computed from the document alone, largest difference as a share of the largest value: "
-    left_out = _not_compared(physics, document)
-    more = [f"not compared: {', '.join(left_out)}"] if left_out else []
-    return "; ".join([alone + ", ".join(told), *more] if told else more)
+    return told
+
+
+def comparisons(physics: RobotEstimator, document: Document) -> list[Compared]:
+    """All that can be compared of a model, evaluated once; of the document what there is counts."""
+    found: list[Compared] = []
+    if isinstance(physics, RigidLinear | RigidHysteresis | LagrangianModel):
+        found += _efforts(physics)
+    elif isinstance(physics, StaticModel):
+        found += [Compared(*one) for one in at_rest(physics)]
+    if isinstance(physics, LagrangianModel) and physics.intrinsic_:
+        found.append(_curve(physics))
+    gear = getattr(physics, "gear_rigid_", None)
+    if gear is not None and any(one["group"] == "gear" for one in document["parameters"]):
+        found.append(_gear(physics, gear))
+    if document["links"]["values"] is not None:
+        found += _links(physics)
+    return found
 
 
 def _difference(ours: FloatArray, theirs: FloatArray) -> float:
@@ -76,86 +108,80 @@ def _difference(ours: FloatArray, theirs: FloatArray) -> float:
     return float(np.max(np.abs(ours - theirs) / scale))
 
 
-def _pairs(model: RobotEstimator, document: dict[str, Any]) -> Iterator[Compared]:
-    q, qd, qdd = motion(model.robot_, SAMPLES, RATE_HZ)
-    if isinstance(model, RigidLinear) and not document["friction"]["memory"]:
-        golden, scale = golden_of(model), model.torque_scale_
-        bare = (document, golden.q, golden.qd, golden.qdd)
-        friction = friction_torque(document, golden.qd)
-        load = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])
-        yield f"{SAMPLES} efforts", (rigid_torque(*bare) + friction) / scale, golden.bare
-        loaded = rigid_torque(*bare, load=load)
-        yield "efforts with a load", (loaded + friction) / scale, golden.loaded
-    elif isinstance(model, RigidLinear | RigidHysteresis):
-        parts = model.predict(_as_it_is(model, q, qd, qdd)).components
-        theirs = (parts["gravity"] + parts["inertia"]) * model.torque_scale_
-        yield "torques of gravity and inertia", rigid_torque(document, q, qd, qdd), theirs
-    elif isinstance(model, StaticModel):
-        yield from _static(model, document, q)
-    elif isinstance(model, LagrangianModel) and model.intrinsic_:
-        speeds = np.where(np.abs(qd) < 1e-3, 0.1, qd)
-        yield "friction at steady speeds", steady_friction(document, speeds), _curve(model, speeds)
-    if document["links"]["values"] is not None:
-        ours = rigid_torque(document, q, qd, qdd, links=links_of(document))
-        yield "torques of links and base parameters", ours, rigid_torque(document, q, qd, qdd)
-        values, sums = combined(document).T
-        yield "base parameters as sums of those of links", sums[:, None], values[:, None]
+def _efforts(physics: RobotEstimator) -> Iterator[Compared]:
+    golden = golden_of(physics)
+    motion = (golden.q, golden.qd, golden.qdd)
+    ours = _computed(physics, motion)
+    yield Compared(f"{len(golden.q)} efforts", golden.bare, lambda d: ours(d, None))
+    yield Compared("efforts with a load", golden.loaded, lambda d: ours(d, LOAD_ROW))
+    slow, stream = _creeping(physics.robot_.n), physics.stream()
+    theirs = np.array([stream.step(*row) for row in zip(*slow, strict=True)])
+    creeping = _computed(physics, slow)
+    yield Compared("efforts at low speeds", theirs, lambda d: creeping(d, None))
 
 
-def _curve(model: LagrangianModel, speeds: FloatArray) -> FloatArray:
-    """(N, n) friction of the network itself [N·m]."""
+def _creeping(n: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """q, qd, qdd (N, n): speeds from 1e-8 rad/s up, both ways, as golden vectors hardly have."""
+    speed = np.repeat(np.geomspace(1e-8, 1.0, 33), 2) * np.tile([1.0, -1.0], 33)
+    qd = np.outer(speed, np.ones(n))
+    return np.cumsum(0.004 * qd, axis=0), qd, np.zeros_like(qd)
+
+
+def _computed(
+    physics: RobotEstimator, motion: tuple[FloatArray, FloatArray, FloatArray]
+) -> Callable[[Document, FloatArray | None], FloatArray]:
+    """Whole efforts, sample by sample, from a document; what networks add is the model's own."""
+    learnt = np.zeros_like(motion[0])
+    if isinstance(physics, LagrangianModel):
+        t = np.arange(len(learnt)) / RATE_HZ
+        parts = physics.predict(motion_of(physics, t, *motion)).components
+        names = ["inertia", "coriolis", "gravity"] + ["friction"] * (not physics.intrinsic_)
+        learnt = sum((parts[name] for name in names), start=learnt) * physics.torque_scale_
+
+    def effort(document: Document, load: FloatArray | None) -> FloatArray:
+        torque = learnt + rigid_torque(document, *motion, load=load)
+        through = rigid_torque(document, *motion, "gear", load=load)
+        friction = friction_torque(document, motion[0], motion[1], through)
+        return (torque + friction) / torque_per_effort(document)
+
+    return effort
+
+
+def _curve(physics: LagrangianModel) -> Compared:
+    """Friction alone, at steady speeds: in efforts its rounding is that of the whole network."""
     from hil.identify.lagrangian.stored import network_of
 
-    network = network_of(model.design_, model.torque_std_, model.weights_)
-    return np.asarray(network.friction.curve(speeds))
+    network = network_of(physics.design_, physics.torque_std_, physics.weights_)
+    qd = _creeping(physics.robot_.n)[1]
+    known, none = {"s": np.sign(qd), "z": np.sign(qd)}, np.zeros_like(qd)
+    theirs = np.asarray(network.friction.curve(qd))
+    return Compared(
+        "friction at steady speeds", theirs, lambda d: friction_torque(d, none, qd, none, known)
+    )
 
 
-def _static(model: StaticModel, document: dict[str, Any], q: FloatArray) -> Iterator[Compared]:
-    still = np.zeros_like(q)
-    if model.form == "paper":
-        gravity = paper_gravity(document, q)
-    else:
-        gravity = rigid_torque(document, q, still, still, "gravity")
-    offset = of_joints(document, "offset")
-    # As every static model does: without networks and friction, which a pose alone does not tell.
-    told = StaticModel.predict(model, _as_it_is(model, q, still, still))
-    if isinstance(model, StaticInverse):
-        k1, k2 = model.torque_scale_, of_joints(document, "square")
-        torque = k2 * told.effort * np.abs(told.effort) + k1 * told.effort - offset
-        there = has_current(gravity, k1, k2, -offset)
-        yield "gravity of the currents by eq. 16", torque * there, gravity * there
-        return
-    theirs = (told.components["gravity"] + told.components["offset"]) * model.torque_scale_
-    yield "gravity and offset", gravity + offset, theirs
+def _gear(physics: RobotEstimator, gear: FloatArray) -> Compared:
+    random = np.random.default_rng(0)  # every row by itself, so that no parameter hides
+    q, qd, qdd = random.uniform(-2.0, 2.0, (3, 60, physics.robot_.n))
+    full = base_parameters(physics.robot_, rotor=True).expand(gear)
+    theirs = physics.robot_.torque(full, q, qd, qdd)
+    return Compared(
+        "torques through the gears", theirs, lambda d: rigid_torque(d, q, qd, qdd, "gear")
+    )
 
 
-def _not_compared(physics: RobotEstimator, document: dict[str, Any]) -> list[str]:
+def _links(physics: RobotEstimator) -> Iterator[Compared]:
+    inertial: FloatArray = physics.inertial_  # type: ignore[attr-defined]
+    yield Compared("links", bodies(inertial, physics.robot_.n), links_of)
+    sums = base_parameters(physics.robot_, rotor=True).combine(inertial)[:, None]
+    yield Compared("base parameters as sums of those of links", sums, lambda d: combined(d)[:, 1:])
+
+
+def _not_compared(physics: RobotEstimator, document: Document) -> list[str]:
     left_out = []
-    if document["friction"]["memory"]:
-        left_out.append("friction")
-    groups = {one["group"] for one in document["parameters"]}
-    if not isinstance(physics, StaticInverse):
-        left_out += sorted(groups & {"drive", "ripple"})
     if document["networks"]:
         left_out.append("networks, whose weights are not in the document")
+    groups: set[Any] = {one["group"] for one in document["parameters"]}
     if not (groups - {"unknown"} or document["networks"]):
         left_out.append("an estimator that this version of hil does not know")
     return left_out
-
-
-def _as_it_is(model: RobotEstimator, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Dataset:
-    """A motion (N, n), filtered already, nothing mounted."""
-    none = np.zeros_like(q)
-    columns = {"t": np.arange(len(q)) / RATE_HZ, "q": q, "qd": qd, "effort": none}
-    columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd, "effort_f": none}
-    x, y, z = (float(value) for value in model.robot_.gravity_vector)
-    return Dataset(
-        robot=model.robot_.name,
-        joint_names=model.joint_names_,
-        effort_kind="torque" if model.effort_kind_ == "torque" else "current",
-        columns=columns,
-        offsets=np.array([0, len(q)], dtype=np.int64),
-        conditions=(Conditions("golden", "trajectory"),),
-        drive_gains=model.torque_scale_,
-        gravity=(x, y, z),
-    )

@@ -8,6 +8,7 @@ from typing import Any
 
 from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.export.json_check import checked
+from hil.deploy.export.json_entries import conditions_of
 from hil.deploy.export.json_friction import friction_part, networks_part
 from hil.deploy.export.json_parameters import parameters_of
 from hil.deploy.export.json_robot import (
@@ -17,7 +18,6 @@ from hil.deploy.export.json_robot import (
     robot_part,
     sigma_part,
 )
-from hil.deploy.export.json_spread import conditions_of
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes

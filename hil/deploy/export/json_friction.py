@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.deploy.export.json_terms import NETWORK
+from hil.deploy.export.lagrangian_terms import LEAST_SPEED as LEAST_NETWORK_SPEED
 from hil.identify.base import RobotEstimator
 from hil.identify.diffnea.forms import LEAST_SPEED
 from hil.identify.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
@@ -13,19 +15,29 @@ from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.rigid_irls import NARROWEST
+from hil.identify.rigid_irls import NARROWEST, RigidIrls
 from hil.identify.rigid_linear import RigidLinear
 from hil.identify.static_friction import StaticFriction
 from hil.identify.static_hysteresis import StaticHysteresis
 from hil.identify.static_inverse import StaticInverse
+from hil.identify.static_model import StaticModel
 from hil.identify.static_network import StaticMlpLm
 
 STORED = "model.safetensors"
 
-SMOOTH = "s = tanh(v/sign_width), the sign of v for 0"
-DAHL = "z: from sample to sample z ← σ + (z − σ)·exp(−|Δq|/x0) with σ the sign of Δq, 0 at first"
 SUM = "sum of value × column over the joint's parameters"
-AT_REST = "d: +1 approached from below, −1 from above; z1, z2, …: Dahl's states with lengths_rad"
+SMOOTH = "s = tanh(v/sign_width_rad_s), the sign of v for 0"
+DAHL = (
+    "z: at first 0; from sample to sample z ← σ + (z − σ)·exp(−|Δq|/x0), σ the sign of Δq, where "
+    "Δq·v > 0; elsewhere, and so for v = 0, z stays; z3, z10, …: with 3, 10, … times x0"
+)
+V0 = "v0 = least_speed_rad_s"
+SYMBOLS = "vf = ripple_fades_rad_s; T0 = reference_celsius; T = usual_celsius (T0 without)"
+AT_REST = (
+    "d: +1 approached from below, −1 from above; z1, z2, …: Dahl's states with lengths_rad along "
+    "the smoothed path into the pose; τ: the group gear and load, within load_limit_nm; "
+    "N = gear_ratio; Tm = mean_celsius"
+)
 
 
 def friction_part(model: RobotEstimator) -> dict[str, Any]:
@@ -35,25 +47,31 @@ def friction_part(model: RobotEstimator) -> dict[str, Any]:
     if isinstance(model, RigidHysteresis):
         constants = {"reference_celsius": REFERENCE_C, "ripple_fades_rad_s": RIPPLE_FADES_RAD_S}
         usual = {"usual_celsius": model.law_.celsius}
-        return _law("library", f"{SUM}; {DAHL}; zk: with k times x0", True, constants | usual)
+        return _law("library", f"{SUM}; {DAHL}; {SYMBOLS}", True, constants | usual)
     if isinstance(model, LagrangianModel):
         return _network_law(model)
     if isinstance(model, RigidDiffnea):
-        constants = {"sign_width_rad_s": model.sign_width, "least_speed_rad_s": LEAST_SPEED}
-        memory = model.friction == "memory"
-        how = f"{DAHL}; z10: with 10 x0" if memory else SMOOTH
-        return _law(model.friction, f"{SUM}; {how}", memory, constants)
+        memory, width = model.friction == "memory", {"sign_width_rad_s": model.sign_width}
+        words = f"{SUM}; {SMOOTH}; {V0}" + f"; {DAHL}" * memory
+        return _law(model.friction, words, memory, width | {"least_speed_rad_s": LEAST_SPEED})
     if isinstance(model, RigidLinear):
-        width = model.sign_width or NARROWEST
-        constants = {"sign_width_rad_s": model.sign_width, "power_width_rad_s": width}
-        words = f"{SUM}; {SMOOTH}; w = power_width"
+        constants = {"sign_width_rad_s": model.sign_width}
+        if not isinstance(model, RigidIrls):
+            return _law("coulomb-viscous", f"{SUM}; {SMOOTH}", False, constants)
+        constants["power_width_rad_s"] = model.sign_width or NARROWEST
+        words = f"{SUM}; {SMOOTH}; w = power_width_rad_s"
         return _law("coulomb-viscous", words, False, constants)
     if isinstance(model, StaticFriction):
         return _at_rest(model)
+    noise = "friction at rest counts as noise"
     if isinstance(model, StaticInverse):
         solved = "gravity = K2·i·|i| + K1·i + K0, solved for the current i; offset is −K0"
-        return _law("none", f"{solved}. Friction at rest counts as noise", False, {})
-    return _law("none", "friction at rest counts as noise", False, {})
+        return _law("none", f"{solved}; {noise}", False, {})
+    if isinstance(model, StaticMlpLm):
+        return _law("network", f"{SUM}; friction at rest is what the networks say", False, {})
+    if isinstance(model, StaticModel):
+        return _law("none", f"{SUM}; {noise}", False, {})
+    return _law("unknown", "of an estimator that this version of hil does not know", False, {})
 
 
 def _law(
@@ -63,17 +81,21 @@ def _law(
     return base | {"level_nm": more.get("level_nm")}
 
 
+def remembers(model: LagrangianModel) -> bool:
+    """Whether friction has Dahl's state for the sign of the velocity."""
+    return model.length_ is not None and model.design_.friction.sign != "hard"
+
+
 def _network_law(model: LagrangianModel) -> dict[str, Any]:
-    kind, dahl = model.design_.kind, model.length_ is not None
-    sign = "the sign of v" if model.design_.friction.sign == "hard" else SMOOTH
-    constants = {"sign_width_rad_s": model.sign_width}
-    if kind == "coulomb":
-        formula = "f_c·s + f_v·v + offset"
-    elif kind == "stribeck":
-        formula = "s·(f_c + (f_s − f_c)·exp(−(|v|/v_s)^delta_s) + f_v·|v|^alpha) + offset"
-    else:
-        return _law(kind, f"{kind}: no parameters that mean anything", dahl, constants)
-    return _law(kind, f"{formula}; {f'{DAHL}; s is z' if dahl else sign}", dahl, constants)
+    kind, hard = model.design_.kind, model.design_.friction.sign == "hard"
+    if kind not in NETWORK:
+        return _law(kind, f"{kind}: no parameters that mean anything", False, {})
+    constants = {} if remembers(model) else {"sign_width_rad_s": 0.0 if hard else model.sign_width}
+    sign = DAHL if remembers(model) else SMOOTH
+    if kind == "stribeck":
+        constants["least_speed_rad_s"] = LEAST_NETWORK_SPEED
+        sign = f"{sign}; {V0}"
+    return _law(kind, f"{SUM}; {sign}", remembers(model), constants)
 
 
 def _at_rest(model: StaticFriction) -> dict[str, Any]:
@@ -84,8 +106,7 @@ def _at_rest(model: StaticFriction) -> dict[str, Any]:
     if isinstance(model, StaticHysteresis):
         constants["lengths_rad"] = model.lengths_rad
         constants["gear_ratio"] = model.gear_ratio
-    words = f"{SUM}; {AT_REST}; τ: gravity and load, within load_limit"
-    return _law("rest", words, True, constants, level_nm=model.dry_friction())
+    return _law("rest", f"{SUM}; {AT_REST}", True, constants, level_nm=model.dry_friction())
 
 
 def networks_part(model: RobotEstimator) -> list[dict[str, Any]]:

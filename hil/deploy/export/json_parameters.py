@@ -6,8 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from hil.deploy.export.json_base import Entry, entry, of_base, paper_entry
-from hil.deploy.export.json_spread import NOT_FITTED, NOT_TOLD, OUTSIDE, Spread, spread_of
+from hil.deploy.export.json_entries import (
+    NOT_FITTED,
+    NOT_TOLD,
+    OUTSIDE,
+    Entry,
+    Spread,
+    entry,
+    of_base,
+    paper_entry,
+    spread_of,
+)
+from hil.deploy.export.json_friction import remembers
 from hil.deploy.export.json_terms import (
     BENT,
     EXPONENT,
@@ -34,6 +44,7 @@ from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import RigidIrls
 from hil.identify.rigid_linear import RigidLinear
+from hil.identify.static_friction import StaticFriction
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
 from hil.identify.wls import WlsEstimator
@@ -64,8 +75,7 @@ def parameters_of(model: RobotEstimator) -> list[Entry]:
 
 def torque_unit(model: RobotEstimator) -> str:
     """`A` where currents were fitted without drive gains, as static models may be."""
-    unknown = model.effort_kind_ == "current" and bool(np.all(model.torque_scale_ == 1.0))
-    return "A" if unknown else TORQUE
+    return "A" if isinstance(model, StaticModel) and not model.knows_gains else TORQUE
 
 
 def _own(
@@ -139,15 +149,25 @@ def _shapes(model: RigidHysteresis, law: FrictionLaw) -> Iterator[Entry]:
 def _lagrangian(model: LagrangianModel) -> Iterator[Entry]:
     found = dict(model.intrinsic_)
     terms = dict(NETWORK.get(model.design_.kind, {}))
-    if model.length_ is not None:
+    if model.length_ is not None and remembers(model):
+        terms = {word: _with_state(term) for word, term in terms.items()}
         found["length"], terms["length"] = model.length_, LENGTH
     for word, values in found.items():
         names = [f"{joint}.{word}" for joint in model.joint_names_]
         yield from _own(model, names, values.tolist(), terms, Spread.none(len(names)))
 
 
+def _with_state(term: Term) -> Term:
+    """Dahl's state in the place of the sign."""
+    return term._replace(column="z" + term.column[1:]) if term.column[0] == "s" else term
+
+
 def _static(model: StaticModel) -> Iterator[Entry]:
     told, names, values = spread_of(model), model.parameter_names_, model.coefficients_
+    words = {
+        name.rpartition(".")[2] for name in names if name.partition(".")[0] in model.joint_names_
+    }
+    terms = {word: rest_term(word) for word in words}
     if model.form == "paper":
         g, torque = len(PaperGravity.names), torque_unit(model)
         for k, name in enumerate(PaperGravity.names):
@@ -156,8 +176,8 @@ def _static(model: StaticModel) -> Iterator[Entry]:
         base = base_parameters(model.robot_, gravity_only=True)
         g = base.rank
         yield from of_base(model.robot_, base, values[:g], "gravity", told)
-    words = {name.rpartition(".")[2] for name in names[g:]}
-    terms = {word: rest_term(word) for word in words}
+        if isinstance(model, StaticFriction) and any("τ" in one.column for one in terms.values()):
+            yield from of_base(model.robot_, base, model.load_gravity_, "gear", Spread.none(g))
     if isinstance(model, StaticInverse):
         terms["square"] = SQUARE
     yield from _own(model, names[g:], values[g:].tolist(), terms, _rest(told, g))

@@ -101,40 +101,10 @@ def of_joints(document: Document, word: str, otherwise: float = 0.0) -> Array:
     return np.array([told.get(f"{name}.{word}", otherwise) for name in names])
 
 
-def friction_torque(document: Document, qd: Array) -> Array:
-    """(N, n) friction without memory, offset included [N·m].
-
-    Raises:
-        ValueError: The law is another.
-    """
-    law, constants = document["friction"]["law"], document["friction"]["constants"]
-    width, (fc, fv, offset) = constants["sign_width_rad_s"], (
-        of_joints(document, word) for word in ("coulomb", "viscous", "offset")
-    )  # fmt: skip
-    s = np.sign(qd) if width == 0.0 else np.tanh(qd / width)
-    if law == "coulomb-viscous":
-        exponent = of_joints(document, "exponent", 1.0)
-        inner = qd**2 + constants.get("power_width_rad_s", 1.0) ** 2
-        return np.asarray(fc * s + fv * qd * inner ** (0.5 * (exponent - 1.0)) + offset)
-    if law not in ("stribeck", "stribeck-power"):
-        raise ValueError(f"friction law {law!r}")
-    speed = np.abs(qd) + constants["least_speed_rad_s"]
-    vs, shape = (of_joints(document, f"stribeck_{word}") for word in ("velocity", "exponent"))
-    peak = np.exp(-((speed / vs) ** shape))
-    power = s * speed ** of_joints(document, "speed_exponent") if law[8:] else qd
-    size = fc * (1.0 - peak) + of_joints(document, "static") * peak
-    return np.asarray(size * s + fv * power + offset)
-
-
-def steady_friction(document: Document, qd: Array) -> Array:
-    """(N, n) friction of a `lagrangian` network at steady speeds other than 0 [N·m]."""
-    fc, fv, offset = (of_joints(document, word) for word in ("f_c", "f_v", "offset"))
-    speed = np.abs(qd)
-    if document["friction"]["law"] == "coulomb":
-        return np.asarray(np.sign(qd) * (fc + fv * speed) + offset)
-    fs, vs, shape, alpha = (of_joints(document, w) for w in ("f_s", "v_s", "delta_s", "alpha"))
-    size = fc + (fs - fc) * np.exp(-((speed / vs) ** shape)) + fv * speed**alpha
-    return np.asarray(np.sign(qd) * size + offset)
+def torque_per_effort(document: Document) -> Array:
+    """(n,) drive gains; 1 where nobody knew them, or efforts are torques."""
+    told = document["effort"]["torque_per_effort"]["values"]
+    return np.ones(len(document["robot"]["joints"])) if told is None else np.array(told)
 
 
 def _newton_euler(robot: Document, bodies: Array, q: Array, qd: Array, qdd: Array) -> Array:

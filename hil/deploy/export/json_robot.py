@@ -15,7 +15,8 @@ from hil.dynamics import RobotModel
 from hil.dynamics.inertial import skew
 from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.model_file import MODEL_FILE, model_files
+from hil.identify.model_file import model_files
+from hil.identify.model_folder import MODEL_FILE
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.static_hysteresis import StaticHysteresis

@@ -1,7 +1,8 @@
 """What friction and drive parameters are called in a JSON document: unit, column and meaning.
 
 In columns v is the joint's velocity, s the smooth sign of it, z Dahl's state in place of that sign
-(z10: with ten times the length), τ the torque through the gear, T the joint's temperature.
+(z10: with ten times the length), τ the torque through the gear, T the joint's temperature. They are
+formulas that `hil.deploy.export.json_columns` computes as they stand here.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.identify.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.identify.friction.motion import REFERENCE_C
 
 TORQUE, DAMPING = "N·m", "N·m·s/rad"
 
@@ -32,7 +33,7 @@ COULOMB = Term(TORQUE, "s", "Coulomb friction")
 VISCOUS = Term(DAMPING, "v", "viscous friction")
 OFFSET = Term(TORQUE, "1", "constant: bias of drive or sensor, other friction one way")
 STATIC = Term(TORQUE, "s", "static friction: that of a joint which hardly moves")
-POWER = Term("N·m·(s/rad)^α", "s·|v|^α", "friction that grows with a power of speed")
+POWER = Term("N·m·(s/rad)^α", "s·(|v| + v0)^α", "friction that grows with a power of speed")
 EXPONENT = Term("1", "α", "exponent α of the speed")
 STRIBECK_SPEED = Term("rad/s", "vs", "speed at which static has given way to Coulomb friction")
 STRIBECK_SHAPE = Term("1", "δ", "how abruptly it does")
@@ -48,8 +49,8 @@ FORMS: dict[str, Mapping[str, Term]] = {
     "coulomb-viscous": PLAIN,
     "stribeck": PLAIN
     | {
-        "coulomb": Term(TORQUE, "s·(1 − exp(−(|v|/vs)^δ))", "Coulomb friction"),
-        "static": Term(TORQUE, "s·exp(−(|v|/vs)^δ)", STATIC.meaning),
+        "coulomb": Term(TORQUE, "s·(1 − exp(−((|v| + v0)/vs)^δ))", "Coulomb friction"),
+        "static": Term(TORQUE, "s·exp(−((|v| + v0)/vs)^δ)", STATIC.meaning),
         "stribeck_velocity": STRIBECK_SPEED,
         "stribeck_exponent": STRIBECK_SHAPE,
     },
@@ -71,16 +72,16 @@ FORMS["memory"] = PLAIN | {
 NETWORK: dict[str, Mapping[str, Term]] = {
     "coulomb": {"f_c": COULOMB, "f_v": VISCOUS, "offset": OFFSET},
     "stribeck": {
-        "f_s": STATIC,
-        "f_c": COULOMB,
-        "f_v": POWER,
+        "f_s": Term(TORQUE, "s·exp(−(max(|v|, v0)/vs)^δ)", STATIC.meaning),
+        "f_c": Term(TORQUE, "s·(1 − exp(−(max(|v|, v0)/vs)^δ))", COULOMB.meaning),
+        "f_v": Term(POWER.unit, "s·max(|v|, v0)^α", POWER.meaning),
         "v_s": STRIBECK_SPEED,
         "delta_s": STRIBECK_SHAPE,
         "alpha": EXPONENT,
         "offset": OFFSET,
     },
 }
-"""Of `lagrangian`, by its parameter `friction`; the others are networks."""
+"""Of `lagrangian`, by its parameter `friction`, z for s with Dahl's state; others are networks."""
 
 SHAPES = {
     "length": Term("rad", "x0", "shortest length of Dahl's state"),
@@ -90,6 +91,7 @@ SHAPES = {
 }
 """Of `rigid-hysteresis`: `hil.identify.friction.motion.Shapes`."""
 
+_HERE = f"{REFERENCE_C:g} °C"
 _PEAK = "exp(−|v|/vs)"
 _LIBRARY = {
     "offset": OFFSET,
@@ -97,11 +99,11 @@ _LIBRARY = {
     "coulomb": Term(TORQUE, "z", "Coulomb friction"),
     "load": Term("1", "z·|τ|", "friction that grows with load: the gear's efficiency"),
     "stribeck": Term(TORQUE, f"z·{_PEAK}", "Stribeck peak"),
-    "stribeck narrow": Term(TORQUE, "z·exp(−|v|/(0.3 vs))", "narrow Stribeck peak"),
-    "stribeck wide": Term(TORQUE, "z·exp(−|v|/(3 vs))", "wide Stribeck peak"),
+    "stribeck narrow": Term(TORQUE, "z·exp(−|v|/(0.3·vs))", "narrow Stribeck peak"),
+    "stribeck wide": Term(TORQUE, "z·exp(−|v|/(3·vs))", "wide Stribeck peak"),
     "stribeck load": Term("1", f"z·{_PEAK}·|τ|", "Stribeck peak that grows with load"),
-    "stribeck wide load": Term("1", "z·exp(−|v|/(3 vs))·|τ|", "wide peak that grows with load"),
-    "stribeck memory": Term(TORQUE, "z10·exp(−|v|/(0.3 vs))", "peak with a longer memory"),
+    "stribeck wide load": Term("1", "z·exp(−|v|/(3·vs))·|τ|", "wide peak that grows with load"),
+    "stribeck memory": Term(TORQUE, "z10·exp(−|v|/(0.3·vs))", "peak with a longer memory"),
     "braking": Term("1", "|z|·τ", "friction that differs as the load drives or brakes"),
     "drive": Term("1/(N·m)", "τ·|τ|", "current that grows faster than torque"),
     "speed p load": Term("(s/rad)^p", "sign(v)·|v|^p·|τ|", "speed law that grows with load"),
@@ -110,9 +112,9 @@ _LIBRARY = {
     "speed braking": Term("s/rad", "|v|·τ", "the same with speed, as the load drives or brakes"),
     "asymmetry": Term(DAMPING, "|v|", "other viscous friction one way"),
     "dry asymmetry": Term(TORQUE, "|z|", "other dry friction one way"),
-    "temperature.1": Term("N·m/K", f"z·(T − {REFERENCE_C:g} °C)", "dry friction per kelvin"),
+    "temperature.1": Term("N·m/K", "z·(T − T0)", f"dry friction per kelvin over {_HERE}"),
     "temperature.2": Term(
-        "N·m·(s/rad)^p/K", f"sign(v)·|v|^p·(T − {REFERENCE_C:g} °C)", "speed law per kelvin"
+        "N·m·(s/rad)^p/K", "sign(v)·|v|^p·(T − T0)", f"speed law per kelvin over {_HERE}"
     ),
 }
 
@@ -145,7 +147,7 @@ def _memory(rest: list[str]) -> Term:
 
 def _ripple(rest: list[str], number: str) -> Term:
     factors = [f"{'sin' if number == '1' else 'cos'}({rest[0]}·N·q)"]
-    factors += [f"exp(−|v|/{RIPPLE_FADES_RAD_S:g})"] if "slow" in rest else []
+    factors += ["exp(−|v|/vf)"] if "slow" in rest else []
     factors += ["tanh(v/0.01)"] if "sign" in rest else []
     return Term(TORQUE, "·".join(factors), f"ripple, {rest[0]} per motor turn")
 
@@ -169,7 +171,7 @@ def rest_term(name: str) -> Term:
         return Term(TORQUE, z, "dry friction that the approach has left in the gear")
     unit, times, word = {
         "load": ("1", "|τ|", "with load"),
-        "temperature": ("N·m/K", "(T − mean of the training)", "per kelvin"),
+        "temperature": ("N·m/K", "(T − Tm)", "per kelvin"),
     }[by]
     return Term(unit, f"{z}·{times}", f"dry friction {word}")
 
