@@ -60,7 +60,7 @@ def require_new(out: Path) -> None:
         RecordingError: It exists, or cannot.
     """
     try:
-        there = out.exists()
+        there = out.exists() or out.is_symlink()  # a link to nothing is written over, too
     except OSError as error:
         raise RecordingError(f"cannot write {out}: {error.strerror}") from error
     if there:

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from hil.errors import SpecError
+from hil.errors import DataError, SpecError
 from hil.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -30,6 +30,9 @@ ENDINGS = {
 FOREIGN = {".c", ".h", ".cc", ".cpp", ".zip", ".pt", ".yaml", *filter(None, ENDINGS.values())}
 """Endings that promise something; any other may stand for anything."""
 
+DAMAGED = (ValueError, TypeError, ArithmeticError, LookupError)
+"""What numbers that cannot be make arithmetic raise."""
+
 OPTIONS = {"c": ("prefix", "unchecked"), "urdf": ("unchecked",)}
 """What else a target takes."""
 
@@ -52,22 +55,33 @@ def export_model(model: RobotEstimator, out: Path, to: str, **options: Any) -> W
         model: Fitted.
         out: File or folder to be made.
         to: Name of the target.
-        options: Those of `OPTIONS`, where they are not None.
+        options: Those of `OPTIONS`, where they are not None or False.
 
     Raises:
         SpecError: There is no such target, it has no such option, or `out` ends as another's file.
+        DataError: Numbers of the model are damaged.
         FitError: The model is of a kind that it cannot be, or what it would be does not agree.
         PluginError: What it takes to write or check it is not installed.
         RecordingError: It exists already, or cannot be written.
     """
     if to not in TARGETS:
         raise SpecError(f"--to is {to!r}", hint=did_you_mean(to, TARGETS))
-    given = {name: value for name, value in options.items() if value is not None}
+    given = {
+        name: value for name, value in options.items() if value is not None and value is not False
+    }
     if strange := sorted(set(given) - set(OPTIONS.get(to, ()))):
         raise SpecError(f"--to {to} has no option --{strange[0]}", hint="leave it out")
     _require_ending(out, to)
     module, name = TARGETS[to]
-    written: Written = getattr(import_module(module), name)(model, out, **given)
+    export = getattr(import_module(module), name)
+    try:
+        written: Written = export(model, out, **given)
+    except DAMAGED as error:
+        raise DataError(
+            f"{model.estimator} cannot be written as {to}: {error}",
+            hint="its numbers are damaged, or this is a fault of hil's export: evaluate the "
+            "model, fit it again, and report it with the model's folder if it says what it should",
+        ) from error
     return written
 
 
