@@ -16,7 +16,7 @@ from hil.deploy.export.c_program import c_source
 from hil.deploy.export.golden import motion
 from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
-from hil.errors import DataError, FitError, PluginError
+from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.identify import estimator
 from hil.identify.base import prepared
 from hil.payload import Payload
@@ -40,6 +40,16 @@ def test_compiled_or_not_it_says_the_same(load, model) -> None:
     fast, slow = (Predictor(model, load, compiled=how) for how in (True, False))
     assert (fast.compiled, slow.compiled) == (True, False)
     assert np.allclose(said(fast), said(slow), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("path", "load", "words"),
+    [("models/m", None, "model is 'models/m', a str"), ("", 1.5, "payload is 1.5, a float")],
+)
+def test_a_path_or_a_number_is_one_clear_error(path, load, words, model) -> None:
+    with pytest.raises(SpecError) as told:
+        Predictor(path or model, load)
+    assert words in f"{told.value.message} {told.value.hint}"
 
 
 @needs_compiler

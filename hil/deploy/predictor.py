@@ -6,7 +6,7 @@ from hil.deploy.compiled import CompiledProgram
 from hil.deploy.export.c_build import compiler
 from hil.deploy.export.reading import NotExported
 from hil.deploy.sample import as_sample, require_within
-from hil.errors import FitError
+from hil.errors import FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -33,6 +33,7 @@ class Predictor:
             and the model is of a kind that is not exported.
         PluginError: The compiler makes nothing that runs here, or `compiled` is asked for and
             there is none.
+        SpecError: `model` is no model (but perhaps its path), or `payload` is no `Payload`.
     """
 
     def __init__(
@@ -42,6 +43,8 @@ class Predictor:
         *,
         compiled: bool | None = None,
     ) -> None:
+        _require(isinstance(model, RobotEstimator), "model", model, "load_model_file(folder)")
+        _require(isinstance(payload, Payload | None), "payload", payload, "Payload(1.5)  # kg")
         self._model, self._load = model, payload or Payload()
         self._program = _program(model, compiled)
         self.compiled = self._program is not None
@@ -83,6 +86,13 @@ class Predictor:
             )
         self._program.step(q, qd, qdd, explain=True)
         return self._program.parts
+
+
+def _require(right: bool, name: str, given: object, example: str) -> None:
+    if not right:
+        raise SpecError(
+            f"{name} is {given!r:.80}, a {type(given).__name__}", hint=f"for example: {example}"
+        )
 
 
 def _program(model: RobotEstimator, compiled: bool | None) -> CompiledProgram | None:

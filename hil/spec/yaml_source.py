@@ -72,4 +72,5 @@ def _neighbours(file: FilePath, kind: str) -> str:
 def _is(file: FilePath, kind: str) -> bool:
     """Whether a file has the key of its kind, as far as a look at its beginning tells."""
     with file.open("rb") as stream:
-        return any(line.startswith(f"{kind}:".encode()) for line in stream.read(20_000).split(b"\n"))
+        lines = stream.read(20_000).split(b"\n")
+    return any(line.startswith(f"{kind}:".encode()) for line in lines)
