@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.deploy.export.agreement import scale_of
+from hil.deploy.export.agreement import FAULT, scale_of
 from hil.deploy.export.golden import RATE_HZ, SAMPLES, motion
 from hil.deploy.identified_parameters import (
     SIGN_WIDTH,
@@ -28,7 +28,6 @@ NEAR = 0.05
 """The same where links only come near, and for friction beyond what Coulomb's and viscous leave."""
 
 HZ = 100.0
-FAULT = "this is a fault of hil's export: please report it with the model's folder"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,8 @@ from hil.typing import FloatArray
 FAINT, NOTHING = 1e-4, 1e-9
 """A joint's largest effort counts as this share of all joints' largest, and as this, at least."""
 
+FAULT = "this is a fault of hil's export: please report it with the model's folder"
+
 Step = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
 """q, qd, qdd (1, n), load (1, 10)[, state (1, S)] → effort (1, n)[, state (1, S)]."""
 
@@ -75,7 +77,7 @@ def require_agreement(step: Step, golden: Golden, state_size: int, what: str) ->
     if not worst <= AGREES:
         raise FitError(
             f"{what} does not agree with the model: off by {worst:.1e} of the largest effort",
-            hint="this is a fault of hil's export: please report it with the model's folder",
+            hint=FAULT,
         )
     return (
         f"read back: largest difference {worst:.1e} of a joint's largest effort, "

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.deploy.export.agreement import FAULT, scale_of
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
 from hil.deploy.export.golden import AGREES, RATE_HZ, SAMPLES, motion
 from hil.deploy.export.mlp_nets import OPERATORS, Chain, Layer, chain_of
@@ -61,17 +62,19 @@ def _told(model: RobotEstimator, chain: Chain) -> dict[str, str]:
     """What the file says of itself."""
     lists = {
         "inputs": model.joint_names_,
-        "input_units": ("rad",) * model.robot_.n,
+        "input_units": tuple("rad" if one else "m" for one in model.robot_.joint_geometry().turns),
         "outputs": chain.outputs,
         "output_units": chain.units,
         "notes": chain.notes,
     }
-    words = {"estimator": model.estimator, "robot": model.robot_.name, "part": chain.part}
+    # A path says where somebody keeps files, not what robot it is.
+    robot = Path(model.robot_.name).name
+    words = {"estimator": model.estimator, "robot": robot, "part": chain.part}
     return words | {name: json.dumps(all_, ensure_ascii=False) for name, all_ in lists.items()}
 
 
 def _onnx_file(chain: Chain, n: int, told: dict[str, str]) -> bytes:
-    from onnx import TensorProto, checker, helper
+    from onnx import TensorProto, checker, helper, shape_inference
 
     nodes: list[Any] = []
     constants: list[Any] = []
@@ -87,7 +90,10 @@ def _onnx_file(chain: Chain, n: int, told: dict[str, str]) -> bytes:
     opset = [helper.make_opsetid("", OPSET)]
     made = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="hil")
     helper.set_model_props(made, told)
-    checker.check_model(made, full_check=True)
+    try:
+        checker.check_model(made, full_check=True)
+    except (checker.ValidationError, shape_inference.InferenceError) as error:
+        raise FitError(f"the ONNX graph is not valid: {error}", hint=FAULT) from error
     content: bytes = made.SerializeToString()
     return content
 
@@ -119,11 +125,11 @@ def _checked(content: bytes, chain: Chain, q: FloatArray) -> str:
     """
     wanted = chain.says(q)
     off = np.abs(onnxruntime_says(content)(q) - wanted).max(axis=0)
-    worst = float(np.max(off / np.maximum(np.abs(wanted).max(axis=0), 1e-9)))
+    worst = float(np.max(off / scale_of(wanted)))
     if not worst <= AGREES:
         raise FitError(
             f"the ONNX file does not agree with the model: off by {worst:.1e}",
-            hint="this is a fault of hil's export: please report it with the model's folder",
+            hint=FAULT,
         )
     return f"onnxruntime: largest difference {worst:.2e} of each output's largest value"
 

@@ -20,7 +20,7 @@ from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.network_inputs import position_inputs, positions_only
 from hil.identify.static_network import StaticMlpLm
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
 """Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""
@@ -89,14 +89,14 @@ def _static(model: StaticMlpLm) -> Chain:
             f"the network has the inputs {', '.join(names)}, not all of which are positions",
             hint="fit static-mlp-lm with inputs of q alone, such as [q2, q3, q4, q5]",
         )
-    unit = effort_unit(model.effort_kind_)
+    unit, slides = effort_unit(model.effort_kind_), ~model.robot_.joint_geometry().turns
     return Chain(
         _side_by_side(model, position_inputs(np.eye(model.robot_.n), names)),
         lambda q: model.networks_.predict(position_inputs(q, names)),
         "its friction at standstill alone",
         "friction",
         model.joint_names_,
-        (unit,) * model.robot_.n,
+        tuple("N" if one and unit != "A" else unit for one in slides),
         ("friction of an arm at rest, which adds to gravity; it is not the effort",),
     )
 
@@ -136,7 +136,8 @@ def _trunk(model: LagrangianModel) -> Chain:
             f"the network has {terms.activation} layers, which multiply what they computed",
             hint="fit lagrangian with network: {activation: softplus}, tanh or relu",
         )
-    names, units, scale = _outputs(terms, model.joint_names_)
+    turns = model.robot_.joint_geometry().turns
+    names, units, scale = _outputs(terms, model.joint_names_, turns)
     weights, biases = terms.trunk.weights, terms.trunk.biases
     layers = [Layer(w.T, b, terms.activation) for w, b in zip(weights, biases, strict=True)]
     layers[-1] = Layer(weights[-1].T * scale, biases[-1] * scale)
@@ -144,7 +145,8 @@ def _trunk(model: LagrangianModel) -> Chain:
         layers.insert(0, _turned(model.robot_.n))
     return Chain(
         tuple(layers), _trunk_says(model, scale), "its trunk alone", "lagrangian", names, units,
-        ("the trunk q → (L, V), not the torque: that takes its derivatives", _formula(terms)),
+        ("the trunk q → (L, V), not the torque: that takes its derivatives",
+         _formula(terms, turns)),
     )  # fmt: skip
 
 
@@ -155,7 +157,7 @@ def _turned(n: int) -> Layer:
 
 
 def _outputs(
-    terms: LagrangianTerms, joints: Sequence[str]
+    terms: LagrangianTerms, joints: Sequence[str], turns: BoolArray
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray]:
     """Names, units and what to multiply raw outputs by; L's diagonal stays raw."""
     n = len(joints)
@@ -163,16 +165,19 @@ def _outputs(
     lows = [f"L{i + 1},{j + 1}" for i, j in below]
     ends = ["V"] if terms.potential else [f"g {joint}" for joint in joints]
     names = [f"d{i + 1}" for i in range(n)] + lows + ends
-    units = ["1"] * n + ["√(kg·m²)"] * len(lows) + ["J" if terms.potential else "N·m"] * len(ends)
+    roots = ["√(kg·m²)" if turns[i] else "√kg" for i, _ in below]
+    torques = ["N·m" if one else "N" for one in turns]
+    units = ["1"] * n + roots + (["J"] if terms.potential else torques)
     scale = np.r_[np.ones(n), [terms.unit[i] for i, _ in below], terms.gravity_unit]
     return tuple(names), tuple(units), scale
 
 
-def _formula(terms: LagrangianTerms) -> str:
+def _formula(terms: LagrangianTerms, turns: BoolArray) -> str:
     curve = "max(d, 0)" if terms.rectified else "log(1 + exp d)"
     unit = ", ".join(f"{value:.9g}" for value in terms.unit)
     added = f" + {terms.added:g}·identity" if terms.added else ""
     diagonal = f"Lii = unit_i·({curve} + {terms.least:g}), unit = ({unit}) √(kg·m²)"
+    diagonal += " (√kg where joints slide)" * (not np.all(turns))
     return f"M(q) = L·Lᵀ{added} with {diagonal}"
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.deploy.export.agreement import Step, require_agreement
-from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
+from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.export.golden import golden_of
-from hil.deploy.export.torch_export import example_inputs, notes_of
+from hil.deploy.export.torch_export import example_inputs, told_of
 from hil.errors import PluginError
 from hil.identify.base import RobotEstimator
 from hil.typing import FloatArray
@@ -51,16 +51,7 @@ def export_onnx(model: RobotEstimator, out: Path) -> Exported:
         loaded(content), golden_of(model), traced.state_size, "the ONNX graph"
     )
     write_file(content, out)
-    memory = f"with memory of {traced.state_size} numbers" if traced.state else "without memory"
-    return Exported(
-        out=out,
-        files=(out.name,),
-        joint_names=traced.joint_names,
-        effort_unit=effort_unit(traced.effort_kind),
-        parts=f"{traced.estimator}, {memory}",
-        checked=checked,
-        notes=(f"opset {OPSET}, {nodes(content)} nodes", *notes_of(traced)),
-    )
+    return told_of(traced, out, checked, f"opset {OPSET}, {nodes(content)} nodes")
 
 
 def require_onnx() -> None:

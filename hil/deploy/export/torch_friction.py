@@ -85,7 +85,7 @@ class MemoryLaw(nn.Module):
         waves = {word for word in words if word.lstrip("j").startswith(("sin", "cos"))}
         self.waves = sorted({word.replace("sin", "").replace("cos", "") for word in waves})
         states = (("friction", len(self.multiples) * n), ("last", n))
-        self.parts = states * bool(self.multiples) + (("celsius", n),) * self.warms
+        self.parts = states * bool(self.multiples) + (("warmer_k", n),) * self.warms
         hold(
             self,
             offset=offset,
@@ -120,8 +120,8 @@ class MemoryLaw(nn.Module):
             qd: (B, n) [rad/s].
             gears: (B, n) torque that the gears transmit [N·m].
             begun: (B, 1) whether there was a sample before; None where nothing is carried.
-            carried: What `parts` names. `celsius` (B, n) is how much warmer joints are than the
-                training was [K].
+            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
+                the training was [K].
         """
         after = dict(carried)
         rows = [one.reshape(-1, 1, self.n) for one in (q, qd, gears)]
@@ -133,7 +133,7 @@ class MemoryLaw(nn.Module):
             states = _split([f"z{k:g}" for k in self.multiples], z)
             known |= states | {f"fabs({name})": torch.abs(state) for name, state in states.items()}
         if self.warms:
-            known["warmth"] = (self.warmth + carried["celsius"]).reshape(-1, 1, self.n)
+            known["warmth"] = (self.warmth + carried["warmer_k"]).reshape(-1, 1, self.n)
         return (self._products(known) * self.weights).sum(dim=1) + self.offset, after
 
     def _now(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
