@@ -185,9 +185,10 @@ def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any
     for source in sources:
         data = usable_part(load_source(source), stored)
         require_unseen(stored, source, data)
-        errors = evaluate(stored, data, trained.effort_std if trained else None)
+        with threadpool_limits(1):
+            errors = evaluate(stored, data, trained.effort_std if trained else None)
+            under = under_load(stored, data, trained.payloads if trained else None)
         notes = serial_notes(trained.serial if trained else "", source)
-        under = under_load(stored, data, [Payload()])  # what it was fitted with is not stored
         found.append(Validation(str(source), errors, tuple(notes), under).to_dict())
     return found
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.errors import DataError, SpecError
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 TOOL: dict[str, Any] = {
@@ -55,6 +56,7 @@ class Weighed:
             (text[:begin] + BARE + text[end:]).replace("ur5_weigh_poses.csv", poses), "utf-8"
         )
         self.bare = bench.run(bare)
+        self.leaning = bench.run(EXPERIMENTS / "ur5_weigh.yaml", {"mass_kg": 0})
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +78,7 @@ def test_the_tool_that_hangs_there_is_weighed_not_the_declared_one(
     found = json.loads(told(getattr(weighed, model), weighed.tool, "--json"))
     (low, high), *centre = (one["interval_95"] for one in found["parameters"][:4])
     assert low <= TOOL["mass_kg"] <= high
-    assert high - low < 1.0
+    assert high - low < 1.2
     assert all(a <= x <= b for (a, b), x in zip(centre, TOOL["com_m"], strict=True))
     assert found["payload"]["inertia_kgm2"] == [None] * 6
 
@@ -89,7 +91,7 @@ def test_the_bare_flange_as_tare_makes_it_sharp(weighed: Weighed) -> None:
     truth = (TOOL["mass_kg"], *TOOL["com_m"])
     for known, rough, sharp in zip(truth, plain, tared, strict=True):
         assert sharp["interval_95"][0] <= known <= sharp["interval_95"][1]
-        assert sharp["std_error"] < 0.6 * rough["std_error"]
+        assert sharp["std_error"] < 0.75 * rough["std_error"]
 
 
 def test_gains_that_are_known_well_narrow_the_mass(weighed: Weighed) -> None:
@@ -98,7 +100,7 @@ def test_gains_that_are_known_well_narrow_the_mass(weighed: Weighed) -> None:
         json.loads(told(*arguments, "--gain-percent", percent))["parameters"][0]["std_error"]
         for percent in (5, 1)
     )
-    assert calibrated < 0.75 * usual
+    assert calibrated < 0.8 * usual
 
 
 def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
@@ -106,8 +108,12 @@ def test_people_are_told_what_shows_and_what_does_not(weighed: Weighed) -> None:
     assert "load weighed at rest, at 6 poses" in text
     assert "Ixx" not in text
     assert "does not show a load's inertia" in text
-    assert "\npayload: {mass_kg: 2." in text
-    assert "inertia_kgm2" not in text
+    assert "drive gains known to 5 % each" in text
+    assert "--payload" not in text  # nothing is well determined
+    tared = told(weighed.static, weighed.tool, "--bare", weighed.bare)
+    assert "for a spec:  loads: [{mass_kg: 2." in tared
+    assert "for options: --payload 2." in tared
+    assert "inertia_kgm2" not in tared
 
 
 def test_a_bare_flange_shows_no_load(weighed: Weighed) -> None:
@@ -115,6 +121,35 @@ def test_a_bare_flange_shows_no_load(weighed: Weighed) -> None:
     assert "no load shows" in text
     assert "does not show" in text
     assert "--payload" not in text
+
+
+def test_what_cannot_be_a_tare_is_named(weighed: Weighed) -> None:
+    with pytest.raises(DataError, match="is the bare flange as well"):
+        told(weighed.static, weighed.tool, "--bare", weighed.tool)
+    with pytest.raises(DataError, match=r"declares 1\.5 kg to the controller"):
+        told(weighed.static, weighed.tool, "--bare", weighed.leaning)
+    with pytest.raises(DataError, match=f"{weighed.motion}.*6 of 6 poses were not held"):
+        told(weighed.static, weighed.tool, "--bare", weighed.motion)
+
+
+def test_friction_is_checked_whatever_was_recorded(weighed: Weighed) -> None:
+    with pytest.raises(SpecError, match="friction is 'banana'"):
+        told(weighed.static, weighed.tool, "--friction", "banana")
+    with pytest.raises(SpecError, match="friction scale goes with motion"):
+        told(weighed.static, weighed.tool, "--friction", "scale")
+
+
+def test_a_file_that_is_not_there_is_no_run(weighed: Weighed) -> None:
+    with pytest.raises(DataError, match=r"nope\.mcap does not exist"):
+        told(weighed.static, "nope.mcap")
+
+
+def test_another_individual_is_said_first_and_gives_nothing_to_paste(weighed: Weighed) -> None:
+    with patch("hil.validation.serial_of", lambda source: "another"):
+        text = told(weighed.static, weighed.tool, "--bare", weighed.bare)
+    first, *others = text.splitlines()
+    assert first.startswith("NOT TO BE RELIED ON: recorded on another robot (serial another)")
+    assert not any("--payload" in line for line in others)
 
 
 def test_a_tare_does_not_go_with_motion(weighed: Weighed) -> None:

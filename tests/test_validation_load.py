@@ -87,10 +87,47 @@ def test_no_half_is_judged_with_what_it_told_itself(monkeypatch: pytest.MonkeyPa
 
 def test_there_is_nothing_to_judge_where_the_load_is_known_several_or_at_rest() -> None:
     assert under_load(model(), loaded(), [LOAD]) is None
-    assert under_load(model(), loaded(Payload()), BARE) is None
+    bare = raw(recorded(1, 5, 6))
+    assert under_load(model(), bare, BARE) is None
+    assert under_load(model(), bare, None) is None
     assert under_load(model(), Dataset.concatenate([loaded(), loaded(TURNED)]), BARE) is None
     still = tuple(replace(c, kind="dwell") for c in loaded().conditions)
     assert under_load(model(), replace(loaded(), conditions=still), BARE) is None
+
+
+@pytest.mark.parametrize("known", [BARE, None])
+def test_a_load_that_nobody_declared_is_found(
+    known: list[Payload] | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = under_load(model(), loaded(Payload()), known)
+    assert result is not None
+    print_under_load(json.loads(json.dumps(result.to_dict())))
+    text = capsys.readouterr().out
+    assert text.startswith("with nothing declared\n")
+    assert "CONTRADICTED: " in text
+    assert "kg heavier than declared" in text
+
+
+def test_a_wrong_declaration_is_found_although_the_model_was_fitted_with_it() -> None:
+    result = under_load(model(), loaded(TURNED), [TURNED])
+    assert result is not None
+    assert result.new is False
+    assert "turned by" in result.to_dict()["contradictions"][0]
+
+
+def test_what_gains_may_explain_is_neither_contradicted_nor_confirmed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lighter = replace(LOAD, mass=LOAD.mass - 0.4)
+    told = json.loads(json.dumps(found(lighter).to_dict()))
+    assert told["agrees"]
+    assert 0.25 < told["mass_limit_kg"] < 0.7
+    print_under_load(told)
+    text = capsys.readouterr().out
+    assert "neither contradicted nor confirmed: by noise alone 0.3" in text
+    assert "kg heavier than declared" in text
+    assert f"may explain ±{told['mass_limit_kg']:.2f} kg" in text
+    assert "agrees with it" not in text
 
 
 def test_a_load_that_does_not_show_leaves_the_other_errors(

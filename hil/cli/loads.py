@@ -46,7 +46,7 @@ def payload(
             min=0.0,
             max=100.0,
             help="How well drive gains are known (one standard deviation), for the intervals; by "
-            "default 5 at rest, and from motion 0.",
+            "default 5, 1 for gains from hil gains; torques have none.",
         ),
     ] = None,
     runs: RunsOption = Path("runs"),
@@ -70,6 +70,8 @@ def payload(
     if json:
         print_json({"model": str(folder), **told})
         return
+    if told["other_arm"]:
+        say(f"NOT TO BE RELIED ON: {told['other_arm']}; every arm has gains and masses of its own")
     if told["friction"] == "rest":
         say(f"load weighed at rest, at {told['samples']} poses")
     else:
@@ -98,9 +100,10 @@ def payload(
             f"{mass['interval_95'][1]:.3f} kg can be told from none"
         )
         return
-    if None in told["payload"]["com_m"]:
+    known = any(one["determined"] for one in told["parameters"][:4])
+    if None in told["payload"]["com_m"] or told["other_arm"] or not known:
         return
-    say("\nfor a spec, a map, or --payload:")
+    say("")
     for line in _lines(told["payload"]):
         say(line)
 
@@ -164,13 +167,16 @@ def _errors(label: str, values: list[float]) -> tuple[str, ...]:
     return (label, *(f"{value:.4f}" for value in values), f"{mean:.4f}")
 
 
-def _lines(load: dict[str, Any]) -> tuple[str, str]:
+def _lines(load: dict[str, Any]) -> tuple[str, ...]:
     com = [fixed(x, 4) for x in load["com_m"]]
-    mass = fixed(load["mass_kg"], 3)
+    mass = f"{load['mass_kg']:.3f}"
     inertia = ""
     if None not in load["inertia_kgm2"]:
         inertia = f", inertia_kgm2: [{', '.join(fixed(x, 5) for x in load['inertia_kgm2'])}]"
+    body = f"{{mass_kg: {mass}, com_m: [{', '.join(com)}]{inertia}}}"
+    without = " (which leaves the inertia out)" if inertia else ""
     return (
-        f"payload: {{mass_kg: {mass}, com_m: [{', '.join(com)}]{inertia}}}",
-        f"--payload {','.join([mass, *com])}",
+        f"for a spec:  loads: [{body}]",
+        f"for a map:   payload: {body}",
+        f"for options: --payload {','.join([mass, *com])}{without}",
     )

@@ -159,7 +159,10 @@ def found(sources: Iterable[str], runs: Path) -> list[Path]:
     from hil.record.catalogue import find_run
 
     given = [(text, Path(text)) for text in sources]
-    plain = [path.exists() or path.name != text for text, path in given]
+    plain = [
+        path.exists() or path.name != text or path.suffix == ".mcap"  # no run's name ends so
+        for text, path in given
+    ]
     return [
         path if as_it_is else find_run(text, runs)
         for (text, path), as_it_is in zip(given, plain, strict=True)

@@ -141,9 +141,7 @@ class RobotEstimator(Parametrised):
         """
         if not hasattr(self, "sigma_"):
             raise FitError(f"{self.estimator} is not fitted yet", hint="call fit first")
-        trained = self.training_.robot if self.training_ else ""
-        # Who fits with a robot of his own choice may go on to data that say the same as those.
-        if dataset.robot != trained and not may_be(dataset.robot, self.robot_):
+        if not may_be(dataset.robot, self.robot_):
             raise DataError(
                 f"the model is of a {self.robot_.name}, the data are of a {dataset.robot}",
                 hint="use a model that was fitted to recordings of the same type of robot",

@@ -77,6 +77,9 @@ class PayloadEstimate:
         blocks: Blocks of time that counted as independent; at rest, poses.
         bounded: Whether the recording alone would have had a body that cannot be; the errors are
             those without that knowledge.
+        gain_share: Standard deviation of a drive gain that the errors know of, as a share of it.
+        other_arm: What speaks against believing it at all: the recording is of another individual
+            than the model.
         notes: For people.
     """
 
@@ -97,6 +100,8 @@ class PayloadEstimate:
     blocks: int
     bounded: bool
     notes: tuple[str, ...] = ()
+    gain_share: float = 0.0
+    other_arm: str = ""
 
     def with_gains(self, share: float) -> PayloadEstimate:
         """The same with errors that know of the gains, independent from joint to joint.
@@ -108,7 +113,9 @@ class PayloadEstimate:
         covariance = self.covariance + gains**2 * self.by_gain @ self.by_gain.T
         error = np.sqrt(np.diag(covariance))
         ends = interval(self.values, error, self.degrees, LEVEL)
-        return replace(self, covariance=covariance, std_error=error, interval=ends)
+        return replace(
+            self, covariance=covariance, std_error=error, interval=ends, gain_share=gains
+        )
 
     @property
     def determined(self) -> dict[str, bool]:
@@ -150,6 +157,8 @@ class PayloadEstimate:
             "samples": self.samples,
             "blocks": self.blocks,
             "bounded": self.bounded,
+            "gain_share": self.gain_share,
+            "other_arm": self.other_arm,
             "notes": list(self.notes),
         }  # fmt: skip
 

@@ -67,9 +67,7 @@ def estimate_payload(
         DataError: It is of another robot or unit than the model, or of several loads.
         SpecError: There is no such way to treat friction.
     """
-    known = ("auto", *get_args(Friction))
-    if friction not in known:
-        raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
+    require_friction(friction)
     require_one_load(dataset)
     require_clean(dataset, ("t", "q", "effort"))
     require_motion(dataset)
@@ -77,6 +75,17 @@ def estimate_payload(
         return _told(*_chosen(LoadProblem.of(model, dataset, "scale", rows)))
     problem = LoadProblem.of(model, dataset, friction, rows)
     return _told(problem, _settled(problem))
+
+
+def require_friction(friction: str) -> None:
+    """Refuse what is no way to treat friction.
+
+    Raises:
+        SpecError: It is none.
+    """
+    known = ("auto", *get_args(Friction))
+    if friction not in known:
+        raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
 
 
 def require_one_load(dataset: Dataset) -> None:

@@ -18,7 +18,7 @@ from scipy import stats
 from hil.data.dataset import Dataset
 from hil.data.dwells import dwells_of
 from hil.dynamics.weighing import GAIN_SHARE
-from hil.errors import FitError
+from hil.errors import FitError, HilError
 from hil.identify.base import HONEST, RobotEstimator
 from hil.identify.checks import require_clean
 from hil.identify.payload_estimate import Correction, PayloadEstimate
@@ -65,7 +65,7 @@ def estimate_payload_at_rest(
             hint="fit without current_term",
         )
     readings = _readings(model, dataset)
-    first = None if bare is None else readings.matching(_readings(model, bare))
+    first = None if bare is None else _tare(model, readings, bare)
     problem = RestProblem.of(model, readings, first, gain_share)
     return _told(problem, *problem.solved())
 
@@ -80,6 +80,14 @@ def _readings(model: RobotEstimator, dataset: Dataset) -> RestReadings:
         )
     require_clean(dwells, ("t", "q", "effort"))
     return RestReadings.of(dwells)
+
+
+def _tare(model: RobotEstimator, readings: RestReadings, bare: Dataset) -> RestReadings:
+    try:
+        return readings.matching(_readings(model, bare))
+    except HilError as error:
+        of = ", ".join(dict.fromkeys(condition.source for condition in bare.conditions))
+        raise type(error)(f"the bare flange ({of}): {error.message}", hint=error.hint) from error
 
 
 def _told(
@@ -112,6 +120,7 @@ def _told(
         correction=Correction(np.zeros(n), np.zeros(n)),
         samples=len(left), blocks=len(left), bounded=False,
         notes=tuple(_notes(problem, values, interval, bool(shows))),
+        gain_share=problem.gain_share,
     )  # fmt: skip
 
 
