@@ -7,12 +7,14 @@ import sys
 
 import pytest
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
+from study_parts import result
 
 from hil.api import parse_parameters
 from hil.campaign.view import list_runs
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.report import summary_lines
+from hil.study.store import write_study
 
 
 def judged(tmp_path, **more):
@@ -251,6 +253,7 @@ def test_a_run_without_a_fit_says_what_comes_next(tmp_path, kind, words):
     lines = summary_lines(run)
     assert any(line.startswith(f"next: hil {words}") for line in lines)
     (run / "spec.yaml").write_text(f"{text}study: [{{study: counted}}]\n")
+    write_study(result(), run / "study" / "counted-1")
     assert not any(line.startswith(f"next: hil {words}") for line in summary_lines(run))
 
 
