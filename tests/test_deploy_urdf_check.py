@@ -16,6 +16,7 @@ from hil.cli.app import app
 from hil.deploy import identified_parameters, identified_urdf, urdf_text
 from hil.deploy.identified_urdf import export_urdf
 from hil.dynamics import RobotModel
+from hil.dynamics.inertial import about_centre, body_parameters
 from hil.errors import FitError, RecordingError
 from hil.identify import estimator
 from hil.identify.rigid import RigidWls
@@ -142,3 +143,11 @@ def test_models_of_arms_at_rest_are_told_where_to_go(tmp_path: Path) -> None:
     with pytest.raises(FitError, match="does not tell gravity and inertia apart") as refused:
         identified_urdf.export_urdf(still, tmp_path / "a.urdf")
     assert "--to json" in str(refused.value.hint)
+
+
+def test_a_body_about_its_centre_is_the_body_about_the_origin() -> None:
+    inertia = np.array([[0.03, 0.001, -0.002], [0.001, 0.04, 0.003], [-0.002, 0.003, 0.05]])
+    mass, com, about = about_centre(body_parameters(2.0, (0.1, -0.2, 0.3), inertia))
+    assert mass == 2.0
+    assert com == pytest.approx([0.1, -0.2, 0.3], abs=1e-15)
+    assert about == pytest.approx(inertia, abs=1e-15)

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.deploy.identified_parameters import IdentifiedParameters
 from hil.dynamics import RobotModel
-from hil.dynamics.inertial import PARAMETERS, skew
+from hil.dynamics.inertial import about_centre
 from hil.typing import FloatArray
 
 UNLIMITED = 1e9
@@ -46,11 +46,7 @@ def written(robot: RobotModel, found: IdentifiedParameters, comment: str) -> str
 
 def inertial(body: FloatArray) -> str:
     """`<inertial>` of ten parameters about the link's origin."""
-    assert len(body) == len(PARAMETERS)
-    m, com = float(body[0]), body[1:4] / body[0]
-    xx, xy, yy, xz, yz, zz = body[4:]
-    S = skew(com)
-    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + m * S @ S  # noqa: E741
+    m, com, I = about_centre(body)  # noqa: E741
     names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2))
     told = " ".join(f'{name}="{_number(I[i, j])}"' for name, i, j in (*names, ("izz", 2, 2)))
     return (

@@ -12,7 +12,7 @@ from hil.deploy.export.exported import effort_unit
 from hil.deploy.export.json_parameters import torque_unit
 from hil.deploy.export.reading import flange_in_last_joint
 from hil.dynamics import RobotModel
-from hil.dynamics.inertial import skew
+from hil.dynamics.inertial import about_centre
 from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.model_file import model_files
@@ -137,14 +137,11 @@ def links_part(model: RobotEstimator) -> dict[str, Any]:
 
 
 def _link(joint: str, body: np.ndarray[Any, Any], rotor: float) -> dict[str, Any]:
-    com = body[1:4] / body[0]
-    xx, xy, yy, xz, yz, zz = body[4:]
-    S = skew(com)
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + body[0] * S @ S
+    mass, com, inertia = about_centre(body)
     return {
         "joint": joint,
-        "mass_kg": body[0],
+        "mass_kg": mass,
         "com_m": com,
-        "inertia_kgm2": about[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+        "inertia_kgm2": inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
         "rotor_inertia_kgm2": rotor,
     }
