@@ -3,33 +3,34 @@
 A mock UR5's model with friction memory, the same with a residual network (three folds, every joint
 kept), and a Lagrangian network of the default size: as the C program that `hil export` writes,
 portable (-O2) and for this machine (-O3 -march=native); in Python, compiled or not; in onnxruntime
-and torch, as it is and compiled. Beside them Pinocchio's rigid body alone. One thread each. Every
-call is timed by itself; the clock's own time is in it. Maxima are the operating system's more than
-the program's.
+(also with its inputs and outputs bound to memory) and torch, as it is and compiled. Beside them
+Pinocchio's rigid body alone, called directly and through hil. One thread each. Every call is timed
+by itself; the clock's own time is in it. Maxima are the operating system's more than the program's.
+Whoever is timed has to say what the model says.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from benchmarks.prediction.agreement import off_by, require_agreement
 from benchmarks.prediction.c_programs import FLAGS, build_of, timed_c
 from benchmarks.prediction.clock import timed, told
 from benchmarks.prediction.models import ARM, models
+from benchmarks.prediction.pinocchio_alone import timed_pinocchio
 from benchmarks.prediction.runtimes import timed_runtimes
 from hil.deploy.export.c_build import compiler
 from hil.deploy.predictor import Predictor
-from hil.dynamics import RobotModel, load_model
+from hil.dynamics import load_model
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
 
 CALLS, QUICK_CALLS = 100_000, 2_000
 SLOW_SHARE = 20
 """What is no loop in C is called so many times less often."""
 
-PEERS = ("compiled", "python", "onnxruntime", "torch", "torch_compiled")
+PEERS = ("compiled", "python", "onnxruntime", "onnxruntime_bound", "torch", "torch_compiled")
 
 
 def run(quick: bool = False) -> dict[str, Any]:
@@ -40,6 +41,9 @@ def run(quick: bool = False) -> dict[str, Any]:
 
     Args:
         quick: Few calls of models fitted to little; nothing that takes long to compile.
+
+    Raises:
+        FitError: Somebody who is timed does not say what the model says.
     """
     if compiler() is None:
         absent = {"predict": "there is no C compiler"}
@@ -58,8 +62,8 @@ def run(quick: bool = False) -> dict[str, Any]:
             times, left_out = timed_runtimes(name, model, calls // SLOW_SHARE, quick)
             figures |= times
             skipped |= left_out
-        robot = load_model(ARM)
-        figures |= told("pinocchio_rnea", timed(_rnea(robot), robot, calls // SLOW_SHARE))
+        figures |= timed_pinocchio(load_model(ARM), calls // SLOW_SHARE)
+    require_agreement(figures)
     return {
         "name": "predict",
         "figures": figures,
@@ -79,7 +83,12 @@ def _ratios(figures: dict[str, float], names: tuple[str, ...]) -> dict[str, floa
         for peer in PEERS
         if f"{name}_{peer}_p50_ns" in figures
     }
-    return found | {"pinocchio_over_c": median("pinocchio_rnea") / median("memory_portable")}
+    c = median("memory_portable")
+    pinocchio = {
+        "pinocchio_over_c": median("pinocchio_rnea") / c,
+        "pinocchio_through_hil_over_c": median("pinocchio_through_hil") / c,
+    }
+    return found | pinocchio
 
 
 def _flags() -> dict[str, str]:
@@ -88,6 +97,7 @@ def _flags() -> dict[str, str]:
         "compiled": "the same C at -O3 -march=native, called through ctypes",
         "python": "the model's own stream",
         "onnxruntime": "CPU, one thread within and between operators, double precision",
+        "onnxruntime_bound": "the same, inputs and outputs bound to memory of the runtime",
         "torch": "eager, inference mode, one thread, double precision",
         "torch_compiled": "torch.compile with its defaults, static shapes, one thread",
     }
@@ -98,14 +108,8 @@ def _in_python(name: str, model: RobotEstimator, calls: int) -> dict[str, float]
     for how, compiled in (("compiled", True), ("python", False)):
         step = Predictor(model, compiled=compiled).step
         figures |= told(f"{name}_{how}", timed(step, model.robot_, calls))
+        figures[f"{name}_{how}_off_by"] = off_by(model, compiled=compiled)
     return figures
-
-
-def _rnea(robot: RobotModel) -> Callable[..., FloatArray]:
-    def step(q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        return robot.inverse_dynamics(q[None], qd[None], qdd[None])
-
-    return step
 
 
 if __name__ == "__main__":
