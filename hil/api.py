@@ -280,7 +280,7 @@ def export_model(
         out: The file or folder to be made.
         to: `c` and the other targets of `hil.deploy.export.targets`.
         prefix: What files and symbols of C begin with; by default `hil`.
-        unchecked: Write C although there is no compiler to check it with.
+        unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
 
     Raises:
         DataError: The model cannot be read.
