@@ -30,14 +30,14 @@ def _direct(robot: RobotModel) -> Callable[..., FloatArray]:
     data = model.createData()
 
     def step(q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        torque: FloatArray = np.array(pin.rnea(model, data, q, qd, qdd))
-        return torque
+        return np.array(pin.rnea(model, data, q, qd, qdd))
 
     return step
 
 
 def _through_hil(robot: RobotModel) -> Callable[..., FloatArray]:
     def step(q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        return robot.inverse_dynamics(q[None], qd[None], qdd[None])[0]
+        torque: FloatArray = robot.inverse_dynamics(q[None], qd[None], qdd[None])[0]
+        return torque
 
     return step
