@@ -100,6 +100,8 @@ RESIDUAL = """\
                 const double own_off = fabs(parts.residual[j] - residuals[load][i][j]) / own[j];
                 if (!(own_off <= {most})) {{ wrong = 1; }}
                 worst_own = larger(worst_own, own_off);
+                worst = larger(worst, fabs(physics - wanted[load][i][j] + parts.residual[j]
+                                           - residuals[load][i][j]) / largest[j]);
 """
 
 CMAKE = """cmake_minimum_required(VERSION 3.10)
