@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,19 @@ def test_the_graph_is_a_chain_of_what_such_runtimes_know(make, tmp_path) -> None
     names, units = json.loads(facts["outputs"]), json.loads(facts["output_units"])
     assert len(names) == len(units) == model.graph.output[0].type.tensor_type.shape.dim[1].dim_value
     assert json.loads(facts["inputs"]) == list(written.joint_names)
+
+
+def test_the_file_tells_units_joint_by_joint_and_no_path(tmp_path, monkeypatch) -> None:
+    model = static(layers=[4, 4, 1])
+    geometry = model.robot_.joint_geometry()
+    slides = replace(geometry, turns=np.arange(6) != 1)
+    monkeypatch.setattr(model.robot_, "joint_geometry", lambda: slides)
+    monkeypatch.setattr(model.robot_, "name", "/home/me/arms/arm.urdf")
+    monkeypatch.setattr(model, "effort_kind_", "torque")
+    facts = told(export_onnx_mlp(model, tmp_path / "m.onnx").out)
+    assert json.loads(facts["input_units"]) == ["rad", "m"] + ["rad"] * 4
+    assert json.loads(facts["output_units"]) == ["N·m", "N"] + ["N·m"] * 4
+    assert facts["robot"] == "arm.urdf"
 
 
 def test_what_is_no_chain_is_refused_and_told_where_to_go(tmp_path) -> None:
