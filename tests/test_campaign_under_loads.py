@@ -33,7 +33,7 @@ robot: ur5
 excitation: {kind: fourier, trajectories: 4}
 loads: [{mass_kg: 0}, {mass_kg: 1}, {mass_kg: 3}, {mass_kg: 5}]
 fit: [{estimator: rigid-wls}, {estimator: rigid-linear}]
-validate: {under_loads: true, hold_out: {trajectories: 1}}
+validate: {under_loads: true, hold_out: {trajectories: 2}}
 """
 ACCEPT = "accept: {load_error_ratio: {max: 3}, contradicted_loads: {max: 0}}\n"
 WRONG = (OFF_AXIS[0], Payload(3.0, (0.03, -0.055, 0.045), OFF_AXIS[1].inertia), OFF_AXIS[2])
@@ -101,7 +101,7 @@ def test_nothing_is_fitted_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(RigidWls, "fit", counted)
     spec = SPEC.replace(", {estimator: rigid-linear}", "")
     assert judged(tmp_path, monkeypatch, spec, raw(sweep()))[2] is None
-    assert len(fits) == 1
+    assert len(fits) == 2  # the run's own, and one for the other two motions
 
 
 def test_the_verdict_has_a_row_for_every_model_and_one_for_the_declarations(done: Any) -> None:
@@ -121,7 +121,7 @@ def test_the_verdict_has_a_row_for_every_model_and_one_for_the_declarations(done
 
 def test_whoever_watches_is_told_how_far_it_is(done: Any) -> None:
     what = [event["what"] for event in done[1] if event["kind"] == "study" and event["study"]]
-    assert what == ["judging rigid-wls under loads", "judging rigid-linear under loads"]
+    assert set(what) == {"judging rigid-wls under loads", "judging rigid-linear under loads"}
     assert done[1][-1] == {"kind": "study", "study": ""}
 
 
@@ -143,7 +143,8 @@ def test_the_first_alone_may_have_to_keep_the_limit(
     run, *_ = judged(tmp_path, monkeypatch, SPEC + accept, raw(sweep()))
     (row,) = verdict(run)["rows"]
     assert (row["estimator"], row["passed"]) == ("rigid-wls", False)
-    assert row["what"] in ("1 kg load", "3 kg load", "5 kg load")
+    assert " kg declared, " in row["what"]
+    assert "; 0 kg, " in row["what"]
     assert verdict(run)["verdict"] == "rejected"
 
 

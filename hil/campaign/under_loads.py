@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from hil.campaign.verdict import FailedFit
+from hil.data.load import serial_of
 from hil.dynamics import load_model
 from hil.errors import FitError, HilError
 from hil.identify.base import HONEST
-from hil.spec.experiment import Accept, ExperimentSpec, StudyEntry
+from hil.identify.model_file import load_model_file
+from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry
+from hil.study.separation_text import mean_of
 from hil.study.store import STUDIES, folder_of, write_problem, write_study
 
 if TYPE_CHECKING:
@@ -52,6 +55,41 @@ def under_loads(run: Path, spec: ExperimentSpec) -> tuple[StudyEntry, ...]:
             found.append((order.index(told["estimator"]), place))
     models = [place for _, place in sorted(found)]
     return (StudyEntry(study=STUDY, estimators=[], models=models),) if models else ()
+
+
+def as_in_spec(spec: ExperimentSpec, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of the study, estimators with the settings and motions held out of the spec.
+
+    The same question has one answer, whoever asks it: the spec, or `hil validate-loads -e`.
+    """
+    known = {fit.estimator: fit.parameters for fit in reversed(spec.fit)}
+    asked: dict[str, Any] = dict(given)
+    if asked.get("estimators"):
+        asked["estimators"] = [
+            {"estimator": one, **known[one]} if isinstance(one, str) and known.get(one) else one
+            for one in asked["estimators"]
+        ]
+    if isinstance(spec.excitation, Fourier) and spec.fit:
+        held = spec.hold_out.trajectories_of(spec.excitation.trajectories)
+        if held:
+            asked.setdefault("hold_out", held)
+    return asked
+
+
+def of_other_arms(run: Path, models: Sequence[str]) -> tuple[str, ...]:
+    """Of every stored model that was fitted to another individual than the run's, that it was."""
+    mine = serial_of(run)
+    told = []
+    for name in models:
+        place = run / name if (run / name).exists() and not Path(name).exists() else Path(name)
+        training = load_model_file(place).training_
+        if mine and training and training.serial and training.serial != mine:
+            told.append(
+                f"{name} IS OF ANOTHER ROBOT: it was fitted to serial {training.serial}, this run "
+                f"is of {mine}; what differs between the two counts as its error, and tells of "
+                "loads what is not so"
+            )
+    return tuple(told)
 
 
 def judge_under_loads(
@@ -105,12 +143,19 @@ def rows_of(accept: Accept, found: Sequence[UnderLoads]) -> Iterator[Row]:
     """Criteria about loads, as rows of a verdict."""
     if (limit := accept.load_error_ratio) is not None:
         for model in found if limit.of == "every" else found[:1]:
-            load, ratio = model.worst()
-            yield _row(model, "load_error_ratio", f"{load.case.name} load", ratio, limit.max)
+            ratio = model.worst(limit.told)[1]
+            yield _row(model, "load_error_ratio", _errors(model, limit.told), ratio, limit.max)
     if (most := accept.contradicted_loads) is not None:
         wrong = found[0].contradicted()
         what = f"run ({', '.join(wrong)})" if wrong else "run"
         yield _row(found[0], "contradicted_loads", what, len(wrong), most.max)
+
+
+def _errors(model: UnderLoads, told: str) -> str:
+    """Both errors: a model that is bad on the bare arm has a small ratio too."""
+    load, bare = model.worst(told)[0], model.loads[0]
+    errors = [mean_of(one.errors[told]) for one, told in ((load, told), (bare, "declared"))]
+    return f"{load.case.name} {told}, {errors[0]:.3g} N·m; {bare.case.name}, {errors[1]:.3g} N·m"
 
 
 def _row(model: UnderLoads, metric: str, what: str, value: float, limit: float) -> Row:

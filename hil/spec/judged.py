@@ -86,6 +86,11 @@ class LoadErrorLimit(Strict):
     """Largest error under a load that a model is told of, over its error with the first load."""
 
     max: Positive = Field(description="The limit, without unit; both are means over the joints.")
+    told: Literal["declared", "calibrated"] = Field(
+        "declared",
+        description="What the model is told: the load as declared, or that and drive gains as the "
+        "other loads tell them.",
+    )
     of: Literal["every", "first"] = Field(
         "every",
         description="Whether every estimator must keep it, or the first of `fit`, with the others "
@@ -106,7 +111,7 @@ class Accept(Strict):
     nrmse: NrmseLimit | None = Field(None, description="On the held-out data, without unit.")
     gaps_percent: GapsLimit | None = Field(None, description="On the recording.")
     load_error_ratio: LoadErrorLimit | None = Field(
-        None, description="Under any load, told of it as declared; with `validate.under_loads`."
+        None, description="Under any load that it is told of; with `validate.under_loads`."
     )
     contradicted_loads: ContradictedLimit | None = Field(
         None, description="Of those declared, by the first estimator; with `validate.under_loads`."
