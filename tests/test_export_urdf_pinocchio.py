@@ -79,15 +79,14 @@ def test_base_parameters_of_the_mock_miss_them_by_no_more_than_is_told(recorded,
     """Fifteen seconds with noise: no links that exist have just these base parameters."""
     pytest.importorskip("cvxpy")
     model = estimator("rigid-wls").fit(recorded, nominal())
-    with pytest.raises(FitError, match=r"no links that can exist come near .*wrist_2_joint \d+%") as refused:
+    with pytest.raises(FitError, match=r"no links .* come near .*wrist_2_joint \d+%") as refused:
         export_urdf(model, tmp_path / "arm.urdf")
     assert "--unchecked" in str(refused.value.hint)
     told = export_urdf(model, tmp_path / "arm.urdf", unchecked=True)
     assert "gravity and inertia missed by " in told.checked
     assert told.miss.rigid.max() > 0.05
-    assert told.found.notes == (
-        "no links within bounds have the model's base parameters; these come nearest",
-    )
+    (note,) = told.found.notes
+    assert note.startswith("no links within bounds have the model's base parameters; these come")
     assert np.max(told.found.mismatch) < 0.005 * largest(model)
     whole = np.sqrt(np.sum(differences(model, told) ** 2, axis=0))
     assert np.all(whole < 3.0 * told.found.mismatch)
