@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 from load_parts import OFF_AXIS, sweep
 from report_runs import fourier_plan, write_run
-from synthetic_motion import raw
+from synthetic_motion import nominal, raw
 
-from hil.campaign import judging, studies
+from hil.campaign import judging, studies, under_loads
 from hil.campaign.judging import judge_run
 from hil.campaign.studies import entries_for, run_studies
+from hil.campaign.under_loads import as_in_spec, of_other_arms
 from hil.data.dataset import Dataset
 from hil.errors import FitError
 from hil.identify.model_file import load_model_file
@@ -166,3 +167,29 @@ def test_a_run_that_lacks_loads_says_so_and_keeps_its_models(
     assert len(list(run.path.glob("fit/*/evaluation.json"))) == 2
     assert verdict(run)["problems"][0]["estimator"] == "under loads"
     assert list(run.path.glob("study/*/problem.json"))
+
+
+def test_the_same_is_asked_with_the_settings_of_the_spec(tmp_path: Path) -> None:
+    file = tmp_path / "spec.yaml"
+    tuned = SPEC.replace("{estimator: rigid-wls}", "{estimator: rigid-wls, weighted: false}")
+    file.write_text(tuned, "utf-8")
+    asked = as_in_spec(load_spec(file), {"estimators": ["rigid-wls", "rigid-irls"]})
+    wls = {"estimator": "rigid-wls", "weighted": False}
+    assert asked == {"estimators": [wls, "rigid-irls"], "hold_out": 2}
+
+
+def test_a_model_of_another_individual_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = raw(sweep()).select(lambda c: c.load == 0)
+    model = RigidWls().fit(seen, nominal())
+    assert model.training_ is not None
+    model.training_ = replace(model.training_, serial="A1")
+    saved = str(model.save(tmp_path / "model"))
+    monkeypatch.setattr(under_loads, "serial_of", lambda run: "B2")
+    (told,) = of_other_arms(tmp_path, [saved])
+    assert "OF ANOTHER ROBOT" in told
+    assert "A1" in told
+    assert "B2" in told
+    monkeypatch.setattr(under_loads, "serial_of", lambda run: "A1")
+    assert of_other_arms(tmp_path, [saved]) == ()
