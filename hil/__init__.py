@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         resume,
         run,
         study,
+        try_out,
     )
 
 __version__ = "0.1.0"
@@ -47,6 +48,7 @@ __all__ = [
     "resume",
     "run",
     "study",
+    "try_out",
 ]
 
 

@@ -20,6 +20,7 @@ from hil.campaign.view import describe_run, list_runs
 from hil.data.dataset import Dataset
 from hil.engine import Observer
 from hil.plan.plan import Plan
+from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
     from hil.deploy.export.targets import Written
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
     from hil.rest_report import RestReport
     from hil.study.result import StudyResult
+    from hil.trial.result import Trial
 
 __all__ = [
     "Experiment",
@@ -47,6 +49,7 @@ __all__ = [
     "resume",
     "run",
     "study",
+    "try_out",
 ]
 
 AnyPath = str | Path
@@ -226,27 +229,40 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
 
 
 def estimate_payload(
-    model: AnyPath, sources: AnyPath | Iterable[AnyPath], *, friction: str = "auto"
+    model: AnyPath,
+    sources: AnyPath | Iterable[AnyPath],
+    *,
+    friction: str = "auto",
+    bare: AnyPath | Iterable[AnyPath] = (),
+    gain_share: float | None = None,
 ) -> PayloadEstimate:
     """The load that was mounted in recordings, by a saved model of the arm.
+
+    A recording of an arm at rest tells mass and centre of mass, one of motion inertia as well.
 
     Args:
         model: Its folder.
         sources: Run directories or MCAP files recorded with that load, or just one.
         friction: What of the model's friction may differ on that day: nothing (`model`), an
             `offset` per joint, or an offset and a factor (`scale`); `auto` lets the recording
-            choose, by stretches that are left out in turn.
+            choose, by stretches that are left out in turn. At rest it is `auto`.
+        bare: At rest: the same program run with nothing mounted, nor declared; much smaller errors.
+        gain_share: Standard deviation of a drive gain, as a share of it, for the errors; by default
+            0.05, or 0.01 where they were calibrated (`hil gains`); torques have none.
 
     Raises:
         DataError: A source cannot be read, is of another robot, or was fitted to.
         FitError: The recording does not tell the load.
-        SpecError: There is no such way to treat friction.
+        SpecError: There is no such way to treat friction, or `bare` was given with motion.
     """
     from typing import cast
 
     from hil.load_fit import payload_of_sources
 
-    return payload_of_sources(Path(model), _paths(sources), cast("Any", friction))
+    return payload_of_sources(
+        Path(model), _paths(sources), cast("Any", friction),
+        bare=_paths(bare), gain_share=gain_share,
+    )  # fmt: skip
 
 
 def export_model(
@@ -264,7 +280,7 @@ def export_model(
         out: The file or folder to be made.
         to: `c` and the other targets of `hil.deploy.export.targets`.
         prefix: What files and symbols of C begin with; by default `hil`.
-        unchecked: Write C although there is no compiler to check it with.
+        unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
 
     Raises:
         DataError: The model cannot be read.
@@ -382,6 +398,61 @@ def rest_poses(
         seed=seed,
         unchecked=unchecked,
     )
+
+
+def try_out(
+    model: AnyPath,
+    out: AnyPath,
+    *,
+    station: AnyPath | None = None,
+    robot: str | None = None,
+    payload: str | None = None,
+    seed: int = 0,
+    friction_share: float = FRICTION_SHARE,
+    progress: Callable[[str], object] | None = None,
+) -> Trial:
+    """What a model is worth to a controller, on a simulated arm driven by torque.
+
+    Args:
+        model: Its folder.
+        out: Folder to make, with `report.html` and `try-out.json`.
+        station: Has the simulated arm the model was fitted on; by default the station experiments
+            here would use, or a mock of its kind.
+        robot: Name in the station; by default its only robot that is the model's.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted and told to the model.
+        seed: Of the trajectory; counted apart from those of experiments.
+        friction_share: Of the dry friction, compensated while a hand leads the arm; below 1.
+        progress: Is told what is being run.
+
+    Raises:
+        SpecError: The robot is no simulated one with torque control, or is another arm; nobody
+            named a station, and the mock there is otherwise is not the model's; an argument
+            cannot be.
+        FitError: The model has no gravity, or cannot tell torques.
+        PlanError: There is no clear motion.
+        RecordingError: The folder exists, or cannot be written.
+    """
+    from hil.deploy.export.exported import require_new, write_folder
+    from hil.fitting import parse_payload
+    from hil.identify.model_file import json_bytes
+    from hil.report.render import page_html
+    from hil.report.trial_page import REPORT_FILE, trial_page
+    from hil.trial.trial import run_trial
+
+    folder = Path(out)
+    require_new(folder)
+    trial = run_trial(
+        Path(model),
+        station=Path(station) if station else None,
+        robot=robot,
+        payload=parse_payload(payload) if payload else None,
+        seed=seed,
+        friction_share=friction_share,
+        progress=progress or (lambda text: None),
+    )
+    document = json_bytes(trial.to_dict()).decode()
+    write_folder({REPORT_FILE: page_html(trial_page(trial)), "try-out.json": document}, folder)
+    return trial
 
 
 def _paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:

@@ -39,6 +39,7 @@ from hil.validation import (
     require_unseen,
     serial_notes,
 )
+from hil.validation_load import under_load
 
 DIGEST_LENGTH = 12
 
@@ -184,9 +185,11 @@ def evaluate_sources(model: Path, sources: Iterable[Path]) -> list[dict[str, Any
     for source in sources:
         data = usable_part(load_source(source), stored)
         require_unseen(stored, source, data)
-        errors = evaluate(stored, data, trained.effort_std if trained else None)
+        with threadpool_limits(1):
+            errors = evaluate(stored, data, trained.effort_std if trained else None)
+            under = under_load(stored, data, trained.payloads if trained else None)
         notes = serial_notes(trained.serial if trained else "", source)
-        found.append(Validation(str(source), errors, tuple(notes)).to_dict())
+        found.append(Validation(str(source), errors, tuple(notes), under).to_dict())
     return found
 
 
@@ -260,7 +263,10 @@ def _validated(fitted: Fitted, train: Dataset, source: Path, data: Dataset) -> V
     serial = model.training_.serial if model.training_ else ""
     seen = motion_notes(usable_part(train, model), judged)
     notes = (*model.notes_, *serial_notes(serial, source), *seen)
-    return Validation(str(source), errors, notes)
+    known = {condition.payload for condition in usable_part(train, model).conditions}
+    with threadpool_limits(1):
+        under = under_load(model, judged, known)
+    return Validation(str(source), errors, notes, under)
 
 
 def _one_serial(sources: Sequence[Path]) -> str:

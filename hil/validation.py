@@ -20,6 +20,7 @@ from hil.errors import DataError
 from hil.evaluate import Evaluation
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes, write_whole
+from hil.validation_load import UnderLoad
 
 EVALUATION_FILE = "evaluation.json"
 
@@ -35,18 +36,29 @@ class Validation:
         source: Run directory or file.
         errors: The evaluation.
         notes: What to know before believing it, for people.
+        under_load: How it does under the load of the source; None where that is no new one.
     """
 
     source: str
     errors: Evaluation
     notes: tuple[str, ...] = ()
+    under_load: UnderLoad | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil fit --json` and `hil evaluate --json`."""
         total = self.errors.total.to_dict()
         keys = ("rmse_raw", "rmse_filtered", "mean_raw", "mean_filtered", "noise_floor", "nrmse")
         named = {"source": self.source, "unit": self.errors.unit}
-        return named | {key: total[key] for key in keys} | {"notes": list(self.notes)}
+        told = {"notes": list(self.notes), "under_load": self._under_load()}
+        return named | {key: total[key] for key in keys} | told
+
+    def to_keep(self) -> dict[str, Any]:
+        """An entry of a model's `evaluation.json`."""
+        told = {"notes": list(self.notes), "under_load": self._under_load()}
+        return {"source": self.source, **self.errors.to_dict(), **told}
+
+    def _under_load(self) -> dict[str, Any] | None:
+        return None if self.under_load is None else self.under_load.to_dict()
 
 
 def serial_notes(serial: str, source: Path) -> Iterator[str]:
@@ -76,9 +88,7 @@ def keep(path: Path, judged: Sequence[Validation]) -> None:
     if not judged:
         return
     document = _evaluations(path)
-    fresh = [
-        {"source": one.source, **one.errors.to_dict(), "notes": list(one.notes)} for one in judged
-    ]
+    fresh = [one.to_keep() for one in judged]
     again = {one.source for one in judged}
     kept = [entry for entry in document.get("validation", ()) if entry["source"] not in again]
     content = json_bytes(document | {"validation": [*kept, *fresh]})

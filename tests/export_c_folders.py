@@ -17,7 +17,7 @@ from hil.deploy.export.exported import Exported
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 
-KINDS = ("friction with memory", "residual network")
+KINDS = ("friction with memory", "residual network", "Lagrangian network")
 COMPILERS = ("gcc", "clang")
 SANITIZED = (
     "-g", "-O1", "-fno-sanitize-recover=all",
@@ -33,6 +33,11 @@ def fitted(kind: str) -> RobotEstimator:
         from residual_models import model
 
         return model()
+    if kind == "Lagrangian network":
+        pytest.importorskip("torch", reason="torch is not installed")
+        from lagrangian_models import lagrangian
+
+        return lagrangian("stribeck dahl")
     groups = list(GROUPS)
     memory = estimator("rigid-hysteresis", consistent=False, friction=groups)
     return memory.fit(remembering(1, 2, 3), nominal())

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hil.deploy.export.c_network import network_piece
+from hil.deploy.export.c_program_text import RESTRICT
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.inputs import InputScales, NetworkInputs, group_shape
 from hil.identify.residual.settings import ResidualSettings
@@ -127,7 +128,7 @@ def built(networks: Correction, folder, main=STEPS, flags=("-O2",)):
     source = (
         "#include <stdio.h>\n#include <stdlib.h>\n"
         f"#define HIL_N {n}\ntypedef struct {{\n{piece.state or 'int nothing;'}\n}} hil_state;\n"
-        f"{piece.constants}\n{piece.functions}\n{main.replace('RESET', piece.reset)}"
+        f"{RESTRICT}{piece.constants}\n{piece.functions}\n{main.replace('RESET', piece.reset)}"
     )
     (folder / "network.c").write_text(source)
     program = folder / "network"

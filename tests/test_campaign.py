@@ -132,7 +132,9 @@ def test_the_shipped_experiment_with_loads_is_judged_on_what_is_new_in_both(tmp_
     assert report.error is None
     assert (report.outcome, report.verdict) == ("completed", "passed")
     document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
-    assert document["held_out"]["what"] == "load 1 and the last trajectory, both new"
+    assert document["held_out"]["what"] == (
+        "the last trajectory with 3 kg: motions and loads the fit has not seen"
+    )
     assert len(document["held_out"]["series"]) == 1
     assert [part["what"] for part in document["beside"]] == [
         "new load, seen motion",
@@ -159,7 +161,7 @@ def test_the_mock_mounts_each_load_and_the_model_knows(tmp_path: Path) -> None:
     report = hil.run(hil.load(spec), runs=tmp_path)
     document = json.loads(next(report.run.glob("fit/*/evaluation.json")).read_text("utf-8"))
     assert report.error is None
-    assert document["held_out"]["what"] == "load 1, motions seen in training with other loads"
+    assert document["held_out"]["what"] == "2 kg, motions seen in training with other loads"
     assert report.verdict == "passed"
     data = load_source(report.run).of_kind("dwell")
     assert {(c.load, c.payload.mass) for c in data.conditions} == {(0, 0.0), (1, 2.0)}

@@ -11,6 +11,7 @@ from synthetic_motion import dataset
 from hil.campaign.parts import NEW_LOAD, NEW_MOTION, assert_new_pairs, hold_out
 from hil.data import Conditions, Dataset
 from hil.errors import DataError
+from hil.payload import Payload
 from hil.spec.experiment import HoldOut
 
 
@@ -52,9 +53,19 @@ def test_new_loads_and_new_motions_are_judged_together_and_reported_apart() -> N
     parts = hold_out(program(), HoldOut(loads=(1,), trajectories=1))
     assert pairs(parts.train) == {(0, 0), (1, 0), (2, 0)}
     assert pairs(parts.test) == {(3, 1)}
-    assert parts.held_out == "load 1 and the last trajectory, both new"
+    assert parts.held_out == (
+        "the last trajectory with load 1: motions and loads the fit has not seen"
+    )
     beside = {what: pairs(data) for what, data in parts.beside}
     assert beside == {NEW_LOAD: {(0, 1), (1, 1), (2, 1)}, NEW_MOTION: {(3, 0)}}
+
+
+def test_loads_are_called_by_their_mass() -> None:
+    data = program(loads=3)
+    masses = [0.0, 3.0, 5.0]
+    named = [replace(c, payload=Payload(masses[c.load])) for c in data.conditions]
+    parts = hold_out(replace(data, conditions=tuple(named)), HoldOut(loads=(2, 1)))
+    assert parts.held_out == "3 kg and 5 kg, motions seen in training with other loads"
 
 
 @pytest.mark.parametrize("kind", ["trajectory", "dwell"])

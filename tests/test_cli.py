@@ -119,8 +119,12 @@ def test_plan_for_humans_fits_a_narrow_terminal(tmp_path: Path) -> None:
 
 def test_run_keeps_its_contract(done_run: dict[str, Any]) -> None:
     assert set(done_run) == {
-        "run", "uid", "outcome", "verdict", "samples", "gaps", "duplicates", "report",
+        "run", "uid", "outcome", "verdict", "samples", "gaps", "duplicates", "models", "report",
     }  # fmt: skip
+    (model,) = map(Path, done_run["models"])
+    assert (model / "model.json").is_file()
+    assert str(model) in hil("show", done_run["run"]).stdout
+    assert json.loads(hil("show", done_run["run"], "--json").stdout)["models"] == [str(model)]
     assert (done_run["outcome"], done_run["verdict"]) == ("completed", "passed")
     assert Path(done_run["report"]).is_file()
 

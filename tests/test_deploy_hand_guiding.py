@@ -9,6 +9,7 @@ from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nom
 from hil.deploy.hand_guiding import HandGuiding
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.rigid import RigidWls
+from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.static import StaticWls
 
 Q = np.array([0.3, -1.2, 0.9, -0.4, 0.7, 0.2])
@@ -108,6 +109,12 @@ def test_the_drift_margin_is_the_friction_that_is_left(static) -> None:
 def test_a_model_without_friction_asks_for_it(static) -> None:
     with pytest.raises(FitError, match="does not know the dry friction"):
         HandGuiding(static)
+
+
+def test_friction_that_remembers_gives_what_it_slides_with() -> None:
+    fast = {"friction": ("core",), "fit_shapes": False, "consistent": False}
+    guiding = HandGuiding(RigidHysteresis(**fast).fit(moving(1, 2, 3), nominal()))
+    assert guiding.drift_margin == pytest.approx(0.5 * COULOMB, rel=0.2)
 
 
 @pytest.mark.parametrize("share", [1.0, -0.1, float("nan")])

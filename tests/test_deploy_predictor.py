@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from synthetic_motion import LOAD, nominal
 
 from hil.deploy import compiled
 from hil.deploy.export.c_build import compiler
+from hil.deploy.export.c_program import c_source
 from hil.deploy.export.golden import motion
+from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
-from hil.errors import DataError, FitError, PluginError
+from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.identify import estimator
 from hil.identify.base import prepared
 from hil.payload import Payload
@@ -37,6 +40,16 @@ def test_compiled_or_not_it_says_the_same(load, model) -> None:
     fast, slow = (Predictor(model, load, compiled=how) for how in (True, False))
     assert (fast.compiled, slow.compiled) == (True, False)
     assert np.allclose(said(fast), said(slow), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("path", "load", "words"),
+    [("models/m", None, "model is 'models/m', a str"), ("", 1.5, "payload is 1.5, a float")],
+)
+def test_a_path_or_a_number_is_one_clear_error(path, load, words, model) -> None:
+    with pytest.raises(SpecError) as told:
+        Predictor(path or model, load)
+    assert words in f"{told.value.message} {told.value.hint}"
 
 
 @needs_compiler
@@ -85,21 +98,41 @@ def test_in_steady_state_nothing_is_allocated(model) -> None:
     assert grown < 1024
 
 
-@needs_compiler
+@pytest.mark.parametrize("how", [None, False])
 @pytest.mark.parametrize("bad", [np.full(6, np.nan), np.full(6, np.inf), np.full(6, 1e7)])
-def test_what_cannot_be_is_refused_and_not_remembered(bad, model) -> None:
-    predictor, twin = Predictor(model), Predictor(model)
+def test_what_cannot_be_is_refused_and_not_remembered(bad, how, model) -> None:
+    predictor, twin = (Predictor(model, compiled=how) for _ in range(2))
     for k in range(20):
         with pytest.raises(DataError, match="not finite"):
             predictor.step(bad, QD[k], QDD[k])
-        assert np.array_equal(predictor.step(Q[k], QD[k], QDD[k]), twin.step(Q[k], QD[k], QDD[k]))
+        said = predictor.step(Q[k], QD[k], QDD[k])
+        assert np.array_equal(said, twin.step(Q[k], QD[k], QDD[k]))
 
 
-@needs_compiler
-@pytest.mark.parametrize("bad", [np.zeros(5), "abc", np.zeros((2, 6))])
-def test_samples_of_another_width_are_refused(bad, model) -> None:
-    with pytest.raises(DataError, match="6 joints"):
-        Predictor(model).step(bad, QD[0], QDD[0])
+ODD = (
+    0.5, np.array([0.5]), "1", ["1"] * 6, None, [[0.1] * 6], np.zeros((1, 6)), np.zeros(5),
+    np.zeros((2, 6)), 1j * np.ones(6), [None] * 6, [0.1, [0.2]] * 3, [True] * 6,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("how", [None, False])
+def test_what_is_not_one_number_per_joint_is_refused(how, model) -> None:
+    predictor = Predictor(model, compiled=how)
+    for bad in ODD:
+        for place in range(3):
+            sample = [Q[0], QD[0], QDD[0]]
+            sample[place] = bad
+            with pytest.raises(DataError, match="6 joints"):
+                predictor.step(*sample)
+
+
+@pytest.mark.parametrize("how", [None, False])
+def test_lists_and_other_precisions_will_do(how, model) -> None:
+    one, other = (Predictor(model, compiled=how) for _ in range(2))
+    row = np.float32(Q[0])
+    assert np.array_equal(
+        one.step(row.tolist(), [0] * 6, QDD[0]), other.step(row, np.zeros(6), QDD[0])
+    )
 
 
 @needs_compiler
@@ -123,9 +156,67 @@ def test_without_a_compiler_python_takes_its_place(model, monkeypatch, tmp_path)
 @needs_compiler
 def test_models_that_are_not_exported_run_in_python(model, monkeypatch) -> None:
     def refused(_: object) -> None:
-        raise FitError("cannot be exported as a program")
+        raise NotExported("cannot be exported as a program")
 
     monkeypatch.setattr(compiled, "program_of", refused)
     assert not Predictor(model).compiled
     with pytest.raises(FitError, match="cannot be exported"):
         Predictor(model, compiled=True)
+
+
+def bent(monkeypatch, old: str, new: str) -> None:
+    """The program that is compiled has something else in it."""
+
+    def source(program):
+        found = c_source(program)
+        text = found.source.replace(old, new, 1)
+        assert text != found.source
+        return replace(found, source=text)
+
+    monkeypatch.setattr(compiled, "c_source", source)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("hil_scale[6] = {", "hil_scale[6] = {1.0001 * "), ("way * v > 0.0 ?", "way != 0.0 ?")],
+)
+def test_a_program_that_says_something_else_is_not_taken(old, new, model, monkeypatch) -> None:
+    bent(monkeypatch, old, new)
+    with pytest.raises(FitError, match="does not agree with the model"):
+        Predictor(model)
+
+
+@needs_compiler
+def test_a_program_that_does_not_compile_is_no_reason_to_be_slow(model, monkeypatch) -> None:
+    bent(monkeypatch, "hil_scale[6] = {", "hil_scale[6] = oops {")
+    with pytest.raises(FitError, match="does not compile"):
+        Predictor(model)
+
+
+@needs_compiler
+def test_a_library_that_cannot_be_loaded_is_told(model, monkeypatch) -> None:
+    def built(folder, *_):
+        (folder / "hil.so").write_text("no library", "utf-8")
+        return folder / "hil.so"
+
+    monkeypatch.setattr(compiled, "built", built)
+    with pytest.raises(PluginError, match="cannot be loaded"):
+        Predictor(model)
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [("no-such-cc", "names no program"), ("false", "does not compile"), ("true", "not compile")],
+)
+def test_a_compiler_that_is_named_has_to_work(name, match, model, monkeypatch) -> None:
+    monkeypatch.setenv("CC", name)
+    with pytest.raises(PluginError, match=match):
+        Predictor(model)
+
+
+@needs_compiler
+def test_a_compiler_may_be_named_with_options(model, monkeypatch) -> None:
+    monkeypatch.setenv("CC", "cc -DNEVER_SEEN='a b'")
+    assert compiler()[1:] == ("-DNEVER_SEEN=a b",)
+    assert Predictor(model).compiled

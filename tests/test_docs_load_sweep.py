@@ -14,7 +14,7 @@ from hil.spec.weigh import Weigh
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "how-to" / "load-sweep.md").read_text("utf-8")
 SHIPPED = (ROOT / "experiments" / "ur5_fourier_loads.yaml").read_text("utf-8")
-LOADS, WEIGH = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+LOADS, WEIGH, UNDER = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 HOLD_OUTS = re.findall(r"^\| `(\{.+?\})` \|", PAGE, re.MULTILINE)
 
 
@@ -45,3 +45,15 @@ def test_the_way_of_weighing_shown_is_the_default(tmp_path: Path) -> None:
     path = tmp_path / "weighed.yaml"
     path.write_text(SHIPPED + WEIGH, "utf-8")
     assert load_spec(path).weigh == Weigh()
+
+
+def test_judging_under_loads_as_shown_is_accepted(tmp_path: Path) -> None:
+    text = re.sub(r"(?ms)^(fit|validate|accept):.*?(?=^\S|\Z)", "", SHIPPED)
+    path = tmp_path / "under.yaml"
+    path.write_text(f"{text}\n{UNDER}", "utf-8")
+    spec = load_spec(path)
+    assert spec.hold_out.loads == (1,)
+    assert [key for key in spec.accept.under_loads if f"`{key}`" in PAGE] == [
+        "load_error_ratio",
+        "contradicted_loads",
+    ]

@@ -1,7 +1,8 @@
-"""rigid-diffnea as C, with every form of its friction."""
+"""rigid-diffnea as C, with every form of its friction; what models at rest are told."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
@@ -57,3 +58,13 @@ def test_gears_carry_what_the_fit_took_them_to(models) -> None:
     """Friction with load was fitted to the torque of an earlier round's bodies."""
     program = program_of(models("memory"))
     assert (program.gears != program.rigid).any()
+
+
+def test_a_model_of_rests_says_what_else_there_is() -> None:
+    for name in ("static-wls", "static-linear", "static-mlp-lm"):
+        model = estimator(name)
+        model.sigma_ = np.zeros(6)
+        with pytest.raises(FitError, match="at rest") as refused:
+            program_of(model)
+        assert "HandGuiding" in str(refused.value)
+        assert "--to json" in str(refused.value)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +13,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
+from export_models import KINDS, fitted  # noqa: E402
 from export_network_parts import correction, motion, streamed  # noqa: E402
-from residual_models import model as residual  # noqa: E402
-from synthetic_memory import remembering  # noqa: E402
-from synthetic_motion import moving, nominal  # noqa: E402
-from test_export_c import KINDS  # noqa: E402
 from test_export_c_network import KINDS as NETWORKS  # noqa: E402
 
 from hil.deploy.export import torch_export  # noqa: E402
@@ -33,19 +32,7 @@ from hil.errors import FitError, PluginError, RecordingError  # noqa: E402
 from hil.identify import estimator  # noqa: E402
 from hil.payload import Payload  # noqa: E402
 
-
-@pytest.fixture(scope="module")
-def models():
-    made = {}
-
-    def fitted(kind: str):
-        if kind not in made:
-            name = kind.split()[0]
-            data = remembering(1, 2, 3) if name == "rigid-hysteresis" else moving(1, 2, 3)
-            made[kind] = estimator(name, **KINDS[kind]).fit(data, nominal())
-        return made[kind]
-
-    return fitted
+PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 
 
 def stepping(module):
@@ -57,8 +44,8 @@ def stepping(module):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_module_says_what_the_model_says(kind, models) -> None:
-    traced, golden = module_of(models(kind)), golden_of(models(kind), samples=120)
+def test_a_module_says_what_the_model_says(kind) -> None:
+    traced, golden = module_of(fitted(kind)), golden_of(fitted(kind), samples=120)
     assert largest_difference(stepping(traced.module), golden, traced.state_size) < 1e-12
     assert bool(traced.state_size) == ("hysteresis" in kind)
 
@@ -78,14 +65,14 @@ def test_a_network_says_what_its_stream_says(kind) -> None:
 
 
 def test_physics_and_network_together() -> None:
-    traced, golden = module_of(residual()), golden_of(residual(), samples=60)
+    traced, golden = module_of(fitted("residual")), golden_of(fitted("residual"), samples=60)
     assert largest_difference(stepping(traced.module), golden, traced.state_size) < 1e-6
     assert traced.rate_hz == pytest.approx(100.0)
 
 
-def test_a_load_may_change_on_the_way(models) -> None:
-    traced = module_of(models("rigid-hysteresis"))
-    golden = golden_of(models("rigid-hysteresis"), samples=80)
+def test_a_load_may_change_on_the_way() -> None:
+    traced = module_of(fitted("rigid-hysteresis"))
+    golden = golden_of(fitted("rigid-hysteresis"), samples=80)
     state = torch.zeros(1, traced.state_size, dtype=torch.float64)
     for k, sample in enumerate(zip(golden.q, golden.qd, golden.qdd, strict=True)):
         load, wanted = (Payload(), golden.bare) if k % 7 < 4 else (LOAD, golden.loaded)
@@ -119,6 +106,7 @@ def test_joints_may_slide(tmp_path) -> None:
         flange=flange_in_last_joint(robot),
         rigid=bodies(robot.parameters(), 3),
         gears=bodies(robot.parameters(), 3),
+        coupling=None,
     )
     rows = golden_motion(robot, 60, 50.0)
     load = torch.tensor(load_row(LOAD))
@@ -127,12 +115,14 @@ def test_joints_may_slide(tmp_path) -> None:
     assert torque.numpy() == pytest.approx(expected, abs=1e-12)
 
 
-def test_it_can_be_differentiated_for_control(models) -> None:
-    traced = module_of(models("rigid-hysteresis"))
+def test_it_can_be_differentiated_for_control() -> None:
+    traced = module_of(fitted("rigid-hysteresis"))
     random = torch.Generator().manual_seed(0)
     rows = [torch.rand(1, 6, generator=random, dtype=torch.float64) + 0.1 for _ in range(3)]
     load = torch.tensor(load_row(LOAD))
-    state = torch.rand(1, traced.state_size, generator=random, dtype=torch.float64) / 9
+    start = torch.zeros(1, traced.state_size, dtype=torch.float64)
+    _, state = traced.module(*rows, load, start)
+    rows[0] = rows[0] + 2e-4  # a way on which memory comes round
 
     def effort(*motion):
         return traced.module(*motion, load, state)[0]
@@ -142,9 +132,9 @@ def test_it_can_be_differentiated_for_control(models) -> None:
 
 
 @pytest.fixture(scope="module")
-def written(models, tmp_path_factory):
+def written(tmp_path_factory):
     """A model with memory, and its file."""
-    model = models("rigid-hysteresis")
+    model = fitted("rigid-hysteresis")
     return model, export_torch(model, tmp_path_factory.mktemp("torch") / "model.pt2")
 
 
@@ -166,6 +156,17 @@ def test_the_file_says_how_to_call_it(written) -> None:
     assert int(said["state_size"]) == sum(size for _, size in json.loads(said["state"]))
 
 
+def test_the_example_of_the_page_runs(written, tmp_path, monkeypatch) -> None:
+    model, told = written
+    (tmp_path / "arm.pt2").write_bytes(told.out.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    golden = golden_of(model, samples=80)
+    rows = {name: torch.tensor(getattr(golden, name)[:1]) for name in ("q", "qd", "qdd")}
+    found = {**rows, "load": torch.tensor(load_row(LOAD))}
+    exec(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[1], found)
+    assert found["effort"][0].numpy() == pytest.approx(golden.loaded[0], abs=1e-12)
+
+
 def test_many_streams_at_once_say_what_each_says(written) -> None:
     model, told = written
     program = torch.export.load(told.out).module()
@@ -184,7 +185,8 @@ def test_many_streams_at_once_say_what_each_says(written) -> None:
 def test_zeros_begin_again(written) -> None:
     model, told = written
     program = torch.export.load(told.out).module()
-    q, qd, qdd = (torch.tensor(one) for one in golden_motion(model.robot_, 80, 250.0))
+    first = golden_of(model, samples=80)
+    q, qd, qdd = (torch.tensor(one) for one in (first.q, first.qd, first.qdd))
     load = torch.tensor(load_row(Payload()))
     zeros = torch.zeros(1, module_of(model).state_size, dtype=torch.float64)
 
@@ -196,7 +198,6 @@ def test_zeros_begin_again(written) -> None:
     *_, (_, state) = efforts(range(20), zeros)
     again = [effort for effort, _ in efforts(range(20, 30), zeros)]
     on = [effort for effort, _ in efforts(range(20, 30), state)]
-    first = golden_of(model, samples=80)
     assert not torch.allclose(again[0], on[0])
     assert on[0][0].numpy() == pytest.approx(first.bare[20], abs=1e-12)
     stream = model.stream(Payload())
@@ -213,24 +214,26 @@ def test_there_is_no_pickle_in_the_file(written) -> None:
     assert pickles(usual.getvalue()) == ["archive/data/sample_inputs/model.pt"]
 
 
-def test_a_program_that_says_something_else_is_not_written(models, tmp_path, monkeypatch) -> None:
+def test_a_program_that_says_something_else_is_not_written(written, tmp_path, monkeypatch) -> None:
     def bent(content):
         step = honest(content)
         return lambda inputs: [1.001 * one for one in step(inputs)]
 
-    honest = torch_export.loaded
+    model, told = written
+    honest, content = torch_export.loaded, told.out.read_bytes()
+    monkeypatch.setattr(torch_export, "archive", lambda traced: content)
     monkeypatch.setattr(torch_export, "loaded", bent)
     with pytest.raises(FitError, match="PyTorch program does not agree with the model: off by 1"):
-        export_torch(models("rigid-wls"), tmp_path / "model.pt2")
+        export_torch(model, tmp_path / "model.pt2")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_cannot_be_exported_is_refused(models, tmp_path, monkeypatch) -> None:
+def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch) -> None:
     with pytest.raises(FitError, match="static-wls is not fitted"):
         export_torch(estimator("static-wls"), tmp_path / "model.pt2")
     with pytest.raises(RecordingError, match="exists already"):
-        export_torch(models("rigid-wls"), tmp_path)
+        export_torch(fitted("rigid-wls"), tmp_path)
     monkeypatch.setattr(torch_export, "find_spec", lambda name: None)
     with pytest.raises(PluginError, match="needs torch") as refused:
-        export_torch(models("rigid-wls"), tmp_path / "model.pt2")
+        export_torch(fitted("rigid-wls"), tmp_path / "model.pt2")
     assert refused.value.hint == "pip install 'hil[learn]'"

@@ -240,3 +240,13 @@ def test_the_nearest_body_is_that_of_a_semidefinite_program(seed: int) -> None:
     peer.solve(solver=cp.CLARABEL)
     assert np.sum((X @ ours - y) ** 2) == pytest.approx(peer.value, rel=1e-3)
     assert np.linalg.eigvalsh(pseudo_inertia(ours))[0] > 0
+
+
+def test_errors_of_gains_widen_the_intervals_that_know_of_them() -> None:
+    found = estimate_payload(model(), under_load(5, 6, 7))
+    aware, in_torques = found.with_gains(0.05), replace(found, unit="N·m").with_gains(0.05)
+    alone = 0.05 * np.sqrt(np.sum(found.by_gain**2, axis=1))
+    assert aware.std_error == pytest.approx(np.hypot(found.std_error, alone))
+    assert np.all(np.diff(aware.interval) > np.diff(found.interval))
+    assert aware.values is found.values
+    assert in_torques.interval == pytest.approx(found.interval)

@@ -251,3 +251,25 @@ def test_payload_as_typed(text, payload) -> None:
 def test_payload_that_cannot_be_is_refused(text) -> None:
     with pytest.raises(SpecError, match="neither MASS nor"):
         parse_payload(text)
+
+
+def test_a_validation_with_another_load_is_judged_three_ways_and_its_load_checked(
+    sources, tmp_path
+) -> None:
+    declared = {"mass_kg": LOAD.mass, "com_m": LOAD.com, "inertia_kgm2": LOAD.inertia}
+    loaded = recording(tmp_path, 9, load=LOAD, name="loaded", payload=declared)
+    report = fit_sources(
+        sources[:2], estimator="rigid-wls", validate=[sources[2], loaded], out=tmp_path / "models"
+    ).to_dict()
+    bare, under = report["validation"]
+    assert bare["under_load"] is None
+    found = under["under_load"]
+    error = {told: np.mean(rmse) for told, rmse in found["rmse"].items()}
+    assert error["declared"] == pytest.approx(under["mean_filtered"])
+    assert error["identified"] < 0.2 * error["unaware"]
+    assert found["identified"]["mass_kg"] == pytest.approx(LOAD.mass, rel=0.02)
+    assert found["agrees"]
+    (kept,) = (tmp_path / "models").glob("*/evaluation.json")
+    assert json.loads(kept.read_text("utf-8"))["validation"][1]["under_load"] == found
+    (again,) = evaluate_sources(kept.parent, [loaded])
+    assert again["under_load"] == found

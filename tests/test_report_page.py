@@ -16,6 +16,7 @@ from hil.report import render_fit_report, render_report
 from hil.report.facts import read_facts
 from hil.report.measured import measured
 from hil.report.recording import read_recording
+from hil.report.report import run_page
 from hil.spec.load import load_spec
 
 HOSTILE = "\"><script>alert('x')</script><img src=http://evil.example/x onerror=alert(1)>"
@@ -296,15 +297,22 @@ def test_a_model_that_cannot_be_loaded_leaves_its_numbers_on_the_page(fourier, t
     assert table_of(page, "errors per joint")
 
 
-def test_two_models_stand_side_by_side_the_better_one_first(fourier, tmp_path):
+def test_models_stand_in_the_order_of_the_spec_and_the_best_is_named_and_open(fourier, tmp_path):
     copy = shutil.copytree(fourier.path, tmp_path / "copy")
     folder = next(copy.glob("fit/*"))
     other = shutil.copytree(folder, folder.with_name("better-0123456789ab"))
     document = json.loads((other / "evaluation.json").read_text())
     document["held_out"]["total"]["mean_raw"] = 1e-3
     (other / "evaluation.json").write_text(json.dumps(document))
-    rows = table_of(Page(render_report(copy).read_text()), "Models, means over the joints")
-    assert [row[0] for row in rows[2:]] == ["better", "rigid-wls"]
+    page = Page(render_report(copy).read_text())
+    rows = table_of(page, "Models, means over the joints")
+    assert [row[0] for row in rows[2:]] == ["rigid-wls", "better"]
+    assert any("least on held-out data: better" in caption for caption in page.tables)
+    models = [section for section in run_page(copy).sections if section.id.startswith("model-")]
+    assert [(one.title, one.folded) for one in models] == [
+        ("Model rigid-wls", True),
+        ("Model better", False),
+    ]
 
 
 def test_hostile_names_stay_text(tmp_path):

@@ -7,12 +7,14 @@ import sys
 
 import pytest
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
+from study_parts import result
 
 from hil.api import parse_parameters
 from hil.campaign.view import list_runs
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.report import summary_lines
+from hil.study.store import write_study
 
 
 def judged(tmp_path, **more):
@@ -241,3 +243,21 @@ def test_importing_the_report_loads_neither_plotly_nor_jinja():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("kind", "words"), [("dwell", "payload MODEL"), ("fourier", "fit")])
+def test_a_run_without_a_fit_says_what_comes_next(tmp_path, kind, words):
+    run = write_run(tmp_path, dwell_plan(poses=2)).path
+    text = f"hil: 1\nname: dwells\nrobot: ur5\nexcitation: {{kind: {kind}}}\n"
+    (run / "spec.yaml").write_text(text)
+    lines = summary_lines(run)
+    assert any(line.startswith(f"next: hil {words}") for line in lines)
+    (run / "spec.yaml").write_text(f"{text}study: [{{study: counted}}]\n")
+    write_study(result(), run / "study" / "counted-1")
+    assert not any(line.startswith(f"next: hil {words}") for line in summary_lines(run))
+
+
+def test_the_summary_names_the_folder_of_a_model(tmp_path):
+    run = judged(tmp_path).path
+    (run / "fit" / "rigid-wls-0123456789ab" / "model.json").write_text("{}")
+    assert f"model      {run / 'fit' / 'rigid-wls-0123456789ab'}" in summary_lines(run)

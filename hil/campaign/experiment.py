@@ -57,7 +57,14 @@ class Experiment:
     def title(self) -> str:
         """One line for people."""
         told = f", {self.commissioning}" if self.commissioning else ""
-        return f"{self.spec.name} on {self.spec.robot} ({self.station_source}){told}"
+        return f"{self.spec.name} on {self.spec.robot}{self._which} ({self.station_source}){told}"
+
+    @property
+    def _which(self) -> str:
+        """Which individual a mock is: models of one know nothing of the others."""
+        if self.robot.driver != "mock":
+            return ""
+        return f", individual {self.robot.options.get('seed', 0)}"
 
 
 def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experiment:

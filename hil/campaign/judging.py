@@ -9,6 +9,7 @@ from typing import Any
 
 from hil.campaign.parts import Parts, hold_out
 from hil.campaign.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
+from hil.campaign.under_loads import Row, judge_under_loads
 from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
@@ -52,6 +53,8 @@ def judge_run(
     leaves the others as they are. Writes `fit/…` and `verdict.json` into the run directory. A
     model that follows a paper's protocol instead of an honest one is reported, but never judged.
 
+    With `validate.under_loads` the models are also judged under every load of the run.
+
     How far fits are is told as `hil.campaign.trainings` says.
 
     Returns:
@@ -78,7 +81,11 @@ def judge_run(
         # Estimators are plug-ins: whatever one of them raises must not cost the others.
         except Exception as error:
             problems.append(FailedFit(fit.estimator, _as_fit_error(fit.estimator, error)))
-    document = _verdict_document(judged, problems, spec, counts)
+    under: list[Row] = []
+    if spec.validation.under_loads and data is not None and judged:
+        under, missing = judge_under_loads(directory.path, spec, data, tell)
+        problems += missing
+    document = _verdict_document(judged, problems, spec, counts, under)
     directory.write_json("verdict.json", document)
     forget(directory.path)
     if problems:
@@ -124,7 +131,7 @@ def _judge_one(
     directory: RunDirectory, data: Dataset, fit: Fit, spec: ExperimentSpec, news: FitNews
 ) -> Judged:
     usable = usable_part(data, estimator(fit.estimator, **fit.parameters))
-    parts = hold_out(usable, spec.validation.hold_out)
+    parts = hold_out(usable, spec.hold_out)
     robot = load_model(data.robot, gravity=data.gravity)
 
     def fitted_from(checkpoints: Path) -> Fitted:
@@ -165,10 +172,12 @@ def _verdict_document(
     problems: Sequence[FailedFit],
     spec: ExperimentSpec,
     counts: Mapping[str, int],
+    under_loads: Sequence[Row] = (),
 ) -> dict[str, Any]:
     rows = [
         {"estimator": one.estimator, **row.to_dict()} for one in judged for row in one.verdict.rows
     ]
+    rows += under_loads
     unjudged = [
         {"estimator": one.estimator, "protocol": one.protocol}
         for one in judged

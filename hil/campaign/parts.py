@@ -56,10 +56,11 @@ def hold_out(data: Dataset, how: HoldOut) -> Parts:
     if motions and loads:
         beside = ((NEW_LOAD, part(False, True)), (NEW_MOTION, part(True, False)))
         kept = tuple((what, found) for what, found in beside if found.conditions)
-        said = f"{_loads(how)} and {_motions(motions)}, both new"
+        what = f"{_motions(motions)} with {_loads(data, loads)}"
+        said = f"{what}: motions and loads the fit has not seen"
         return _checked(Parts(train, part(True, True), said, kept))
     if loads:
-        said = f"{_loads(how)}, motions seen in training with other loads"
+        said = f"{_loads(data, loads)}, motions seen in training with other loads"
         return _checked(Parts(train, part(False, True), said), same_motions=True)
     return _checked(Parts(train, part(True, False), _motions(motions)))
 
@@ -132,9 +133,15 @@ def _of(
     return chosen
 
 
-def _loads(how: HoldOut) -> str:
-    numbers = ", ".join(str(load) for load in sorted(set(how.loads)))
-    return f"{'load' if len(set(how.loads)) == 1 else 'loads'} {numbers}"
+def _loads(data: Dataset, loads: set[int]) -> str:
+    """By mass, `1 kg and 3 kg`; by number where one mass is mounted twice."""
+    masses = {condition.load: f"{condition.payload.mass:.4g} kg" for condition in data.conditions}
+    known = list(masses.values())
+    names = [
+        masses[load] if known.count(masses.get(load, "")) == 1 else f"load {load}"
+        for load in sorted(loads)
+    ]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _motions(motions: set[Motion]) -> str:

@@ -15,6 +15,7 @@ from hil.campaign.view import verdict_word
 from hil.engine import Observer, Observers
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError
+from hil.identify.model_folder import models_below
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 
@@ -34,6 +35,7 @@ class RunReport:
         verdict: Of the models on held-out data; `not judged` when the run ended early or the
             spec has no criteria.
         samples, gaps, duplicates: Of the robot record, by device clock.
+        models: Folders of what was fitted, by name.
         report: The HTML page, None if it could not be made.
         error: What ended the run or the fit early.
     """
@@ -45,6 +47,7 @@ class RunReport:
     samples: int
     gaps: int
     duplicates: int
+    models: tuple[Path, ...]
     report: Path | None
     error: HilError | None = None
 
@@ -58,6 +61,7 @@ class RunReport:
             "samples": self.samples,
             "gaps": self.gaps,
             "duplicates": self.duplicates,
+            "models": [str(folder) for folder in self.models],
             "report": str(self.report) if self.report else None,
         }
         if self.error is not None:
@@ -187,6 +191,7 @@ def _told(recorded: Recorded, page: Path | None, error: HilError | None) -> RunR
         samples=recorded.counts["samples"],
         gaps=recorded.counts["gaps"],
         duplicates=recorded.counts["duplicates"],
+        models=tuple(models_below(recorded.directory.path)),
         report=page,
         error=error,
     )

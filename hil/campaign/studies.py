@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil import plugins
+from hil.campaign.under_loads import STUDY, as_in_spec, of_other_arms, under_loads
 from hil.data.load import load_source
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, HilError, SpecError
@@ -16,7 +17,7 @@ from hil.executor import cores
 from hil.identify.model_file import plain
 from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
-from hil.spec.experiment import StudyEntry
+from hil.spec.experiment import ExperimentSpec, StudyEntry
 from hil.spec.load import load_spec
 from hil.study.base import GROUP, Ended, Study, study
 from hil.study.result import StudyResult
@@ -104,7 +105,11 @@ def entries_for(
         told = ", ".join(entry.study for entry in wanted)
         raise SpecError(f"the parameters could be for any of {told}", hint="choose with --study")
     (entry,) = wanted
-    return (StudyEntry(study=entry.study, **{**entry.parameters, **parameters}),)
+    asked = {**entry.parameters, **parameters}
+    spec = _spec(run)
+    if entry.study == STUDY and spec is not None:
+        asked = as_in_spec(spec, asked)
+    return (StudyEntry(study=entry.study, **asked),)
 
 
 def run_studies(
@@ -145,8 +150,13 @@ def run_studies(
 
 def _written(run: Path) -> tuple[StudyEntry, ...]:
     """The studies of the run's spec; a recording of somebody else's program has none."""
+    spec = _spec(run)
+    return () if spec is None else (*spec.study, *under_loads(run, spec))
+
+
+def _spec(run: Path) -> ExperimentSpec | None:
     file = run / "spec.yaml"
-    return load_spec(file, look_up=False).study if file.is_file() else ()
+    return load_spec(file, look_up=False) if file.is_file() else None
 
 
 def _loaded(run: Path) -> tuple[Dataset, RobotModel]:
@@ -166,6 +176,9 @@ def _make(
         seconds = time.perf_counter() - begin
         asked: dict[str, Any] = plain(one.get_params())
         found = replace(found, study=progress.name, parameters=asked, seconds=seconds)
+        if progress.name == STUDY:
+            others = of_other_arms(folder.parent.parent, asked.get("models") or ())
+            found = replace(found, warnings=(*others, *found.warnings))
         write_study(found, folder)
     except (HilError, OSError):
         raise

@@ -8,6 +8,7 @@ from typing import Any
 
 from hil.campaign.verdict import VerdictWord, word
 from hil.errors import DataError
+from hil.identify.model_folder import models_below
 from hil.record.catalogue import RunListing
 from hil.record.catalogue import list_runs as listings_of
 from hil.record.files import read_json
@@ -46,6 +47,7 @@ def describe_run(run: str | Path) -> dict[str, Any]:
         file.parent.name: _optional(file)
         for file in sorted(directory.path.glob("fit/*/evaluation.json"))
     }
+    out["models"] = [str(folder) for folder in models_below(directory.path)]
     out["studies"] = {
         file.parent.name: _study(file) for file in sorted(directory.path.glob(_STUDY_FILES))
     }

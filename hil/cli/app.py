@@ -34,6 +34,7 @@ from hil.cli import (
     specs,
     studies,
     system,
+    trying,
 )
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
@@ -61,7 +62,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, registry, drift, resting, exports, data, system, bench,
+    studies, registry, drift, resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

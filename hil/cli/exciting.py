@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,9 +15,9 @@ from hil.cli.output import (
     StationOption,
     duration,
     fold,
+    out_width,
     print_json,
     print_table,
-    width_of,
 )
 
 if TYPE_CHECKING:
@@ -152,4 +151,4 @@ def _errors(ratios: Sequence[float]) -> str:
 
 
 def _say(text: str) -> None:
-    typer.echo(fold(text, width_of(sys.stdout)))
+    typer.echo(fold(text, out_width()))

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table
+from hil.cli.models import ModelArgument, found_model
+from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.deploy.export.targets import TARGETS
 
 
@@ -17,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
 
 def export(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelArgument,
     out: Annotated[
         Path, typer.Option("-o", "--out", help="File to make; for C a folder.", show_default=False)
     ],
@@ -26,15 +27,20 @@ def export(
         str | None, typer.Option(help="C: what files and symbols begin with; by default hil.")
     ] = None,
     unchecked: Annotated[
-        bool, typer.Option("--unchecked", help="C: write it without a compiler to check it with.")
+        bool,
+        typer.Option(
+            "--unchecked", help="C: without a compiler to check it; URDF: however far off."
+        ),
     ] = False,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Write a model for a controller, simulator or runtime, compared with the model first."""
     from hil import api
 
-    told = api.export_model(model, out, to=to, prefix=prefix, unchecked=unchecked or None)
-    found = {"model": str(model), "to": to, **told.to_dict()}
+    folder = found_model(model, runs)
+    told = api.export_model(folder, out, to=to, prefix=prefix, unchecked=unchecked or None)
+    found = {"model": str(folder), "to": to, **told.to_dict()}
     if json:
         print_json(found)
     elif to == "urdf":
@@ -46,13 +52,15 @@ def export(
 def _print(told: dict[str, Any]) -> None:
     name = Path(told["out"]).name
     files = [file for file in told["files"] if file != name]
-    typer.echo(f"{told['out']}: {', '.join(files)}" if files else told["out"])
-    joints = f"{len(told['joint_names'])} joints, efforts in {told['effort_unit']}"
-    typer.echo(f"  {told['parts']}; {joints}")
+    say(f"{told['out']}: {', '.join(files)}" if files else told["out"])
+    joints = f"{len(told['joint_names'])} joints"
+    if told["effort_unit"]:
+        joints += f", efforts in {told['effort_unit']}"
+    say(f"  {told['parts']}; {joints}")
     unrun = "not checked: build it and run its self-test where it is used"
-    typer.echo(f"  {told['checked'] or unrun}")
+    say(f"  {told['checked'] or unrun}")
     for note in told["notes"]:
-        typer.echo(f"  note: {note}")
+        say(f"  note: {note}")
 
 
 def _print_urdf(told: dict[str, Any]) -> None:
@@ -62,17 +70,21 @@ def _print_urdf(told: dict[str, Any]) -> None:
         _rows(told),
     )  # fmt: skip
     for note in told["notes"]:
-        typer.echo(f"  note: {note}")
-    made = "edited the robot's own URDF" if told["edited"] else "made from the built-in arm"
-    typer.echo(f"{told['out']}: {made}; read back, torques agree to {told['round_trip']:.0e}")
+        say(f"  note: {note}")
+    say(f"{told['out']}: {told['parts']}")
+    say(f"  {told['checked']}")
 
 
 def _rows(told: dict[str, Any]) -> list[tuple[str, ...]]:
     keys = ("mass_kg", "rotor_inertia_kgm2", "coulomb_nm", "viscous_nms_rad", "mismatch_nm")
     rows = []
-    for name, com, *values in zip(
-        told["joint_names"], told["com_m"], *(told[key] for key in keys), strict=True
-    ):
-        mass, *others = (f"{value:.3f}" for value in values)
-        rows.append((name, mass, ", ".join(f"{x:.3f}" for x in com), *others))
+    for name, kind, com, *values in zip(
+        told["joint_names"], told["joint_types"], told["com_m"], *(told[key] for key in keys),
+        strict=True,
+    ):  # fmt: skip
+        slides = (" kg", " N", " N·s/m", " N") if kind == "prismatic" else ("",) * 4
+        mass, *others = (
+            f"{fixed(value, 3)}{unit}" for value, unit in zip(values, ("", *slides), strict=True)
+        )
+        rows.append((name, mass, ", ".join(fixed(x, 3) for x in com), *others))
     return rows

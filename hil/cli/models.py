@@ -9,14 +9,24 @@ from typing import Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
 from hil.cli.runs import RunArgument
+from hil.cli.under_load import print_under_load
+from hil.errors import DataError
 
 Sources = Annotated[
     list[str],
     typer.Argument(
         metavar="SOURCE...",
         help="Runs (directory, name or number) or MCAP files.",
+        show_default=False,
+    ),
+]
+
+ModelArgument = Annotated[
+    str,
+    typer.Argument(
+        help="Model folder, or a run (directory, name or number) with one model.",
         show_default=False,
     ),
 ]
@@ -92,7 +102,7 @@ def fit(
     if json:
         print_json(document)
         return
-    typer.echo(f"{estimator}: fitted in {document['seconds']:.2f} s → {document['model']}")
+    say(f"{estimator}: fitted in {document['seconds']:.2f} s → {document['model']}")
     _print_validation(document["validation"])
 
 
@@ -109,7 +119,7 @@ def _told_how_to_go_on(checkpoints: Path | None) -> Iterator[None]:
 
 
 def evaluate(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelArgument,
     sources: Sources,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
@@ -117,9 +127,10 @@ def evaluate(
     """Judge a saved model on recordings it has not seen."""
     from hil import api
 
-    rows = api.evaluate(model, found(sources, runs))
+    folder = found_model(model, runs)
+    rows = api.evaluate(folder, found(sources, runs))
     if json:
-        print_json({"model": str(model), "validation": rows})
+        print_json({"model": str(folder), "validation": rows})
     else:
         _print_validation(rows)
 
@@ -148,20 +159,39 @@ def found(sources: Iterable[str], runs: Path) -> list[Path]:
     from hil.record.catalogue import find_run
 
     given = [(text, Path(text)) for text in sources]
-    plain = [path.exists() or path.name != text for text, path in given]
+    plain = [
+        path.exists() or path.name != text or path.suffix == ".mcap"  # no run's name ends so
+        for text, path in given
+    ]
     return [
         path if as_it_is else find_run(text, runs)
         for (text, path), as_it_is in zip(given, plain, strict=True)
     ]
 
 
+def found_model(named: str, runs: Path) -> Path:
+    """The folder of a model: itself, or the only one in a folder or run, by path, name or number.
+
+    Raises:
+        DataError: There is none, or there are several.
+    """
+    from hil.identify.model_folder import only_model
+
+    try:
+        (path,) = found([named], runs)
+    except DataError as error:
+        told = f"there is no model folder {named}; {error.message}"
+        raise DataError(told, hint=error.hint) from None
+    return only_model(path)
+
+
 def _print_validation(rows: list[dict[str, Any]]) -> None:
     if not rows:
-        typer.echo("not validated; hold data out with: --validate SOURCE")
+        say("not validated; hold data out with: --validate SOURCE")
         return
     for row in rows:
         unit, n = row["unit"], len(row["rmse_raw"])
-        typer.echo(f"validated on {row['source']} [{unit}]")
+        say(f"validated on {row['source']} [{unit}]")
         print_table(
             ("RMSE", *(f"J{j + 1}" for j in range(n)), "mean"),
             [
@@ -169,5 +199,7 @@ def _print_validation(rows: list[dict[str, Any]]) -> None:
                 for label, key in (("raw", "raw"), ("filtered", "filtered"))
             ],
         )
+        if row["under_load"]:
+            print_under_load(row["under_load"])
         for note in row["notes"]:
-            typer.echo(f"  note: {note}")
+            say(f"  note: {note}")

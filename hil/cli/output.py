@@ -7,9 +7,9 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from textwrap import wrap
+from textwrap import indent, wrap
 from typing import Annotated, Any, TextIO
 
 import typer
@@ -28,6 +28,9 @@ RunsOption = Annotated[
     Path, typer.Option("--runs", envvar="HIL_RUNS", help="Where run directories are kept.")
 ]
 
+APART = 2
+"""Blanks between two columns."""
+
 
 def print_json(document: Any) -> None:
     """Print a document; NaN and infinity become null, since JSON has neither."""
@@ -35,17 +38,71 @@ def print_json(document: Any) -> None:
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Columns separated by two blanks, as wide as needed; nothing is cut, so pipes get it all."""
+    """Columns as wide as needed, the first of them names; in a pipe nothing is broken.
+
+    A table wider than the terminal comes in blocks of columns, each with the names; where names
+    leave no room for that, row by row.
+    """
     table = [list(header), *[list(row) for row in rows]]
-    widths = [max(len(row[i]) for row in table) for i in range(len(header))]
-    for row in table:
-        typer.echo("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip())
+    padded = [
+        [cell.ljust(max(map(len, column))) for cell in column]
+        for column in zip(*table, strict=True)
+    ]
+    width = out_width()
+    widest = max((len(column[0]) for column in padded[1:]), default=0)
+    if width is not None and len(padded[0][0]) + APART + widest > width:
+        for name, *cells in table[1:]:
+            typer.echo(name)
+            told = ", ".join(
+                f"{title} {cell}" for title, cell in zip(header[1:], cells, strict=True)
+            )
+            typer.echo(indent(fold(told, width - APART), " " * APART))
+        return
+    for line in lines_of(padded, width):
+        typer.echo(line)
+
+
+def lines_of(columns: Sequence[list[str]], width: int | None) -> Iterator[str]:
+    """Padded columns as lines; where they are too wide, in blocks that all begin with the first.
+
+    Args:
+        columns: Texts of each, all as wide as the widest.
+        width: Of the terminal; None where nothing is broken.
+    """
+    names, *others = columns
+    room = len(names[0]) if names else 0
+    for block in _blocks(others, None if width is None else width - room):
+        for i, name in enumerate(names):
+            yield (" " * APART).join([name, *(column[i] for column in block)]).rstrip()
+
+
+def _blocks(columns: Sequence[list[str]], room: int | None) -> Iterator[list[list[str]]]:
+    block: list[list[str]] = []
+    used = 0
+    for column in columns:
+        wide = APART + len(column[0])
+        if block and room is not None and used + wide > room:
+            yield block
+            block, used = [], 0
+        block.append(column)
+        used += wide
+    yield block
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number with so many decimals; what rounds to zero has no sign."""
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def say(text: str) -> None:
+    """A line, wrapped on a terminal."""
+    typer.echo(fold(text, out_width()))
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
     """A line each, wrapped on a terminal."""
     for warning in warnings:
-        typer.echo(fold(f"warning: {warning}", width_of(sys.stdout)))
+        say(f"warning: {warning}")
 
 
 def fold(text: str, width: int | None) -> str:
@@ -63,12 +120,22 @@ def width_of(stream: TextIO) -> int | None:
     """Columns of the terminal that a stream is, None where it is none; it may change any time."""
     if not stream.isatty():
         return None
-    columns = 0
-    with contextlib.suppress(ValueError):
-        columns = int(os.environ.get("COLUMNS", ""))
+    columns = _asked_columns()
     with contextlib.suppress(OSError, ValueError):
         columns = columns or os.get_terminal_size(stream.fileno()).columns
     return max(columns or 80, 20)
+
+
+def out_width() -> int | None:
+    """Columns to print within: as $COLUMNS asks, even in a pipe, else the terminal's, else None."""
+    asked = _asked_columns()
+    return max(asked, 20) if asked > 0 else width_of(sys.stdout)
+
+
+def _asked_columns() -> int:
+    with contextlib.suppress(ValueError):
+        return int(os.environ.get("COLUMNS", ""))
+    return 0
 
 
 def fit_words(number: int, total: int, name: str) -> str:

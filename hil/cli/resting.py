@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, fold, print_json, print_table, width_of
+from hil.cli.models import ModelArgument, found_model
+from hil.cli.output import JsonFlag, RunsOption, fold, out_width, print_json, print_table
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
 
 
 def rest_pose(
-    model: Annotated[Path, typer.Argument(help="Model folder.", show_default=False)],
+    model: ModelArgument,
     station: Annotated[
         Path | None,
         typer.Option(
@@ -56,13 +56,14 @@ def rest_pose(
     unchecked: Annotated[
         bool, typer.Option("--unchecked", help="Do not check clearance; for arms from a URDF.")
     ] = False,
+    runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
     """Find the pose in which the brakes hold least, and say what happens when they fail."""
     from hil import api
 
     report = api.rest_poses(
-        model,
+        found_model(model, runs),
         station=station,
         robot=robot or None,
         payload=payload or None,
@@ -140,7 +141,7 @@ def _print_pose(report: RestReport, name: str, pose: RestPose) -> None:
 
 def _print_joints(rows: list[tuple[str, list[str]]], joints: int) -> None:
     """Numbers joint by joint, in as many blocks as a terminal needs."""
-    width = width_of(sys.stdout) or 10_000
+    width = out_width() or 10_000
     most = max(1, (width - LABEL_WIDTH - len(INDENT)) // NUMBER_WIDTH)
     for start in range(0, joints, most):
         block = range(start, min(start + most, joints))
@@ -172,6 +173,6 @@ def _ending(report: RestReport, pose: RestPose) -> str:
 
 
 def _say(text: str, indent: str = "") -> None:
-    width = width_of(sys.stdout)
+    width = out_width()
     folded = fold(text, None if width is None else width - len(indent))
     typer.echo("\n".join(indent + line for line in folded.splitlines()))

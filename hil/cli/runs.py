@@ -14,6 +14,7 @@ from hil.cli.output import (
     duration,
     print_json,
     print_table,
+    say,
 )
 from hil.errors import DataError, HilError, exit_code_of
 
@@ -53,7 +54,7 @@ def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
     if json:
         print_json(entries)
     elif not entries:
-        typer.echo(f"no runs under {runs}; make one with: hil run SPEC")
+        say(f"no runs under {runs}; make one with: hil run SPEC")
     else:
         header = ("run", "status", "duration", "verdict", "studies")
         rows = [

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, duration, fold, print_json, width_of
+from hil.cli.output import JsonFlag, RunsOption, duration, print_json, say
 from hil.cli.runs import RunArgument, fail
 from hil.errors import Stopped
 
@@ -44,6 +44,7 @@ def study(
 def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> None:
     """Make the studies of a run directory, or one by name, and tell what they found."""
     from hil.campaign.studies import entries_for, run_studies
+    from hil.campaign.under_loads import STUDY
     from hil.cli.study_progress import StudyBar
     from hil.report import render_report
 
@@ -53,7 +54,8 @@ def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> No
         done = run_studies(path, entries, bar.show, bar.ended)
     except KeyboardInterrupt:
         told = "interrupted; studies that were made before are kept"
-        raise Stopped(told, hint=f"hil study {path}", by_signal=True) from None
+        verb = "validate-loads" if any(one.study == STUDY for one in entries) else "study"
+        raise Stopped(told, hint=f"hil {verb} {path}", by_signal=True) from None
     finally:
         bar.end()
     page = render_report(path)
@@ -98,13 +100,5 @@ def _tell(done: Studied, page: Path, json: bool) -> None:
         return
     for folder, result in done.made:
         print_study(result)
-        made = f"{result.study}: made in {duration(result.seconds)} → {folder}"
-        typer.echo(fold(made, width_of_stdout()))
+        say(f"{result.study}: made in {duration(result.seconds)} → {folder}")
     typer.echo(f"report: {page}")
-
-
-def width_of_stdout() -> int | None:
-    """Columns of the terminal, None in a pipe."""
-    import sys
-
-    return width_of(sys.stdout)

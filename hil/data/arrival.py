@@ -116,5 +116,7 @@ def _last_away(t: FloatArray, q: FloatArray, begin: int, rest: float) -> int | N
 
 def _crossing(t: FloatArray, q: FloatArray) -> float:
     """When a joint that is away in the first of two rows and near in the second came near [s]."""
+    if q[0] == q[-1]:  # commanded poses that jump: it came with the next row, or is there only now
+        return float(t[-1])
     beyond = q[0] - np.copysign(NEAR_RAD, q[0])
     return float(t[0] + (t[1] - t[0]) * beyond / (q[0] - q[1]))

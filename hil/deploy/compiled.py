@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import ctypes
+import shlex
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
-from hil.deploy.export.c_build import built
+from hil.deploy.export.c_build import built, require_compiler
 from hil.deploy.export.c_program import PARTS, c_source
+from hil.deploy.export.closeness import closeness
+from hil.deploy.export.golden import LOAD, golden_of
+from hil.deploy.export.program import Program
 from hil.deploy.export.reading import program_of
-from hil.errors import DataError
+from hil.deploy.sample import HINT, REFUSED, as_sample
+from hil.errors import DataError, FitError, PluginError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -25,6 +30,10 @@ size_t hil_state_size(void) { return sizeof(hil_state); }
 """
 
 Pointer = ctypes.c_void_p
+Plain, DOUBLE = np.ndarray, np.dtype(np.float64)
+
+SAMPLES = 60
+"""Compared with the model's own stream, without and with a load, before anything is said."""
 
 
 class CompiledProgram:
@@ -41,14 +50,15 @@ class CompiledProgram:
         parts: By name, (n,) parts of it after a step with `explain`; they add up to it.
 
     Raises:
-        FitError: The model is of a kind that is not exported, or does not compile.
-        PluginError: There is no C compiler.
+        NotExported: The model is of a kind that is not exported.
+        FitError: It does not compile, or does not say what the model says.
+        PluginError: There is no C compiler, or none for this machine.
     """
 
     def __init__(self, model: RobotEstimator) -> None:
         program = program_of(model)
         n = program.n
-        self._library = _loaded(model)
+        self._library = _loaded(program)
         self._state = np.zeros(self._library.hil_state_size() // 8 + 1)
         self._inputs = np.zeros((3, n))
         self.effort: FloatArray = np.zeros(n)
@@ -59,6 +69,8 @@ class CompiledProgram:
         out = Pointer(self.effort.ctypes.data)
         self._call = (self._where, *motion, out, Pointer(None))
         self._explained = (self._where, *motion, out, Pointer(self._parts.ctypes.data))
+        self._shape = (n,)
+        self._require_agreement(model, program)
         self.reset()
 
     def reset(self) -> None:
@@ -84,29 +96,54 @@ class CompiledProgram:
         Raises:
             DataError: An input is not one finite number per joint.
         """
-        try:
-            self._inputs[0], self._inputs[1], self._inputs[2] = q, qd, qdd
-        except (TypeError, ValueError) as error:
-            raise DataError(
-                f"a sample is one number for each of {len(self.effort)} joints: {error}",
-                hint="give q, qd and qdd of every joint of the model's robot",
-            ) from error
+        plain = isinstance(q, Plain) and isinstance(qd, Plain) and isinstance(qdd, Plain)
+        if not (plain and q.dtype == qd.dtype == qdd.dtype == DOUBLE) or not (
+            q.shape == qd.shape == qdd.shape == self._shape
+        ):
+            q, qd, qdd = as_sample(self._shape[0], q, qd, qdd)
+        self._inputs[0], self._inputs[1], self._inputs[2] = q, qd, qdd
         if self._library.hil_step(*(self._explained if explain else self._call)):
-            raise DataError(
-                "a sample holds what is not finite, or beyond 1e6",
-                hint="nothing of it is remembered; look at where the motion comes from",
-            )
+            raise DataError(REFUSED, hint=HINT)
         return self.effort
 
+    def _require_agreement(self, model: RobotEstimator, program: Program) -> None:
+        """Optimised for this machine: what the portable program says proves nothing of it."""
+        golden = golden_of(model, SAMPLES)
+        limits = closeness(program, golden)
+        for k, (load, wanted) in enumerate(((Payload(), golden.bare), (LOAD, golden.loaded))):
+            self.reset()
+            self.mount(load)
+            rows = zip(golden.q, golden.qd, golden.qdd, wanted, strict=True)
+            for i, (q, qd, qdd, effort) in enumerate(rows):
+                added = 0.0 if golden.residuals is None else golden.residuals[k, i]
+                off = self.step(q, qd, qdd, explain=True) - self.parts["residual"]
+                off = np.abs(off - (effort - added))
+                learned = np.abs(self.parts["residual"] - added)
+                if not (np.all(off <= limits.effort) and np.all(learned <= limits.residual)):
+                    raise FitError(
+                        "the compiled program does not agree with the model: off by up to "
+                        f"{np.max((off + learned) / limits.largest):.1e} of a joint's largest "
+                        "effort",
+                        hint="take Predictor(…, compiled=False), and report this with the "
+                        "model's folder and the compiler's version",
+                    )
 
-def _loaded(model: RobotEstimator) -> ctypes.CDLL:
+
+def _loaded(program: Program) -> ctypes.CDLL:
     """The library; its file may go once it is mapped."""
-    source = c_source(program_of(model))
+    source = c_source(program)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file, text in (("hil.h", source.header), ("hil.c", source.source), ("shim.c", SHIM)):
             (folder / file).write_text(text, "utf-8")
-        library = ctypes.CDLL(str(built(folder, ("hil.c", "shim.c"), "hil.so", FAST)))
+        made = built(folder, ("hil.c", "shim.c"), "hil.so", FAST)
+        try:
+            library = ctypes.CDLL(str(made))
+        except OSError as error:
+            raise PluginError(
+                f"what {shlex.join(require_compiler())} made cannot be loaded: {error}",
+                hint="name a C compiler for this machine with CC=…, or take compiled=False",
+            ) from error
     library.hil_state_size.restype = ctypes.c_size_t
     library.hil_reset.argtypes = [Pointer]
     library.hil_reset.restype = None

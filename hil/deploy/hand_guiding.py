@@ -17,6 +17,10 @@ wear. Half of 1.9 is still below 1, hence the default. With the friction of a ty
 measurement at low speed 0.7 is safe. Nothing is compensated within the dead band: a joint at rest
 keeps all of its stick friction, which holds what the model does not know of gravity.
 
+**Low-pass the velocity** (`hil.deploy.low_pass`, 10 Hz). Fed with velocities as they are measured
+at 1 kHz, wrists of the mock do not come to rest: they tremble by a millirad at 20 to 30 Hz. Over
+so short a way friction is much of a spring, which takes no power out: the argument above fails.
+
 **What a person feels.** All of the stick friction until a joint moves, then 1 − share of the dry
 friction, all of the viscous friction and the inertia. A joint that moves drifts on by itself where
 gravity is wrong by more than `drift_margin`.
@@ -30,6 +34,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hil.deploy.gravity_chain import GravityChain
+from hil.deploy.rest_margin import resting_friction
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
@@ -169,8 +174,8 @@ def _friction_of(
         SpecError: It is no list of n levels.
     """
     if friction is None:
-        known = dry_friction(model)
-        if known is None:
+        known = _level_of(model)
+        if known is None or not known.any():
             raise FitError(
                 f"the model {model.estimator} does not know the dry friction",
                 hint="give it as friction=[…] in N·m, fit an estimator with a friction part "
@@ -178,6 +183,13 @@ def _friction_of(
             )
         return known
     return _levels("friction", friction, len(model.joint_names_))
+
+
+def _level_of(model: RobotEstimator) -> FloatArray | None:
+    """(n,) what the model says, or what its sliding friction shows; None of an arm at rest only."""
+    known = dry_friction(model)
+    moves = any("trajectory" in kinds for kinds in model.series_kinds)
+    return resting_friction(model) if known is None and moves and knows_torque(model) else known
 
 
 def _limit_of(model: RobotEstimator, limit: Sequence[float] | FloatArray | None) -> FloatArray:

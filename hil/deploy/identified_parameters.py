@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.data.dataset import Conditions, Dataset
 from hil.data.prediction import Prediction
+from hil.deploy.asked import motion_of
 from hil.dynamics import base_parameters, friction_terms
 from hil.dynamics.base import BaseParameters
 from hil.dynamics.pseudo_inertia import is_consistent
@@ -37,6 +37,9 @@ SMALLEST_SHARE = 1e-3
 RIGID_SHARE = 1e-6
 """What a rigid body may leave of a model's rigid torques, as a share of the largest."""
 
+RIGID = ("gravity", "inertia", "coriolis")
+"""Parts of a prediction that bodies make."""
+
 FRICTION_S, FRICTION_HZ = 60.0, 1000.0
 SIGN_WIDTH = 0.01
 
@@ -51,6 +54,8 @@ class IdentifiedParameters:
         viscous: (n,) friction per speed [N·m·s/rad], not below 0.
         mismatch: (n,) RMS of their torque less the model's rigid one over sampled motions [N·m].
         own: Whether the model itself has them.
+        exact: Whether they have to make the model's torques: its own, or those of a rigid body
+            whose base parameters belong to links that can exist.
         notes: For people.
     """
 
@@ -59,6 +64,7 @@ class IdentifiedParameters:
     viscous: FloatArray
     mismatch: FloatArray
     own: bool
+    exact: bool
     notes: tuple[str, ...]
 
 
@@ -70,19 +76,21 @@ def identified_parameters(model: RobotEstimator) -> IdentifiedParameters:
         PluginError: cvxpy is needed and not installed.
     """
     motion = _sampled(model)
-    torque = _rigid_torque(model, motion)
-    given = getattr(model, "inertial_", None)
+    _, torque = rigid_asked(model, motion)
+    given = getattr(getattr(model, "base_", model), "inertial_", None)
     W = model.robot_.regressor(*motion, rotor=True)
-    inertial = np.asarray(given) if given is not None else _nearest(model, W, torque)
+    own = given is not None
+    inertial, exact = (np.asarray(given), True) if own else _nearest(model, W, torque)
     coulomb, viscous = plain_friction(model)
     error = (torque.ravel() - W @ inertial).reshape(torque.shape)
     mismatch = np.sqrt(np.mean(error**2, axis=0))
     notes = []
-    if given is None and np.any(mismatch > 1e-6 * np.abs(torque).max(axis=0)):
-        notes.append("no links within bounds have the model's base parameters; these come nearest")
-    return IdentifiedParameters(
-        inertial, coulomb, viscous, mismatch, given is not None, tuple(notes)
-    )
+    if not exact:
+        notes.append(
+            "no links within bounds have the model's base parameters; these come nearest "
+            "(rigid-lmi fits links that exist)"
+        )
+    return IdentifiedParameters(inertial, coulomb, viscous, mismatch, own, exact, tuple(notes))
 
 
 def rigid_parameters(model: RobotEstimator) -> FloatArray:
@@ -92,7 +100,7 @@ def rigid_parameters(model: RobotEstimator) -> FloatArray:
         FitError: The model has no rigid part, or one that no links make.
     """
     motion, base = _sampled(model), base_parameters(model.robot_, rotor=True)
-    torque = _rigid_torque(model, motion)
+    _, torque = rigid_asked(model, motion)
     W = base.regressor(model.robot_, *motion)
     parameters = base.expand(np.asarray(np.linalg.lstsq(W, torque.ravel())[0], np.float64))
     error = torque - model.robot_.torque(parameters, *motion)
@@ -104,8 +112,8 @@ def rigid_parameters(model: RobotEstimator) -> FloatArray:
     return parameters
 
 
-def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> FloatArray:
-    """(11n,) consistent links near the nominal ones that make these torques."""
+def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> tuple[FloatArray, bool]:
+    """(11n,) consistent links near the nominal ones that make these torques, and if they do."""
     robot, base = model.robot_, base_parameters(model.robot_, rotor=True)
     weight = 1.0 / np.maximum(SMALLEST_SHARE * np.abs(torque).max(axis=0), 1e-9)
     rows = np.tile(weight, len(torque))
@@ -113,15 +121,19 @@ def _nearest(model: RobotEstimator, W: FloatArray, torque: FloatArray) -> FloatA
     bounds = InertialBounds.nominal(robot)
     found = consistent_least_squares(X, y, base=base, bounds=bounds).inertial
     wanted = np.linalg.lstsq(X, y, rcond=None)[0]
-    return _exact(found, wanted, base, robot.n)
+    moved, fine = _exact(found, wanted, base, robot.n)
+    left = np.abs(y - X @ wanted) / rows
+    return moved, fine and bool(np.all(left <= RIGID_SHARE * np.abs(torque).max()))
 
 
-def _exact(inertial: FloatArray, wanted: FloatArray, base: BaseParameters, n: int) -> FloatArray:
+def _exact(
+    inertial: FloatArray, wanted: FloatArray, base: BaseParameters, n: int
+) -> tuple[FloatArray, bool]:
     """The parameters moved to the wanted base parameters, if that leaves every link a body."""
     moved = inertial.copy()
     moved[base.independent] += wanted - base.combine(inertial)
     fine = np.all(is_consistent(moved[: 10 * n].reshape(n, 10))) and np.all(moved[10 * n :] >= 0)
-    return moved if fine else inertial
+    return (moved, True) if fine else (inertial, False)
 
 
 def _sampled(model: RobotEstimator) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -139,22 +151,36 @@ def _range(model: RobotEstimator) -> tuple[FloatArray, FloatArray]:
     return low, np.where(np.isfinite(robot.q_max), robot.q_max, REACH_RAD)
 
 
-def _rigid_torque(
+def rigid_asked(
     model: RobotEstimator, motion: tuple[FloatArray, FloatArray, FloatArray]
-) -> FloatArray:
-    """(N, n) gravity and inertia of the model [N·m]."""
+) -> tuple[FloatArray, FloatArray]:
+    """Gravity alone, and all that the model says of bodies without friction, each (N, n) [N·m].
+
+    Raises:
+        FitError: It does not tell them from the rest.
+    """
     parts = _asked(model, np.arange(len(motion[0])) / FRICTION_HZ, *motion).components
     if not {"gravity", "inertia"} <= parts.keys():
         raise FitError(
             f"{model.estimator} does not tell gravity and inertia apart, so there are no links",
-            hint="export a rigid-body model",
+            hint="export a rigid-body model; of other models --to json writes what they know",
         )
-    torque: FloatArray = (parts["gravity"] + parts["inertia"]) * model.torque_scale_
-    return torque
+    whole = sum(parts[name] for name in RIGID if name in parts)
+    return parts["gravity"] * model.torque_scale_, np.asarray(whole * model.torque_scale_)
 
 
 def plain_friction(model: RobotEstimator, hz: float = FRICTION_HZ) -> tuple[FloatArray, FloatArray]:
     """Coulomb and viscous friction (n,) that come nearest to the model's on a smooth motion."""
+    qd, torque = friction_asked(model, hz)
+    terms = np.stack(list(friction_terms(qd, SIGN_WIDTH).values()))
+    found = np.array(
+        [np.linalg.lstsq(terms[:, :, j].T, torque[:, j], rcond=None)[0] for j in range(qd.shape[1])]
+    )
+    return np.maximum(found[:, 0], 0.0), np.maximum(found[:, 1], 0.0)
+
+
+def friction_asked(model: RobotEstimator, hz: float) -> tuple[FloatArray, FloatArray]:
+    """A smooth motion's velocity, and the model's friction on it; zeros if it tells none."""
     t = np.arange(0.0, FRICTION_S, 1.0 / hz)
     low, high = _range(model)
     q, qd, qdd = np.zeros((3, len(t), model.robot_.n))
@@ -167,34 +193,12 @@ def plain_friction(model: RobotEstimator, hz: float = FRICTION_HZ) -> tuple[Floa
             qdd[:, j] -= size * w * w * np.sin(w * t)
     asked = _asked(model, t, q + (low + high) / 2, qd, qdd)
     friction = asked.components.get("friction")
-    if friction is None:
-        return np.zeros(model.robot_.n), np.zeros(model.robot_.n)
-    terms = np.stack(list(friction_terms(qd, SIGN_WIDTH).values()))
-    torque = friction * model.torque_scale_
-    found = np.array(
-        [np.linalg.lstsq(terms[:, :, j].T, torque[:, j], rcond=None)[0] for j in range(len(low))]
-    )
-    return np.maximum(found[:, 0], 0.0), np.maximum(found[:, 1], 0.0)
+    return qd, np.zeros_like(qd) if friction is None else friction * model.torque_scale_
 
 
 def _asked(
     model: RobotEstimator, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray
 ) -> Prediction:
     """The model's prediction for a motion as it is, nothing filtered, nothing mounted."""
-    effort = np.zeros_like(q)
-    columns = {"t": t, "q": q, "qd": qd, "effort": effort, "effort_f": effort}
-    columns |= {"q_f": q, "qd_f": qd, "qdd_f": qdd}
-    x, y, z = (float(value) for value in model.robot_.gravity_vector)
     physics: RobotEstimator = getattr(model, "base_", model)  # a network has no links
-    return physics.predict(
-        Dataset(
-            robot=model.robot_.name,
-            joint_names=model.joint_names_,
-            effort_kind="torque" if model.effort_kind_ == "torque" else "current",
-            columns=columns,
-            offsets=np.array([0, len(t)], dtype=np.int64),
-            conditions=(Conditions("sampled", "trajectory"),),
-            drive_gains=model.torque_scale_,
-            gravity=(x, y, z),
-        )
-    )
+    return physics.predict(motion_of(model, t, q, qd, qdd))

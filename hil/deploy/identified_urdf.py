@@ -2,123 +2,154 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hil.deploy.export.exported import require_new
+from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.identified_parameters import IdentifiedParameters, identified_parameters
+from hil.deploy.urdf_check import Miss, missed, require_near, words
 from hil.deploy.urdf_edit import edited
-from hil.deploy.urdf_text import dynamics, inertial, written
+from hil.deploy.urdf_text import dynamics, inertial, plain, written
 from hil.dynamics import RobotModel
+from hil.dynamics.robot_model import GRAVITY
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 
-EXACT = 1e-9
-"""Largest difference of what is read back, as a share of the largest torque."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UrdfExport:
-    """What was written.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class UrdfExport(Exported):
+    """What was written, beside what every export says.
 
     Attributes:
-        out: The file.
-        joint_names: Length n.
         found: The parameters in it.
-        round_trip: Largest torque difference of the file read back, as a share of the largest.
+        miss: Of the file read back, against the model.
         edited: Whether the robot's own URDF was edited, or one was made for it.
-        notes: For people.
+        turns: Which joints turn; the others slide.
     """
 
-    out: Path
-    joint_names: tuple[str, ...]
     found: IdentifiedParameters
-    round_trip: float
+    miss: Miss
     edited: bool
-    notes: tuple[str, ...]
+    turns: tuple[bool, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil export --to urdf --json`."""
+        """The contract of `hil export --to urdf --json`: every export's, and what is in the file.
+
+        Of joints that slide, what is in N·m is in N, and what is in N·m·s/rad in N·s/m.
+        """
         n = len(self.joint_names)
         bodies = self.found.inertial[: 10 * n].reshape(n, 10)
-        return {
-            "out": str(self.out),
+        return Exported.to_dict(self) | {
             "edited": self.edited,
             "own_parameters": self.found.own,
-            "joint_names": list(self.joint_names),
+            "exact": self.found.exact,
+            "joint_types": ["revolute" if turns else "prismatic" for turns in self.turns],
             "mass_kg": bodies[:, 0].tolist(),
             "com_m": (bodies[:, 1:4] / bodies[:, :1]).tolist(),
             "rotor_inertia_kgm2": self.found.inertial[10 * n :].tolist(),
             "coulomb_nm": self.found.coulomb.tolist(),
             "viscous_nms_rad": self.found.viscous.tolist(),
             "mismatch_nm": self.found.mismatch.tolist(),
-            "round_trip": self.round_trip,
-            "notes": list(self.notes),
+            "rigid_miss": self.miss.rigid.tolist(),
+            "friction_miss": self.miss.friction.tolist(),
         }
 
 
-def export_urdf(model: RobotEstimator, out: Path) -> UrdfExport:
-    """Write the arm of a fitted model as a URDF, and read it back.
+def export_urdf(model: RobotEstimator, out: Path, *, unchecked: bool = False) -> UrdfExport:
+    """Write the arm of a fitted model as a URDF that, read back, has the model's torques.
 
     Args:
         model: With a rigid part; loads are not part of it.
         out: The file to be made.
+        unchecked: Write it although what is read back is not near the model; it is still said by
+            how much.
 
     Raises:
-        FitError: The model has no rigid part, or what is read back is not what was written.
+        FitError: The model has no rigid part, one that no URDF can say, or what is read back is not
+            near what the model says.
         PluginError: Consistent parameters have to be found and cvxpy is not installed.
-        RecordingError: The file exists already.
+        RecordingError: The file exists already, or cannot be made.
     """
     require_new(out)
-    robot, found = model.robot_, identified_parameters(model)
-    own = robot.arm is None
-    if own:
-        parts = range(robot.n)
-        content = edited(
-            Path(robot.name).read_bytes(),
-            {robot.joint_names[j]: inertial(found.inertial[10 * j : 10 * j + 10]) for j in parts},
-            {robot.joint_names[j]: dynamics(found, j) for j in parts},
-        )
-    else:
-        content = written(robot, found, f"identified: {model.estimator}").encode()
-    draft = out.with_name(f".{out.stem}.{os.getpid()}.urdf")
-    try:
+    robot = model.robot_
+    _require_joints(robot)
+    found = identified_parameters(model)
+    content = _content(model, found)
+    with tempfile.TemporaryDirectory() as folder:
+        draft = Path(folder, "arm.urdf")
         draft.write_bytes(content)
-        difference = _read_back(draft, robot, found)
-        draft.replace(out)
-    finally:
-        draft.unlink(missing_ok=True)
-    return UrdfExport(out, robot.joint_names, found, difference, own, _notes(robot, found, own))
+        miss = missed(draft, model)
+    if not unchecked:
+        require_near(miss, found, robot.joint_names)
+    write_file(content, out)
+    own = robot.arm is None
+    made = "the robot's own URDF, edited" if own else "made from the built-in arm"
+    return UrdfExport(
+        out=out,
+        files=(out.name,),
+        joint_names=robot.joint_names,
+        effort_unit="",
+        parts=f"{model.estimator}, {made}",
+        checked=words(miss, found),
+        notes=_notes(robot, found, own),
+        found=found,
+        miss=miss,
+        edited=own,
+        turns=tuple(bool(turns) for turns in robot.joint_geometry().turns),
+    )
 
 
-def _read_back(path: Path, robot: RobotModel, found: IdentifiedParameters) -> float:
-    """Largest torque difference as a share of the largest torque.
+def _require_joints(robot: RobotModel) -> None:
+    """Refuse motors that move more than one joint.
 
     Raises:
-        FitError: It is more than rounding.
+        FitError: It is such an arm.
     """
-    again = RobotModel.from_urdf(
-        path, gravity=robot.gravity_vector.tolist(), flange=str(robot.to_dict()["flange"])
-    )
-    motion = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 50, robot.n))
-    wanted = (robot.regressor(*motion, rotor=True) @ found.inertial).reshape(50, robot.n)
-    difference = np.max(np.abs(again.inverse_dynamics(*motion) - wanted)) / np.max(np.abs(wanted))
-    if not difference < EXACT:
+    if getattr(robot, "joints_per_motor", None) is not None:
         raise FitError(
-            f"the URDF read back has other torques, by {difference:.1g} of the largest",
-            hint="is the robot's URDF one that hil reads as it is? Please report this",
+            f"{robot.name} is told in the angles of its motors, some of which move two joints; a "
+            "URDF knows joints with a rotor and a friction of their own",
+            hint="take --to json, which has `joints_per_motor`, or fit the arm in its joints: "
+            f"robot: {robot.name.split('@')[0]}",
         )
-    return float(difference)
+
+
+def _content(model: RobotEstimator, found: IdentifiedParameters) -> bytes:
+    robot = model.robot_
+    if robot.arm is not None:
+        comment = " ".join([f"identified: {model.estimator}.", *_mount(robot)])
+        return written(robot, found, comment).encode()
+    parts = range(robot.n)
+    content = edited(
+        Path(robot.name).read_bytes(),
+        {robot.joint_names[j]: inertial(found.inertial[10 * j : 10 * j + 10]) for j in parts},
+        {robot.joint_names[j]: dynamics(found, j) for j in parts},
+    )
+    for words_ in _mount(robot):
+        before, end, behind = content.rpartition(b"</robot>")
+        content = before + f"<!-- {plain(words_)} -->\n".encode() + end + behind
+    return content
+
+
+def _mount(robot: RobotModel) -> tuple[str, ...]:
+    """How the arm is mounted, which no word of URDF says; nothing if upright."""
+    if np.allclose(robot.gravity_vector, GRAVITY, atol=1e-9):
+        return ()
+    x, y, z = (float(one) for one in robot.gravity_vector)
+    told = f"({x:.6g}, {y:.6g}, {z:.6g}) m/s2"
+    return (f"URDF has no gravity: set {told} in the base frame after loading",)
 
 
 def _notes(robot: RobotModel, found: IdentifiedParameters, own: bool) -> tuple[str, ...]:
-    notes = list(found.notes)
+    notes = [*found.notes, *_mount(robot)]
     if np.any(found.inertial[10 * robot.n :] > 0):
         notes.append("rotor inertias are in armature=…, which is no URDF: hil reads it, others not")
+    if not np.all(robot.joint_geometry().turns):
+        notes.append("of joints that slide, torques are forces [N] and damping is in N·s/m")
     if own:
         notes.append("paths of meshes are as they were: keep the file beside the original")
     return tuple(notes)

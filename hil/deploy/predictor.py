@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from hil.deploy.compiled import CompiledProgram
 from hil.deploy.export.c_build import compiler
-from hil.errors import FitError
+from hil.deploy.export.reading import NotExported
+from hil.deploy.sample import as_sample, require_within
+from hil.errors import FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
 from hil.typing import FloatArray
@@ -13,8 +15,9 @@ from hil.typing import FloatArray
 class Predictor:
     """What a model says of each sample of a motion, as it comes.
 
-    Where a C compiler is found and the model is of a kind that is exported, it is machine code and
-    allocates nothing in steady state; else it is the model's own stream, slower and without parts.
+    Where a C compiler is found and the model is of a kind that is exported, it is machine code that
+    was compared with the model, and allocates nothing in steady state; else it is the model's own
+    stream, slower and without parts. It has one state, so it belongs to one thread at a time.
     Friction and networks remember: feed every sample, at the rate of the training.
 
     Args:
@@ -26,8 +29,11 @@ class Predictor:
         compiled: Which it is.
 
     Raises:
-        FitError: `compiled` is asked for, and the model is of a kind that is not exported.
-        PluginError: `compiled` is asked for, and there is no C compiler.
+        FitError: The program does not compile or agree with the model, or `compiled` is asked for
+            and the model is of a kind that is not exported.
+        PluginError: The compiler makes nothing that runs here, or `compiled` is asked for and
+            there is none.
+        SpecError: `model` is no model (but perhaps its path), or `payload` is no `Payload`.
     """
 
     def __init__(
@@ -37,6 +43,8 @@ class Predictor:
         *,
         compiled: bool | None = None,
     ) -> None:
+        _require(isinstance(model, RobotEstimator), "model", model, "load_model_file(folder)")
+        _require(isinstance(payload, Payload | None), "payload", payload, "Payload(1.5)  # kg")
         self._model, self._load = model, payload or Payload()
         self._program = _program(model, compiled)
         self.compiled = self._program is not None
@@ -56,10 +64,12 @@ class Predictor:
         Of a compiled predictor the same array comes back every time: copy what is to stay.
 
         Raises:
-            DataError: An input is not one number per joint, or, compiled, not finite.
+            DataError: An input is not one finite number per joint, or beyond 1e6.
         """
         if self._program is None:
-            return self._stream.step(q, qd, qdd)
+            sample = as_sample(self._model.robot_.n, q, qd, qdd)
+            require_within(sample)
+            return self._stream.step(*sample)
         return self._program.step(q, qd, qdd)
 
     def explain(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> dict[str, FloatArray]:
@@ -78,12 +88,19 @@ class Predictor:
         return self._program.parts
 
 
+def _require(right: bool, name: str, given: object, example: str) -> None:
+    if not right:
+        raise SpecError(
+            f"{name} is {given!r:.80}, a {type(given).__name__}", hint=f"for example: {example}"
+        )
+
+
 def _program(model: RobotEstimator, compiled: bool | None) -> CompiledProgram | None:
     if compiled is False or (compiled is None and compiler() is None):
         return None
     try:
         return CompiledProgram(model)
-    except FitError:
+    except NotExported:
         if compiled:
             raise
         return None

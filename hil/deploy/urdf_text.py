@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.deploy.identified_parameters import IdentifiedParameters
 from hil.dynamics import RobotModel
-from hil.dynamics.inertial import PARAMETERS, skew
+from hil.dynamics.inertial import about_centre
 from hil.typing import FloatArray
 
 UNLIMITED = 1e9
@@ -21,7 +21,7 @@ def written(robot: RobotModel, found: IdentifiedParameters, comment: str) -> str
     """The URDF of a robot that has none of its own."""
     geometry = robot.joint_geometry()
     links = ["base_link", *(_link_name(name) for name in robot.joint_names)]
-    lines = ['<?xml version="1.0"?>', f"<!-- {_plain(comment)} -->"]
+    lines = ['<?xml version="1.0"?>', f"<!-- {plain(comment)} -->"]
     lines += [f"<robot name={quoteattr(robot.name)}>", f"  <link name={quoteattr(links[0])}/>"]
     pose = np.eye(4)
     for j, joint in enumerate(robot.joint_names):
@@ -46,11 +46,7 @@ def written(robot: RobotModel, found: IdentifiedParameters, comment: str) -> str
 
 def inertial(body: FloatArray) -> str:
     """`<inertial>` of ten parameters about the link's origin."""
-    assert len(body) == len(PARAMETERS)
-    m, com = float(body[0]), body[1:4] / body[0]
-    xx, xy, yy, xz, yz, zz = body[4:]
-    S = skew(com)
-    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + m * S @ S  # noqa: E741
+    m, com, I = about_centre(body)  # noqa: E741
     names = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2))
     told = " ".join(f'{name}="{_number(I[i, j])}"' for name, i, j in (*names, ("izz", 2, 2)))
     return (
@@ -122,6 +118,6 @@ def _number(value: float) -> str:
     return repr(float(value) + 0.0)
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Text as a comment may hold it."""
     return text.replace("--", "- -")

@@ -28,6 +28,18 @@ def body_parameters(mass: float, com: ArrayLike, inertia: ArrayLike) -> FloatArr
     return _pack(mass, mass * np.asarray(com, dtype=np.float64), about_origin)
 
 
+def about_centre(body: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Inverse of `body_parameters`: mass, its centre (3,) and the inertia (3, 3) about that.
+
+    Args:
+        body: (10,) parameters about the frame's origin; with mass.
+    """
+    mass, h, inertia = _unpack(body)
+    com = h / mass
+    S = skew(com)
+    return mass, com, inertia + mass * S @ S
+
+
 def payload_parameters(payload: Payload) -> FloatArray:
     """(10,) parameters of a load about the origin of the flange frame."""
     return body_parameters(payload.mass, payload.com, payload_inertia(payload))

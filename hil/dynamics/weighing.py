@@ -20,6 +20,9 @@ GAIN_SHARE = 0.05
 """Standard deviation of a drive gain from its nominal value; motor constants of one type of drive
 are toleranced by a few percent."""
 
+CALIBRATED_SHARE = 0.01
+"""That of one which was measured on the arm itself."""
+
 UNDETERMINED = 1e-6
 """Directions of the first moment with less than this share of the best one's information do not
 show at these poses."""

@@ -17,6 +17,7 @@ from hil.data.parts import rows_to_fit
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.dynamics.regressor import COMPILED_FROM
+from hil.dynamics.same_robot import may_be
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.parameters import Parametrised, require_known
 from hil.identify.training import Training
@@ -45,7 +46,7 @@ class RobotEstimator(Parametrised):
         joint_names_: Joints, in the order of every array.
         effort_kind_: `current` or `torque`, the unit of predictions.
         torque_scale_: (n,) torque per unit of effort; 1 when the effort is a torque.
-        gains_source_: Where the drive gains come from.
+        gains_source_: Where the drive gains come from; empty without.
         sigma_: (n,) standard deviation of the training residual, in effort units.
         samples_: Rows (or dwells) the fit used.
         training_: What the model remembers of its training data; None in older model files.
@@ -118,7 +119,7 @@ class RobotEstimator(Parametrised):
         self.joint_names_ = dataset.joint_names
         self.effort_kind_ = dataset.effort_kind
         self.torque_scale_ = scale
-        self.gains_source_ = dataset.drive_gains_source
+        self.gains_source_ = "" if dataset.drive_gains is None else dataset.drive_gains_source
         self.training_ = Training.of(dataset)
 
     def _restore_common(self, arrays: dict[str, FloatArray], facts: dict[str, Any]) -> None:
@@ -135,10 +136,16 @@ class RobotEstimator(Parametrised):
 
         Raises:
             FitError: It is not fitted yet.
-            DataError: The data are of another robot, unit or gravity.
+            DataError: The data are of another robot, unit or gravity; those that do not say
+                their robot pass.
         """
         if not hasattr(self, "sigma_"):
             raise FitError(f"{self.estimator} is not fitted yet", hint="call fit first")
+        if not may_be(dataset.robot, self.robot_):
+            raise DataError(
+                f"the model is of a {self.robot_.name}, the data are of a {dataset.robot}",
+                hint="use a model that was fitted to recordings of the same type of robot",
+            )
         if dataset.joint_names != self.joint_names_:
             raise DataError(
                 f"the model is for the joints {', '.join(self.joint_names_)}, "

@@ -6,6 +6,18 @@ import numpy as np
 
 from hil.typing import FloatArray
 
+KEPT = "as declared before"
+"""Said of joints whose gain was not found."""
+
+
+CALIBRATED = ("calibrated with ", "the controller's current per torque ")
+"""What the sources begin with that `hil gains` writes."""
+
+
+def calibrated(source: str) -> bool:
+    """Whether gains of this source were all measured on the arm itself."""
+    return source.startswith(CALIBRATED) and KEPT not in source
+
 
 def gain_lines(
     names: tuple[str, ...],
@@ -29,7 +41,7 @@ def gain_lines(
         return []
     kept = gain if declared is None else declared
     values = np.where([not reason for reason in reasons], gain, kept)
-    source += f"; {', '.join(other)} as declared before" if other else ""
+    source += f"; {', '.join(other)} {KEPT}" if other else ""
     told = ", ".join(f"{value:.3f}" for value in values)
     return [f"drive_gains_nm_a: [{told}]", f'drive_gains_source: "{source}"']
 

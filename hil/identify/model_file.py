@@ -17,13 +17,13 @@ import numpy as np
 
 from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator, estimator
+from hil.identify.model_folder import MODEL_FILE, only_model
 from hil.identify.robot_file import URDF_FILE, restore_robot, store_robot
 from hil.identify.sound import require_sound, text
 from hil.identify.training import ROWS_ARRAY, Training
 from hil.typing import FloatArray
 
 MODEL_FORMAT = 1
-MODEL_FILE = "model.json"
 ARRAYS_FILE = "model.safetensors"
 
 
@@ -70,13 +70,18 @@ def model_files(model: RobotEstimator) -> dict[str, bytes]:
     return files | {MODEL_FILE: json_bytes(document)}
 
 
-def load_model_file(folder: Path) -> RobotEstimator:
+def load_model_file(folder: str | Path) -> RobotEstimator:
     """The model a folder holds, ready to predict.
 
+    Args:
+        folder: Of the model, or a run with just one.
+
     Raises:
-        DataError: Files are missing or damaged, or were written by a newer hil.
+        DataError: Files are missing or damaged, were written by a newer hil, or the run has
+            several models.
         PluginError: The estimator it was made with is not installed.
     """
+    folder = only_model(Path(folder))
     document = _read_document(folder / MODEL_FILE)
     arrays = _read_arrays(folder / ARRAYS_FILE, str(document.get("arrays_sha256", "")))
     try:
@@ -138,8 +143,7 @@ def _read_document(path: Path) -> dict[str, Any]:
         document = json.loads(path.read_bytes())
     except OSError as error:
         raise DataError(
-            f"{path.parent} is no model folder: cannot read {path.name}: {error.strerror}",
-            hint="name a folder such as RUN/fit/rigid-hysteresis-… or models/rigid-hysteresis-…",
+            f"cannot read {path}: {error.strerror}", hint="see whether you may read it"
         ) from error
     except (ValueError, RecursionError) as error:
         raise DataError(

@@ -74,6 +74,8 @@ class Declaration:
         findings: What contradicts it; empty when nothing does.
         trusted: Whether the gains of other loads are judged by it.
         mount_observable: Whether a tool turned half about the flange's axis would show.
+        gains: (n,) shares by which the drive gains are above the model's, as the trusted loads
+            beside this one tell; zeros without any.
     """
 
     declared: Payload
@@ -82,6 +84,7 @@ class Declaration:
     findings: tuple[Finding, ...]
     trusted: bool
     mount_observable: bool
+    gains: FloatArray
 
     @property
     def agrees(self) -> bool:
@@ -118,7 +121,8 @@ class _Case:
     def __init__(
         self, declared: Payload, estimate: PayloadEstimate, false_alarm: float, floor: Floor
     ) -> None:
-        self.declared, self.by_gain = declared, estimate.by_gain
+        self.declared = declared
+        self.by_gain = estimate.by_gain * (estimate.unit == "A")  # torques have no gains
         self.values = estimate.values
         self.off = estimate.values - (0.0 if declared.is_empty else true_values(declared))
         tail = false_alarm / (2 * len(self.values))
@@ -136,7 +140,7 @@ class _Case:
         limit = self.reach * np.sqrt(np.diag(covariance))
         return Declaration(
             self.declared, found, limit, findings(self.declared, found, limit), trusted,
-            mount_observable(self.declared, limit),
+            mount_observable(self.declared, limit), gains,
         )  # fmt: skip
 
     def agrees(self, others: Sequence[_Case]) -> bool:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hil.data.prediction import Prediction
+from hil.identify.clustered import interval
 from hil.payload import Payload
 from hil.typing import FloatArray
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))
 KEYS = ("mass_kg", "com_m", "inertia_kgm2")
+LEVEL = 0.95
 
 MASS_SHARE = 0.05
 """A mass is well determined when its 95 % interval reaches no further than this share of it."""
@@ -53,9 +55,11 @@ class PayloadEstimate:
     centre of mass along the flange's axes.
 
     Attributes:
-        payload: The load: always one that positive masses can make.
-        values: (10,) the same as numbers.
-        std_error: (10,) standard errors, given the form of the model and its drive gains.
+        payload: The load: always one that positive masses can make. Of an arm at rest a point mass,
+            coordinates that do not show being 0; nothing where no load shows.
+        values: (10,) the same as numbers; NaN for what does not show at rest.
+        std_error: (10,) standard errors, given the form of the model and its drive gains; at rest
+            with the errors of both.
         interval: (10, 2) 95 % intervals of Student's t by blocks of time.
         covariance: (10, 10) of the values, whose diagonal `std_error` squares.
         degrees: (10,) of Student's t.
@@ -66,12 +70,16 @@ class PayloadEstimate:
         without: (n,) the same with nothing at the flange.
         unit: `A` or `N·m`, of the residuals.
         joint_names: Length n.
-        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`.
+        friction: What of the model's friction was freed: `model` (nothing), `offset`, `scale`; or
+            `rest`, where two approaches cancel it.
         correction: By how much, zeros where it was not.
-        samples: Rows used.
-        blocks: Blocks of time that counted as independent.
+        samples: Rows used; at rest, poses.
+        blocks: Blocks of time that counted as independent; at rest, poses.
         bounded: Whether the recording alone would have had a body that cannot be; the errors are
             those without that knowledge.
+        gain_share: Standard deviation of a drive gain that the errors know of, as a share of it.
+        other_arm: What speaks against believing it at all: the recording is of another individual
+            than the model.
         notes: For people.
     """
 
@@ -92,6 +100,22 @@ class PayloadEstimate:
     blocks: int
     bounded: bool
     notes: tuple[str, ...] = ()
+    gain_share: float = 0.0
+    other_arm: str = ""
+
+    def with_gains(self, share: float) -> PayloadEstimate:
+        """The same with errors that know of the gains, independent from joint to joint.
+
+        Args:
+            share: Standard deviation of a drive gain [share of it]. Torques have no gains.
+        """
+        gains = share if self.unit == "A" else 0.0
+        covariance = self.covariance + gains**2 * self.by_gain @ self.by_gain.T
+        error = np.sqrt(np.diag(covariance))
+        ends = interval(self.values, error, self.degrees, LEVEL)
+        return replace(
+            self, covariance=covariance, std_error=error, interval=ends, gain_share=gains
+        )
 
     @property
     def determined(self) -> dict[str, bool]:
@@ -110,13 +134,14 @@ class PayloadEstimate:
         return {
             "payload": {
                 "mass_kg": self.payload.mass,
-                "com_m": list(self.payload.com),
-                "inertia_kgm2": list(self.payload.inertia),
+                "com_m": _numbers(self.values[1:4]),
+                "inertia_kgm2": _numbers(self.values[4:]),
             },
             "parameters": [
                 {
-                    "name": name, "unit": unit, "value": float(value), "std_error": float(error),
-                    "interval_95": [float(end) for end in ends], "determined": known[name],
+                    "name": name, "unit": unit, "value": _number(value),
+                    "std_error": _number(error), "interval_95": _numbers(ends),
+                    "determined": known[name],
                 }
                 for name, unit, value, error, ends in rows
             ],
@@ -132,5 +157,16 @@ class PayloadEstimate:
             "samples": self.samples,
             "blocks": self.blocks,
             "bounded": self.bounded,
+            "gain_share": self.gain_share,
+            "other_arm": self.other_arm,
             "notes": list(self.notes),
         }  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    """JSON has no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _numbers(values: FloatArray) -> list[float | None]:
+    return [_number(value) for value in values]

@@ -67,10 +67,8 @@ def estimate_payload(
         DataError: It is of another robot or unit than the model, or of several loads.
         SpecError: There is no such way to treat friction.
     """
-    known = ("auto", *get_args(Friction))
-    if friction not in known:
-        raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
-    _require_one_load(dataset)
+    require_friction(friction)
+    require_one_load(dataset)
     require_clean(dataset, ("t", "q", "effort"))
     require_motion(dataset)
     if friction == "auto":
@@ -79,7 +77,23 @@ def estimate_payload(
     return _told(problem, _settled(problem))
 
 
-def _require_one_load(dataset: Dataset) -> None:
+def require_friction(friction: str) -> None:
+    """Refuse what is no way to treat friction.
+
+    Raises:
+        SpecError: It is none.
+    """
+    known = ("auto", *get_args(Friction))
+    if friction not in known:
+        raise SpecError(f"friction is {friction!r}, but must be one of {', '.join(known)}")
+
+
+def require_one_load(dataset: Dataset) -> None:
+    """Refuse recordings made with several loads.
+
+    Raises:
+        DataError: They were.
+    """
     loads = {(condition.load, condition.payload) for condition in dataset.conditions}
     if len(loads) > 1:
         masses = ", ".join(f"{load.mass:g}" for _, load in sorted(loads, key=lambda one: one[0]))

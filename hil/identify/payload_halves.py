@@ -55,14 +55,14 @@ def payload_halves(
         dataset: Loaded recording, as measured (not yet filtered).
         friction: As in `estimate_payload`.
     """
-    first, near = _halves(dataset)
+    first, near = halves(dataset)
     return (
         _tested("first", model, dataset, first & ~near, ~first, friction),
         _tested("second", model, dataset, ~first & ~near, first, friction),
     )
 
 
-def _halves(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
+def halves(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
     """(N,) which rows are in the first half of their series, and which are near the cut."""
     first, near = np.zeros(len(dataset), dtype=bool), np.zeros(len(dataset), dtype=bool)
     for _, rows in dataset.slices():

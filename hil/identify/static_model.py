@@ -52,6 +52,12 @@ class StaticModel(WlsEstimator):
         """`honest`, or with `current_term` that the target is among the inputs."""
         return PAPER_PROTOCOL if self.current_term else HONEST
 
+    @property
+    def knows_gains(self) -> bool:
+        """Whether torques are in N·m: gains of 1 that come from nowhere stand for none."""
+        without = not self.gains_source_ and bool(np.all(self.torque_scale_ == 1.0))
+        return self.effort_kind_ == "torque" or not without
+
     def _dwells(self, dataset: Dataset, robot: RobotModel) -> Dataset:
         """The dwells to fit to, or the stays found in motions without a plan; sets the regressor.
 
@@ -126,8 +132,7 @@ class StaticModel(WlsEstimator):
 
     def _require_gains(self, loaded: bool) -> None:
         """A load adds a torque; without gains nobody knows how much current that is."""
-        unknown = self.effort_kind_ == "current" and bool(np.all(self.torque_scale_ == 1.0))
-        if loaded and unknown:
+        if loaded and not self.knows_gains:
             raise FitError(
                 "a load is mounted, but the model was fitted to currents without drive gains",
                 hint="fit again on data that say their drive gains",

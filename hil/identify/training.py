@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.fingerprints import Sketch
+from hil.payload import Payload
 from hil.typing import FloatArray
 
 ROWS_ARRAY = "training_rows"
@@ -27,6 +28,7 @@ class Training:
         effort_std: (n,) standard deviation of the effort, the scale for NRMSE.
         rows: Fingerprints of the samples.
         serial: Serial number of the robot; empty when nobody said.
+        payloads: The loads declared; None in older model files.
     """
 
     sources: tuple[str, ...]
@@ -34,6 +36,7 @@ class Training:
     effort_std: FloatArray
     rows: Sketch
     serial: str = ""
+    payloads: tuple[Payload, ...] | None = None
 
     @staticmethod
     def of(dataset: Dataset) -> Training:
@@ -41,7 +44,9 @@ class Training:
         paths = dict.fromkeys(condition.source for condition in dataset.conditions)
         names = tuple(Path(path).name for path in paths if path)
         std = np.asarray(np.std(dataset["effort"], axis=0))
-        return Training(names, len(dataset), std, Sketch.of(dataset))
+        loads = tuple(dict.fromkeys(condition.payload for condition in dataset.conditions))
+        rows = Sketch.of(dataset)
+        return Training(names, len(dataset), std, rows, payloads=loads)
 
     def facts(self) -> dict[str, Any]:
         """For `model.json`; the fingerprints go into its arrays."""
@@ -49,6 +54,8 @@ class Training:
             "sources": list(self.sources),
             "samples": self.samples,
             "serial": self.serial,
+            "payloads": self.payloads
+            and [[load.mass, *load.com, *load.inertia] for load in self.payloads],
             "effort_std": self.effort_std,
             "every_row_kept": self.rows.complete,
         }
@@ -60,10 +67,18 @@ class Training:
         Raises:
             KeyError, TypeError, ValueError: Something is missing or garbled.
         """
+        loads = facts.get("payloads")
         return Training(
             tuple(facts["sources"]),
             int(facts["samples"]),
             np.array(facts["effort_std"], dtype=np.float64),
             Sketch(np.asarray(arrays[ROWS_ARRAY]), bool(facts["every_row_kept"])),
             str(facts["serial"]),
+            None if loads is None else tuple(_load(numbers) for numbers in loads),
         )
+
+
+def _load(numbers: Sequence[float]) -> Payload:
+    mass, x, y, z, *inertia = (float(number) for number in numbers)
+    xx, yy, zz, xy, xz, yz = inertia
+    return Payload(mass, (x, y, z), (xx, yy, zz, xy, xz, yz))

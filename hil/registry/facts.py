@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, RegistryError
-from hil.identify.model_file import MODEL_FILE
+from hil.identify.model_folder import MODEL_FILE
 from hil.record.files import read_json, sha256_of
 from hil.record.provenance import package_versions, source_revision
 from hil.validation import EVALUATION_FILE

@@ -8,6 +8,7 @@ from typing import Any
 from hil.report.blocks import Block, Cell, Column, Facts, Section, Table, cells, items
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import RunFacts
+from hil.report.load_names import load_name
 from hil.report.words import duration, in_words, number
 
 MOST_EVENTS = 200
@@ -22,7 +23,7 @@ def timeline(facts: RunFacts) -> Section:
     shown = [event for event in facts.events if event.get("kind") not in ROUTINE]
     begin = as_float(facts.events[0].get("t")) if facts.events else float("nan")
     columns = tuple(Column(title, number=False) for title in ("after", "event", "details"))
-    rows = tuple(_event(event, begin) for event in shown[:MOST_EVENTS])
+    rows = tuple(_event(facts, event, begin) for event in shown[:MOST_EVENTS])
     left_out = [f"{len(facts.events_of(kind))} × {kind}" for kind in ROUTINE]
     note = f"Not listed: {', '.join(left_out)}. Times are wall time."
     if len(shown) > MOST_EVENTS:
@@ -56,9 +57,12 @@ def provenance(facts: RunFacts) -> Section:
     return Section("provenance", "Provenance", "", (*blocks, packages), folded=True)
 
 
-def _event(event: Document, begin: float) -> tuple[Cell, ...]:
+def _event(facts: RunFacts, event: Document, begin: float) -> tuple[Cell, ...]:
     after = duration(as_float(event.get("t")) - begin)
-    details = ", ".join(f"{k}: {in_words(v)}" for k, v in event.items() if k not in GIVEN_ONCE)
+    told = dict(event)
+    if isinstance(told.get("load"), int):
+        told["load"] = load_name(facts, told["load"])
+    details = ", ".join(f"{k}: {in_words(v)}" for k, v in told.items() if k not in GIVEN_ONCE)
     kind = str(event.get("kind"))
     return Cell(after), Cell(kind, "fail" if kind == "trip" else ""), Cell(details or "–")
 
@@ -111,7 +115,7 @@ def _robot(facts: RunFacts) -> Mapping[str, Any]:
 
 def _loads(loads: Any) -> Table:
     columns = (
-        Column("load", number=False),
+        Column("number in the spec", number=False),
         Column("mass [kg]"),
         Column("centre of mass [m]"),
         Column("asked of the operator", number=False),

@@ -139,13 +139,22 @@ Block: TypeAlias = Table | Plots | Facts | Notes | Paragraphs
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page with a heading; `folded` ones open on a click (and in print)."""
+    """A part of the page with a heading; `folded` ones open on a click (and in print).
+
+    In the list of contents it is `short`, by default its title; empty for what has no entry there.
+    """
 
     id: str
     title: str
     lead: str = ""
     blocks: tuple[Block, ...] = ()
     folded: bool = False
+    short: str | None = None
+
+    @property
+    def entry(self) -> str:
+        """What the list of contents calls it."""
+        return self.title if self.short is None else self.short
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from hil.report.documents import (
 )
 from hil.report.fit_facts import FitFacts, best_first, read_fits
 from hil.report.interrupted import recorded_by
+from hil.report.load_criteria import with_load_criteria
 from hil.report.soundness import is_known, plan_of, torn
 from hil.report.study_facts import StudyFacts, read_studies
 from hil.spec.load import load_spec
@@ -162,6 +163,17 @@ class RunFacts:
         return best_first(self.fits)
 
     @property
+    def listed_fits(self) -> tuple[FitFacts, ...]:
+        """The same in the order of the spec, the one order of a page; others come last."""
+        wanted = self.estimators_wanted
+
+        def place(fit: FitFacts) -> tuple[bool, int]:
+            named = fit.estimator in wanted
+            return not fit.is_honest, wanted.index(fit.estimator) if named else len(wanted)
+
+        return tuple(sorted(self.judged_fits, key=place))
+
+    @property
     def estimators_wanted(self) -> tuple[str, ...]:
         """What the spec asks to be fitted."""
         return tuple(str(fit.get("estimator")) for fit in as_objects(self.spec.get("fit")))
@@ -217,6 +229,7 @@ def read_facts(path: Path) -> RunFacts:
     plan_document, plan = plan_of(path / "plan.json", problems)
     whole = is_known(path / "start.json", start, problems) and plan is not None
     stop = document(path / name_of_attempt("stop.json", run.attempts - 1), problems)
+    verdict = document(path / "verdict.json", problems)
     rate_hz = as_float(as_object(start.get("robot")).get("rate_hz") or plan_document.get("rate_hz"))
     status = _status(run, problems)
     problems += torn(run)
@@ -229,11 +242,11 @@ def read_facts(path: Path) -> RunFacts:
         whole=whole,
         plan=plan_document,
         preflight=document(path / "preflight.json", problems),
-        verdict=document(path / "verdict.json", problems),
+        verdict=verdict,
         spec=yaml_document(path / "spec.yaml", problems),
         steps=as_objects(plan_document.get("steps")),
         events=_events(run, problems),
-        fits=read_fits(model_folders(path), problems),
+        fits=with_load_criteria(read_fits(model_folders(path), problems), verdict),
         studies=read_studies(path, problems),
         problems=tuple(problems),
     )

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.report import colours
 from hil.report.decimate import Shown, binned, decimated, in_parts, summarised, thinned
+from hil.report.study_curves import look
 from hil.report.traces import Trace, attempts, axes, band, corner, line, markers, span
 from hil.typing import FloatArray, IntArray
 
@@ -158,9 +159,9 @@ def rmse_bars(
     """RMSE per joint, one group of bars per joint, one bar per estimator; named ticks across."""
     traces: list[Trace] = []
     names = [escape(joint) for joint in joints]
-    patterns = ("", "/", "x", ".", "\\", "+")
     for i, (name, rmse) in enumerate(values.items()):
-        marker = {"color": colours.JOINTS[i % 6], "pattern": {"shape": patterns[i % 6]}}
+        own = look(i)
+        marker = {"color": own.colour, "pattern": {"shape": own.pattern}}
         traces.append(
             {"type": "bar", "name": escape(name), "x": names, "y": rmse, "marker": marker}
         )

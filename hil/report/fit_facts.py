@@ -31,6 +31,7 @@ class FitFacts:
         label: The name, with the source where the model was judged on several.
         evaluation: Content of `evaluation.json`, empty when it was not evaluated.
         model: Content of `model.json`.
+        under_loads: Rows of its run's verdict about loads.
     """
 
     folder: Path
@@ -38,6 +39,12 @@ class FitFacts:
     label: str
     evaluation: Document
     model: Document
+    under_loads: Sequence[Document] = ()
+
+    @property
+    def estimator(self) -> str:
+        """As registered."""
+        return _estimator_of(self.folder)
 
     @property
     def protocol(self) -> str:

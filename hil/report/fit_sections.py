@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from hil.report import fit_plots, fit_tables
 from hil.report.approach import approach_table
 from hil.report.blocks import Block, Facts, Section, items
 from hil.report.documents import as_float, as_object
-from hil.report.fit_facts import FitFacts
+from hil.report.fit_facts import FitFacts, best_first
 from hil.report.learning_curves import learning_plots
+from hil.report.load_criteria import criteria_under_loads
 from hil.report.predictions import Shown
-from hil.report.words import number
+from hil.report.words import in_words, number
 
 READING = (
     "RMSE raw compares the prediction with the signal as it was measured, RMSE filtered with the "
@@ -28,18 +30,23 @@ def model_sections(fits: Sequence[FitFacts], shown: Mapping[str, Shown]) -> list
     """The comparison, then every model; the best one is open, the others unfold on a click.
 
     Args:
-        fits: With held-out errors, best first.
+        fits: With held-out errors, in the order of the page.
         shown: Label → what can be drawn of it; models without get tables only.
     """
     if not fits:
         return []
-    overview = Section(
-        "models", "Models", READING, (fit_tables.comparison(fits), fit_plots.bars(fits))
+    blocks: list[Block] = [fit_tables.comparison(fits)]
+    if under_loads := criteria_under_loads(fits):
+        blocks.append(under_loads)
+    overview = Section("models", "Models", READING, (*blocks, fit_plots.bars(fits)))
+    best = best_first(fits)[0]
+    models = (
+        _model(i, fit, shown.get(fit.label), folded=fit is not best) for i, fit in enumerate(fits)
     )
-    return [overview, *(_model(i, fit, shown.get(fit.label)) for i, fit in enumerate(fits))]
+    return [overview, *models]
 
 
-def _model(i: int, fit: FitFacts, shown: Shown | None) -> Section:
+def _model(i: int, fit: FitFacts, shown: Shown | None, *, folded: bool) -> Section:
     blocks: list[Block] = [fit_tables.per_joint(fit)]
     if parts := fit_tables.parts(fit):
         blocks.append(parts)
@@ -56,14 +63,14 @@ def _model(i: int, fit: FitFacts, shown: Shown | None) -> Section:
     blocks.append(_about(fit))
     what = fit.held_out.get("what")
     lead = f"Judged on what the fit has not seen: {what}." if what else ""
-    return Section(f"model-{i + 1}", f"Model {fit.label}", lead, tuple(blocks), folded=i > 0)
+    return Section(f"model-{i + 1}", f"Model {fit.label}", lead, tuple(blocks), folded=folded)
 
 
 def _about(fit: FitFacts) -> Facts:
     fitted, settings = as_object(fit.model.get("fitted")), as_object(fit.model.get("parameters"))
     condition = as_float(fitted.get("condition"))
     said = {
-        "folder": fit.folder.name,
+        "folder": _place(fit.folder),
         "protocol": fit.protocol,
         "samples or dwells fitted": fitted.get("samples"),
         "condition number": number(condition) if condition == condition else None,
@@ -73,7 +80,13 @@ def _about(fit: FitFacts) -> Facts:
     return Facts("About this model", items(said))
 
 
-def _setting(value: Any) -> str:
+def _place(folder: Path) -> str:
+    """From its run: `fit/…`. A fit to files is in no run."""
+    return f"fit/{folder.name}" if folder.parent.name == "fit" else folder.name
+
+
+def _setting(value: Any) -> str | None:
+    """In words; None, which is left out, for what was left to the estimator."""
     if isinstance(value, dict):
-        return ", ".join(f"{name} {inner}" for name, inner in value.items())
-    return str(value)
+        value = {name: inner for name, inner in value.items() if inner is not None}
+    return None if value is None else in_words(value)

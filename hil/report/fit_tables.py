@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.report.blocks import Cell, Column, Table, cells
 from hil.report.documents import Document, as_float, as_object, as_objects
-from hil.report.fit_facts import FitFacts
+from hil.report.fit_facts import FitFacts, best_first
 from hil.report.words import UNKNOWN, criterion_text, joint_title, number, short_source
 
 HELD_OUT, TRAINED = "held out", "trained on"
@@ -32,10 +32,11 @@ def comparison(fits: Sequence[FitFacts]) -> Table:
         Column("fit time [s]"),
         Column("verdict", number=False),
     )
+    compared = any(fit.under_loads for fit in fits)
     table = Table(
-        f"Models, means over the joints [{fits[0].unit}], best on held-out data first",
+        f"Models, means over the joints [{fits[0].unit}]{_best_of(fits)}",
         columns,
-        tuple(_comparison_row(fit) for fit in fits),
+        tuple(_comparison_row(fit, compared) for fit in fits),
         "Only held-out errors say how good a model is. Errors on the data it was fitted to show "
         "how closely it can follow them; a large difference means it has learnt them by heart.",
     )
@@ -124,7 +125,12 @@ def _said(metric: str, value: float) -> str:
     return number(value)
 
 
-def _comparison_row(fit: FitFacts) -> tuple[Cell, ...]:
+def _best_of(fits: Sequence[FitFacts]) -> str:
+    """Which of several errs least on what it has not seen: the rows are in another order."""
+    return f"; least on held-out data: {best_first(fits)[0].label}" if len(fits) > 1 else ""
+
+
+def _comparison_row(fit: FitFacts, compared: bool) -> tuple[Cell, ...]:
     means = (
         fit.mean("rmse_raw"),
         fit.mean("rmse_filtered"),
@@ -134,16 +140,18 @@ def _comparison_row(fit: FitFacts) -> tuple[Cell, ...]:
         fit.mean("noise_floor"),
         as_float(fit.evaluation.get("seconds")),
     )
-    return (*cells(fit.label, *(number(value) for value in means)), _verdict_cell(fit))
+    return (*cells(fit.label, *(number(value) for value in means)), _verdict_cell(fit, compared))
 
 
-def _verdict_cell(fit: FitFacts) -> Cell:
-    if not fit.criteria:
-        return Cell("not judged", "quiet")
-    missed = sum(not row.get("passed") for row in fit.criteria)
+def _verdict_cell(fit: FitFacts, compared: bool) -> Cell:
+    """Of a model without criteria beside others with some: that it is there for comparison."""
+    rows = [*fit.criteria, *fit.under_loads]
+    if not rows:
+        return Cell("for comparison" if compared else "not judged", "quiet")
+    missed = sum(not row.get("passed") for row in rows)
     if missed:
-        return Cell(f"rejected, {missed} of {len(fit.criteria)} criteria missed", "fail")
-    return Cell(f"passed, {len(fit.criteria)} of {len(fit.criteria)} criteria met", "pass")
+        return Cell(f"rejected, {missed} of {len(rows)} criteria missed", "fail")
+    return Cell(f"passed, {len(rows)} of {len(rows)} criteria met", "pass")
 
 
 def _limits(criteria: Sequence[Document]) -> dict[str, dict[str, Document]]:
@@ -161,7 +169,10 @@ def _limit_cell(row: Document | None) -> Cell:
 
 
 def _group_row(group: Document) -> tuple[Cell, ...]:
-    return (Cell(str(group.get("by"))), *_part_row(short_source(str(group.get("name"))), group))
+    by, name = str(group.get("by")), short_source(str(group.get("name")))
+    if by == "load":  # `2: 3 kg`
+        name = name.partition(": ")[2] or name
+    return (Cell(by), *_part_row(name, group))
 
 
 def _part_row(name: str, errors: Document) -> tuple[Cell, ...]:

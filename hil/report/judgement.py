@@ -65,7 +65,15 @@ def next_command(facts: RunFacts, run: str) -> str:
         return f"hil fit {run} --estimator {wanted[0]}{_parameters_of_first(facts)}"
     if facts.status == "completed" and facts.studies_missing:
         return f"hil study {run}"
+    if facts.status == "completed" and not (wanted or facts.fits or facts.spec.get("study")):
+        weigh, fit = f"hil payload MODEL {run}", f"hil fit {run} --estimator rigid-wls"
+        return weigh if _stands(facts) else fit
     return ""
+
+
+def _stands(facts: RunFacts) -> bool:
+    """Whether the program is of poses, by its spec."""
+    return as_object(facts.spec.get("excitation")).get("kind") == "dwell"
 
 
 def _parameters_of_first(facts: RunFacts) -> str:
@@ -204,7 +212,12 @@ def _without_model(facts: RunFacts) -> str:
     if facts.start.get("passive"):
         return f"{done} Somebody else drove the robot; nothing was fitted yet."
     said = criteria_sentence(as_objects(facts.verdict.get("rows")))
-    return f"{done} The spec asks for no model, so nothing was fitted. {said}".strip()
+    text = f"{done} The spec asks for no model, so nothing was fitted."
+    if _stands(facts):
+        text += (
+            " `hil payload` tells by a model of the bare arm what is mounted; `hil fit` makes one."
+        )
+    return f"{text} {said}".strip()
 
 
 def _ending(facts: RunFacts) -> str:

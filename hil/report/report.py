@@ -91,8 +91,8 @@ def run_page(path: Path) -> Page:
         key_figures=tuple(run_highlights(facts, recording, drift)),
         warnings=(*run_warnings(facts, recording), *problems),
         sections=(
-            *model_sections(facts.judged_fits, shown),
-            *study_sections(facts.studies.made),
+            *model_sections(facts.listed_fits, shown),
+            *study_sections(facts.studies.made, [fit.name for fit in facts.listed_fits]),
             *_run_sections(facts, recording, drift, tuple(held_out.values())),
         ),
         footer=_footer(path),

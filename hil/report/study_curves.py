@@ -55,26 +55,42 @@ class Look:
 IDENTITY = Look(colours.NEUTRAL, "dash", "circle", "")
 
 
-def looks_of(figure: Figure) -> dict[str, Look]:
+def look(i: int, line: int = 0) -> Look:
+    """Of the series `i` of a figure, which is its line number `line`, counted from 0."""
+    return Look(
+        PALETTE[i % len(PALETTE)],
+        colours.DASHES[line % len(colours.DASHES)],
+        SYMBOLS[i % len(SYMBOLS)],
+        PATTERNS[i % len(PATTERNS)],
+    )
+
+
+def looks_of(figure: Figure, models: Sequence[str] = ()) -> dict[str, Look]:
     """A look for every name in a figure, the same in all of its panels.
 
     Curves that are not told apart by their name share a look; a line that is alone among lines is
     solid, whatever else there is.
+
+    Args:
+        figure: Of a study.
+        models: Models that look as in the other plots of the page, in their order there; nothing
+            else looks like one of them.
     """
-    looks: dict[str, Look] = {}
+    looks: dict[str, Look] = {name: look(i, i) for i, name in enumerate(models)}
     lines = 0
     for curve in _curves(figure):
         if curve.name in looks or curve.style == "identity":
             continue
-        i = len(looks)
-        looks[curve.name] = Look(
-            PALETTE[i % len(PALETTE)],
-            colours.DASHES[lines % len(colours.DASHES)],
-            SYMBOLS[i % len(SYMBOLS)],
-            PATTERNS[i % len(PATTERNS)],
-        )
+        looks[curve.name] = look(len(looks), lines)
         lines += curve.style == "line"
     return looks
+
+
+def named_in(figures: Sequence[Figure], models: Sequence[str]) -> bool:
+    """Whether series or panels bear the name of a model."""
+    panels = [panel for figure in figures for panel in figure.panels]
+    names = {panel.title for panel in panels} | {c.name for panel in panels for c in panel.curves}
+    return not names.isdisjoint(models)
 
 
 def has_names(curve: Curve) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -38,14 +38,15 @@ BAND_FROM = 30
 """Error bars of a line with more points than this would be a smear: they become its edges."""
 
 
-def plots_of(figure: Figure, points: int) -> Plots:
+def plots_of(figure: Figure, points: int, models: Sequence[str] = ()) -> Plots:
     """A figure as a block of the page.
 
     Args:
         figure: Of a study.
         points: At most so many points are kept of each series.
+        models: See `looks_of`.
     """
-    looks = looks_of(figure)
+    looks = looks_of(figure, models)
     wide = figure.per_row == 1 or len(figure.panels) == 1
     panels = tuple(
         Plot(panel.title, _plotly(panel, looks, points), _said(figure, panel), wide)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hil.report.blocks import Block, Column, Facts, Notes, Paragraphs, Section, Table, cells, items
-from hil.report.study_curves import curve_count
+from hil.report.study_curves import curve_count, named_in
 from hil.report.study_figures import plots_of
 from hil.report.study_words import (
     HONEST,
+    HONEST_MEANS,
     columns_of,
     distinct_titles,
     is_numeric,
     protocol_mark,
+    short_titles,
 )
 from hil.report.words import duration, in_words
 from hil.study import result as found
@@ -23,39 +26,66 @@ FEWEST, ENOUGH = 100, 1200
 """Points of one series: never fewer, and more than these no plot of the page can show."""
 
 
-def study_sections(studies: Sequence[found.StudyResult]) -> list[Section]:
-    """For every study what it comes to, followed by its parts."""
+LONG = 20
+"""Rows from which on a table comes after the figures: nobody reads on to them below it."""
+
+
+def study_sections(
+    studies: Sequence[found.StudyResult], models: Sequence[str] = ()
+) -> list[Section]:
+    """For every study what it comes to, followed by its parts.
+
+    Args:
+        studies: What they found.
+        models: Of the page, in its order: they look alike in all plots.
+    """
     figures = [f for study in studies for part in study.parts for f in part.figures]
     points = max(FEWEST, min(ENOUGH, MOST_POINTS // max(1, curve_count(figures))))
-    titles = distinct_titles(studies)
+    titles = zip(distinct_titles(studies), short_titles(studies), strict=True)
     return [
         section
-        for i, (study, title) in enumerate(zip(studies, titles, strict=True), 1)
-        for section in _sections(f"study-{i}", study, title, points)
+        for i, (study, (title, short)) in enumerate(zip(studies, titles, strict=True), 1)
+        for section in _sections(f"study-{i}", study, points, models, title=title, short=short)
     ]
 
 
-def _sections(name: str, study: found.StudyResult, title: str, points: int) -> list[Section]:
+def _sections(
+    name: str,
+    study: found.StudyResult,
+    points: int,
+    models: Sequence[str],
+    *,
+    title: str,
+    short: str,
+) -> list[Section]:
     blocks: list[Block] = [Notes(study.summary)]
     asked = {key: in_words(value) for key, value in study.parameters.items()}
     blocks.append(Facts("How it was made", items({**asked, "took": duration(study.seconds)})))
-    parts = [_part(f"{name}-{i}", part, points) for i, part in enumerate(study.parts, 1)]
-    return [Section(name, f"Study: {title}", "", tuple(blocks)), *parts]
+    figures = [figure for part in study.parts for figure in part.figures]
+    known = models if named_in(figures, models) else ()
+    parts = [_part(f"{name}-{i}", part, points, known) for i, part in enumerate(study.parts, 1)]
+    if len(parts) == 1:
+        parts = [replace(parts[0], short="")]
+    first = Section(name, f"Study: {title}", "", tuple(blocks), short=f"Study: {short}")
+    return [first, *parts]
 
 
-def _part(name: str, part: found.Part, points: int) -> Section:
+def _part(name: str, part: found.Part, points: int, models: Sequence[str]) -> Section:
     mark = protocol_mark(part.protocol)
     blocks: list[Block] = [Paragraphs(part.text)] if part.text else []
-    blocks += [_table(table) for table in part.tables]
-    blocks += [plots_of(figure, points) for figure in part.figures]
+    blocks += [_table(table) for table in part.tables if len(table.rows) < LONG]
+    blocks += [plots_of(figure, points, models) for figure in part.figures]
+    blocks += [_table(table) for table in part.tables if len(table.rows) >= LONG]
     title = f"{part.title} ({mark})" if mark else part.title
     return Section(name, title, _lead(part.protocol), tuple(blocks))
 
 
 def _lead(protocol: str) -> str:
-    """Why numbers under a paper's protocol are no predictions, before anybody reads them."""
-    if not protocol or protocol == HONEST:
+    """What a protocol is, before anybody reads its numbers; a paper's are no predictions."""
+    if not protocol:
         return ""
+    if protocol == HONEST:
+        return HONEST_MEANS
     return (
         f"Protocol {protocol}. These numbers are there to be compared with the paper's; they are "
         "no measure of how well a model predicts."

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import PurePath
 from statistics import median_low
+from typing import Any
 
-from hil.report.words import UNKNOWN, in_words, number
+from hil.report.words import UNKNOWN, in_words, listed, number
 from hil.study.result import StudyResult, Table, Value
 
 HONEST = "honest"
+HONEST_MEANS = (
+    "Honest protocol: models predict the effort from the motion alone, without a look at what was "
+    "measured, and errors are of motions that were not used in fitting them."
+)
+
+MODEL_KEYS = ("models", "estimators")
+"""Parameters of studies that name models."""
 
 DIGITS = 3
 """Significant digits of the median of a column, and of any number that stands by itself."""
@@ -19,21 +28,56 @@ MOST_DIGITS = 6
 
 def columns_of(table: Table) -> list[list[str]]:
     """The texts of each column; the numbers of one have equally many decimals where they can."""
-    return [_column([row[i] for row in table.rows]) for i in range(len(table.columns))]
+    columns = ([row[i] for row in table.rows] for i in range(len(table.columns)))
+    return [_column(values, table.decimals) for values in columns]
 
 
 def distinct_titles(studies: Sequence[StudyResult]) -> list[str]:
-    """Title of each study; of those with equal titles, with the parameters they differ in."""
+    """Title of each study; of those with equal titles, with the models or what else differs."""
     out = []
     for study in studies:
         alike = [other.parameters for other in studies if other.title == study.title]
-        own = [
-            f"{key} {in_words(value)}"
-            for key, value in study.parameters.items()
-            if any(other.get(key) != value for other in alike)
-        ]
+        own = list(_differing(study.parameters, alike))
         out.append(f"{study.title} ({', '.join(own)})" if own else study.title)
     return out
+
+
+def short_titles(studies: Sequence[StudyResult]) -> list[str]:
+    """For a list of contents: up to the colon; of those alike, with models or numbers."""
+    short = [study.title.partition(":")[0].rstrip("?") for study in studies]
+    models = [_models_of(study.parameters, 1) for study in studies]
+    out = []
+    for i, name in enumerate(short):
+        alike = [models[j] for j, other in enumerate(short) if other == name]
+        known = models[i] and alike.count(models[i]) == 1
+        told = models[i] if known else str(short[: i + 1].count(name))
+        out.append(name if len(alike) == 1 else f"{name} ({told})")
+    return out
+
+
+def _differing(asked: Mapping[str, Any], alike: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """What is not the same in all of them; models by name where their names do it."""
+    told = _models_of(asked)
+    named = bool(told) and any(_models_of(other) != told for other in alike)
+    if named:
+        yield f"of {told}"
+    for key, value in asked.items():
+        if named and key in MODEL_KEYS:
+            continue
+        if any(other.get(key) != value for other in alike):
+            yield f"{key} {in_words(value)}"
+
+
+def _models_of(asked: Mapping[str, Any], most: int = 6) -> str:
+    """Names of the models a study is of, those of stored ones without digests."""
+    stored = asked.get("models") or ()
+    named = [PurePath(str(one)).name.rpartition("-")[0] or str(one) for one in stored]
+    return listed(named or [_entry(one) for one in asked.get("estimators") or ()], most)
+
+
+def _entry(one: Any) -> str:
+    """An estimator, by name or with its parameters beside that."""
+    return str(one.get("estimator")) if isinstance(one, Mapping) else str(one)
 
 
 def is_numeric(table: Table, i: int) -> bool:
@@ -47,7 +91,14 @@ def protocol_mark(protocol: str) -> str:
     return f"{word} protocol" if word else ""
 
 
-def _column(values: Sequence[Value]) -> list[str]:
+def _column(values: Sequence[Value], asked: int | None) -> list[str]:
+    if asked is not None:
+        return [
+            f"{round(value, asked) + 0.0:.{asked}f}"
+            if isinstance(value, float) and math.isfinite(value)
+            else _text(value, asked)
+            for value in values
+        ]
     decimals = _decimals([value for value in values if isinstance(value, float)])
     return [_text(value, decimals) for value in values]
 

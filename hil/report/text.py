@@ -7,6 +7,7 @@ from textwrap import wrap
 
 import numpy as np
 
+from hil.identify.model_folder import models_below
 from hil.report.documents import as_float
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
@@ -108,6 +109,7 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
         ("unsettled", f"{len(facts.unsettled)} dwells" if facts.unsettled else ""),
         ("weighed", "; ".join(f"{load}: {told}" for load, told in weighings(facts).items())),
         ("verdict", verdict_words(facts)),
+        *(("model", str(folder)) for folder in models_below(facts.path)),
         ("report", _report(facts)),
     ]
     if "samples" in recorded:

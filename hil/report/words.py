@@ -21,6 +21,8 @@ METRIC_WORDS = {
     "mep": "MEP",
     "r": "R",
     "gaps_percent": "missing samples",
+    "load_error_ratio": "error under a load over that with the first",
+    "contradicted_loads": "declared loads contradicted",
 }
 
 

@@ -13,6 +13,7 @@ from hil.robot.protocol import (
     Segment,
 )
 from hil.robot.state import STATE_SCHEMA_VERSION, Status, state_dtype
+from hil.robot.torque import TorqueControlled, is_simulated
 
 __all__ = [
     "STATE_SCHEMA_VERSION",
@@ -28,5 +29,7 @@ __all__ = [
     "Robot",
     "Segment",
     "Status",
+    "TorqueControlled",
+    "is_simulated",
     "state_dtype",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -25,6 +25,16 @@ from hil.spec.interlocks import (
     WorkspaceInterlock,
     lowest,
 )
+from hil.spec.judged import (
+    Accept,
+    ContradictedLimit,
+    GapsLimit,
+    HoldOut,
+    LoadErrorLimit,
+    NrmseLimit,
+    RmseLimit,
+    Validate,
+)
 from hil.spec.loads import Load
 from hil.spec.quantities import (
     IS_NUMBER,
@@ -32,9 +42,7 @@ from hil.spec.quantities import (
     Finite,
     FormatVersion,
     Name,
-    NonNegative,
     Positive,
-    Seed,
     Strict,
     mistake,
 )
@@ -43,6 +51,7 @@ from hil.spec.weigh import OptionalWeigh, Weigh
 __all__ = [
     "Accept",
     "ClearanceInterlock",
+    "ContradictedLimit",
     "CurrentInterlock",
     "DiskInterlock",
     "Dwell",
@@ -54,6 +63,7 @@ __all__ = [
     "HoldOut",
     "Interlock",
     "Load",
+    "LoadErrorLimit",
     "NrmseLimit",
     "PluggedInterlock",
     "Record",
@@ -71,6 +81,10 @@ __all__ = [
     "Weigh",
     "WorkspaceInterlock",
 ]
+
+
+FEWEST = 3
+"""Trajectories with which models are judged under loads."""
 
 
 class WarmUp(Strict):
@@ -125,81 +139,6 @@ class StudyEntry(BaseModel):
         return dict(self.model_extra or {})
 
 
-class HoldOut(Strict):
-    """What is kept away from the fit and judged on, always whole poses, trajectories or loads."""
-
-    trajectories: Count | None = Field(
-        None,
-        description="How many of the last trajectories; by default a quarter of them and at least "
-        "one, or none when `loads` is given.",
-    )
-    poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
-        None,
-        description="Share of the poses, drawn by seed, both approaches together; by default 20, "
-        "or none when `loads` is given.",
-    )
-    loads: tuple[Count, ...] = Field(
-        (),
-        description="Indices into `loads`, from 0. With `trajectories` or `poses_percent` beside "
-        "it, the model is judged on motions *and* loads it has not seen, together.",
-    )
-    seed: Seed = Field(7, description="Decides which poses are held out.")
-
-    def trajectories_of(self, total: int) -> int:
-        """How many of `total` different trajectories are held out."""
-        if self.trajectories is not None:
-            return self.trajectories
-        return 0 if self.loads else max(1, total // 4)
-
-    def poses_of(self, total: int) -> int:
-        """How many of `total` different poses are held out."""
-        default = 0.0 if self.loads else 20.0
-        percent = default if self.poses_percent is None else self.poses_percent
-        return max(1, round(percent / 100 * total)) if percent else 0
-
-
-class Validate(Strict):
-    """How the fitted models are judged."""
-
-    hold_out: HoldOut = Field(HoldOut(), description="What no estimator gets to see.")
-
-
-class RmseLimit(Strict):
-    """Largest root-mean-square error accepted on the held-out data."""
-
-    max: Positive = Field(description="The limit, in `unit`.")
-    unit: Literal["A", "N·m", "Nm"] = Field(description="What the robot's effort is measured in.")
-    per: Literal["joint", "mean"] = Field(
-        "mean", description="Whether every joint must keep the limit, or their mean."
-    )
-    signal: Literal["raw", "filtered"] = Field(
-        "raw", description="Whether the measured effort is low-pass filtered before comparing."
-    )
-
-
-class NrmseLimit(Strict):
-    """Largest RMSE over the standard deviation of the signal."""
-
-    max: Positive = Field(description="The limit, without unit (0.1 is 10 %).")
-    per: Literal["joint", "mean"] = Field(
-        "mean", description="Whether every joint must keep the limit, or their mean."
-    )
-
-
-class GapsLimit(Strict):
-    """Largest share of missing samples."""
-
-    max: NonNegative = Field(description="The limit, in percent of the samples expected.")
-
-
-class Accept(Strict):
-    """Criteria for the verdict; without any for models: `not judged`, or `rejected` by gaps."""
-
-    rmse: RmseLimit | None = Field(None, description="On the held-out data, in the robot's unit.")
-    nrmse: NrmseLimit | None = Field(None, description="On the held-out data, without unit.")
-    gaps_percent: GapsLimit | None = Field(None, description="On the recording.")
-
-
 class ExperimentSpec(Strict):
     """One experiment, from excitation to acceptance."""
 
@@ -242,6 +181,40 @@ class ExperimentSpec(Strict):
         if len(set(held)) == n:
             raise mistake("holds out every load and leaves none to fit on", *at)
         return self
+
+    @model_validator(mode="after")
+    def _under_loads_has_loads_and_models(self) -> ExperimentSpec:
+        at = ("validate", "under_loads")
+        if not self.validation.under_loads:
+            if keys := self.accept.under_loads:
+                message = "is judged only with validate: {under_loads: true}"
+                raise mistake(message, "accept", keys[0])
+            return self
+        if len(self.loads) < 2:
+            raise mistake("there is no load besides the first: `loads` needs a second", *at)
+        if isinstance(self.excitation, Dwell):
+            raise mistake("judges trajectories, and a dwell program has none", *at)
+        if self.excitation.trajectories < FEWEST:
+            message = f"must be at least {FEWEST} with validate.under_loads"
+            raise mistake(message, "excitation", "trajectories")
+        if not self.fit:
+            raise mistake("there is no model to judge: `fit` is empty", *at)
+        if self.validation.hold_out.loads:
+            message = "under_loads holds out every load but the first: leave this away"
+            raise mistake(message, "validate", "hold_out", "loads")
+        return self
+
+    @property
+    def hold_out(self) -> HoldOut:
+        """What is held out: as written, and with `under_loads` every load but the first."""
+        held = self.validation.hold_out
+        if not (self.validation.under_loads and isinstance(self.excitation, Fourier)):
+            return held
+        changed = {
+            "loads": tuple(range(1, len(self.loads))),
+            "trajectories": held.trajectories_of(self.excitation.trajectories),
+        }
+        return held.model_copy(update=changed)
 
     @model_validator(mode="after")
     def _held_out_motions_are_of_this_program(self) -> ExperimentSpec:

@@ -10,12 +10,21 @@ from typing import Any
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 
+_NEWER = (
+    ("", "study"),
+    ("excitation", "optimise"),
+    ("validate", "under_loads"),
+    ("accept", "load_error_ratio"),
+    ("accept", "contradicted_loads"),
+)
+"""Keys that came after runs were hashed, and where; unused they count as not there."""
+
 
 def spec_hash(spec: ExperimentSpec) -> str:
     """sha256 of the canonical JSON of the spec, defaults included.
 
-    A spec without studies or optimised excitation has the hash it had before there were any: runs
-    of an older hil go on.
+    What a spec does not use of studies, optimised excitation and judging under loads leaves no
+    trace: it has the hash it had before there were any, and runs of an older hil go on.
     Comments, order of keys and of interlocks, spelling of numbers (`1` and `1.0`) and written-out
     defaults do not change it. A file of poses counts with its content, not with its path, so that
     the hash is the same on every machine.
@@ -25,10 +34,10 @@ def spec_hash(spec: ExperimentSpec) -> str:
     """
     raw = spec.model_dump(mode="json", by_alias=True)
     raw["interlocks"].sort(key=lambda interlock: json.dumps(interlock, sort_keys=True))
-    if not raw["study"]:
-        del raw["study"]
-    if raw["excitation"].get("optimise") is None:
-        raw["excitation"].pop("optimise", None)
+    for part, key in _NEWER:
+        at = raw[part] if part else raw
+        if not at.get(key):
+            at.pop(key, None)
     if file := raw["excitation"].get("file"):
         raw["excitation"]["file"] = _content_hash(Path(file))
     text = json.dumps(_canonical(raw), sort_keys=True, separators=(",", ":"))

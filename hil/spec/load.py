@@ -85,7 +85,7 @@ def load_station(path: str | FilePath, *, look_up: bool = True) -> Station:
     Raises:
         SpecError: With a line `file:line:column: path: message` for every problem.
     """
-    source, folder = read_source(path), FilePath(path).parent
+    source, folder = read_source(path, "hil_station"), FilePath(path).parent
     refuse_other_kind(source, "hil_station")
     if look_up:
         check_robots(source, folder)

@@ -11,8 +11,12 @@ from hil.spec.yaml_values import parse_text, place_after
 from hil.suggest import closest
 
 
-def read_source(path: str | FilePath) -> Source:
+def read_source(path: str | FilePath, kind: str = "") -> Source:
     """Read and parse one file.
+
+    Args:
+        path: The file.
+        kind: Key that such files begin with, so that only such are suggested for one not there.
 
     Raises:
         SpecError: It is missing, unreadable, too large, not UTF-8 or not YAML.
@@ -22,7 +26,7 @@ def read_source(path: str | FilePath) -> Source:
         with file.open("rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
     except FileNotFoundError:
-        raise SpecError(f"{path}: there is no such file", hint=_neighbours(file)) from None
+        raise SpecError(f"{path}: there is no such file", hint=_neighbours(file, kind)) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise SpecError(f"{shown(str(path), most=300)}: cannot be read: {reason}") from None
@@ -53,10 +57,20 @@ def _decoded(raw: bytes, name: str) -> str:
         raise refuse([Problem(place_after(before, name), (), message)]) from None
 
 
-def _neighbours(file: FilePath) -> str:
-    try:
-        names = [p.name for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
-    except (OSError, ValueError):
+def _neighbours(file: FilePath, kind: str) -> str:
+    if not file.parent.is_dir():
         return f"there is no folder {shown(str(file.parent), most=300)}"
+    try:
+        beside = [p for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
+        names = [p.name for p in beside if not kind or _is(p, kind)]
+    except (OSError, ValueError):
+        return ""
     match = closest(file.name, names)
     return f"did you mean {file.parent / match}?" if match else ""
+
+
+def _is(file: FilePath, kind: str) -> bool:
+    """Whether a file has the key of its kind, as far as a look at its beginning tells."""
+    with file.open("rb") as stream:
+        lines = stream.read(20_000).split(b"\n")
+    return any(line.startswith(f"{kind}:".encode()) for line in lines)

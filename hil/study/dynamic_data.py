@@ -110,6 +110,13 @@ def trajectories_of(
     return Trajectories(filtered, thinned, filters, torque_scale(data), *rates, tuple(notes))
 
 
+def highest_cutoff(data: Dataset, rate_hz: float) -> float:
+    """The highest cut-off [Hz] that `trajectories_of` takes for these trajectories, to a tenth."""
+    recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
+    every = max(1, round(recorded / rate_hz))
+    return _floor(0.5 * MAX_NYQUIST_FRACTION * recorded / every)
+
+
 def _require_below(cutoff_hz: float, recorded_hz: float, every: int) -> None:
     """Refuse a cut-off that filter or thinning would, but as the parameter of the study."""
     kept, highest = (_floor(0.5 * MAX_NYQUIST_FRACTION * recorded_hz / n) for n in (every, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from hil.errors import DataError, FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.payload import Payload
-from hil.study.dynamic_data import held_out
 from hil.study.inverse_cases import Recorded, load_names
 from hil.study.separation_text import listed
 
@@ -38,16 +38,13 @@ class LoadCase:
 
 
 def unseen(
-    models: Sequence[Path], of: Recorded, seed: int
+    models: Sequence[Path], of: Recorded
 ) -> tuple[list[tuple[str, RobotEstimator]], frozenset[Group]]:
-    """Stored models with their names, and the motions of a run to judge them on.
-
-    Those of the run are drawn where no model has seen any of them.
+    """Stored models with their names, and the motions of a run that none of them has seen.
 
     Args:
         models: Their folders; one that is not there is looked for in the run's.
         of: The run.
-        seed: Of the draw.
 
     Raises:
         DataError: One cannot be read or was fitted with another load, or there is no motion that
@@ -55,17 +52,16 @@ def unseen(
     """
     stored = [(path, load_model_file(_place(path, of))) for path in models]
     for path, model in stored:
-        if _knows(model, _loaded(of)):
+        if knows(model, _loaded(of)):
             raise DataError(
                 f"{path} was fitted to recordings of this run with a load",
                 hint="fit a model to the first load alone, or name an --estimator",
             )
     bare = of.bare.data
-    every = groups(bare, "trajectory")
     fresh = [
         group
-        for group in every
-        if not any(_knows(one, _motions(bare, frozenset([group]))) for _, one in stored)
+        for group in groups(bare, "trajectory")
+        if not any(knows(one, motions_of(bare, {group})) for _, one in stored)
     ]
     if not fresh:
         told = listed([str(path) for path in models])
@@ -74,8 +70,7 @@ def unseen(
             f"{'was' if len(models) == 1 else 'were'} fitted to all of them",
             hint=OTHER_MOTIONS,
         )
-    drawn = len(fresh) == len(every)
-    return _named(stored), frozenset(held_out(of.bare, seed).held_out if drawn else fresh)
+    return _named(stored), frozenset(fresh)
 
 
 def _place(model: Path, of: Recorded) -> Path:
@@ -100,9 +95,18 @@ def load_cases(of: Recorded, held: frozenset[Group]) -> list[LoadCase]:
     """
     bare, loaded = of.bare.data, _loaded(of)
     first = next(iter(bare.conditions))
-    names = load_names(bare) | load_names(loaded)
-    cases = [LoadCase(names[first.load], first.payload, None, _motions(bare, held))]
+    names = _told_apart(load_names(bare) | load_names(loaded))
+    cases = [LoadCase(names[first.load], first.payload, None, motions_of(bare, held))]
     return [*cases, *_others(loaded, held, of.bare.filters, names)]
+
+
+def _told_apart(names: dict[int, str]) -> dict[int, str]:
+    """One mass mounted twice is two loads."""
+    masses = list(names.values())
+    return {
+        load: name if masses.count(name) == 1 else f"{name} (load {load})"
+        for load, name in names.items()
+    }
 
 
 def _others(
@@ -112,8 +116,8 @@ def _others(
     for load in sorted(declared):
         own = [i for i, condition in enumerate(loaded.conditions) if condition.load == load]
         data = loaded.take(own)
-        judged = _motions(data, held)
-        told = _motions(data, frozenset(groups(data, "trajectory")) - held)
+        judged = motions_of(data, held)
+        told = motions_of(data, frozenset(groups(data, "trajectory")) - held)
         if not judged.conditions or not told.conditions:
             raise FitError(
                 f"{names[load]}: no motion is left to "
@@ -132,9 +136,11 @@ def _loaded(of: Recorded) -> Dataset:
     return of.loaded
 
 
-def _motions(data: Dataset, wanted: frozenset[Group]) -> Dataset:
+def motions_of(data: Dataset, wanted: AbstractSet[Group]) -> Dataset:
+    """The recordings of some motions, under whatever load."""
     return data.select(lambda condition: group_of(condition, "trajectory") in wanted)
 
 
-def _knows(model: RobotEstimator, data: Dataset) -> bool:
+def knows(model: RobotEstimator, data: Dataset) -> bool:
+    """Whether a model was fitted to some of these samples."""
     return bool(model.training_ and model.training_.rows.share_known(data) > SAME_SHARE)

@@ -26,6 +26,7 @@ class Table:
         columns: Headings.
         rows: As many values as columns each; None where there is no number.
         note: Small print below.
+        decimals: Of every number that is not whole; by default as many as suit its column.
     """
 
     key: str
@@ -33,6 +34,7 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[Value, ...], ...]
     note: str = ""
+    decimals: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +167,9 @@ def _part(raw: Mapping[str, Any]) -> Part:
 
 def _table(raw: Mapping[str, Any]) -> Table:
     rows = tuple(tuple(row) for row in raw["rows"])
-    return Table(str(raw["key"]), str(raw["title"]), _texts(raw["columns"]), rows, raw["note"])
+    columns, decimals = _texts(raw["columns"]), raw.get("decimals")
+    kept = None if decimals is None else int(decimals)
+    return Table(str(raw["key"]), str(raw["title"]), columns, rows, raw["note"], kept)
 
 
 def _figure(raw: Mapping[str, Any]) -> Figure:

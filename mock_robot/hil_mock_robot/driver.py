@@ -46,6 +46,9 @@ class MockRobot:
         SpecError: There is no such arm, or an option cannot be.
     """
 
+    simulated = True
+    """`hil` drives nothing else by torque."""
+
     def __init__(self, name: str, model: str = "ur5", **options: Any) -> None:
         _require_extra()
         self._name = name

@@ -11,6 +11,11 @@ from hil.errors import FitError
 from hil.payload import Payload
 from hil.typing import FloatArray
 
+FAINT, NOTHING = 1e-4, 1e-9
+"""A joint's largest effort counts as this share of all joints' largest, and as this, at least."""
+
+FAULT = "this is a fault of hil's export: please report it with the model's folder"
+
 Step = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
 """q, qd, qdd (1, n), load (1, 10)[, state (1, S)] → effort (1, n)[, state (1, S)]."""
 
@@ -20,19 +25,28 @@ def load_row(load: Payload) -> FloatArray:
     return np.array([[load.mass, *load.com, *load.inertia]])
 
 
+def scale_of(*wanted: FloatArray) -> FloatArray:
+    """(n,) what differences are shares of: each joint's largest value, over all arrays (N, n).
+
+    A joint that has next to none, such as the last one of a level arm, counts as having a little:
+    what is left there is rounding of the others.
+    """
+    largest: FloatArray = np.max([np.abs(one).max(axis=0) for one in wanted], axis=0)
+    return np.maximum(largest, max(NOTHING, FAINT * float(largest.max())))
+
+
 def largest_difference(step: Step, golden: Golden, state_size: int) -> float:
-    """Over all samples, as a share of each joint's largest effort; NaN counts as endless.
+    """Over all samples, as a share of each joint's `scale_of`; NaN counts as endless.
 
     Args:
         step: What is looked at; its state is fed back.
         golden: What the model says.
         state_size: S; 0 without memory.
     """
-    worst = 0.0
+    worst, scale = 0.0, scale_of(golden.bare, golden.loaded)
     for load, wanted in ((Payload(), golden.bare), (LOAD, golden.loaded)):
         found = streamed(step, golden, load_row(load), state_size)
-        largest = np.maximum(np.abs(wanted).max(axis=0), np.finfo(np.float64).tiny)
-        off = np.abs(found - wanted).max(axis=0) / largest
+        off = np.abs(found - wanted).max(axis=0) / scale
         worst = max(worst, float(np.nan_to_num(off, nan=np.inf).max()))
     return worst
 
@@ -63,7 +77,7 @@ def require_agreement(step: Step, golden: Golden, state_size: int, what: str) ->
     if not worst <= AGREES:
         raise FitError(
             f"{what} does not agree with the model: off by {worst:.1e} of the largest effort",
-            hint="this is a fault of hil's export: please report it with the model's folder",
+            hint=FAULT,
         )
     return (
         f"read back: largest difference {worst:.1e} of a joint's largest effort, "

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,15 +16,27 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"
 PORTABLE = "-O2"
 COMPILERS = ("cc", "gcc", "clang")
 LONGEST_S = 120.0
+NOTHING = "int main(void) { return 0; }\n"
 
 
-def compiler() -> str | None:
-    """Path of the compiler: `CC` of the environment, or the first of the usual names."""
-    names = (os.environ.get("CC", ""), *COMPILERS)
-    return next((path for name in names if name and (path := shutil.which(name))), None)
+def compiler() -> tuple[str, ...] | None:
+    """How the compiler is called: `CC` of the environment, or the first of the usual names.
+
+    Raises:
+        PluginError: `CC` names one that is not there.
+    """
+    if named := shlex.split(os.environ.get("CC", "")):
+        if (path := shutil.which(named[0])) is None:
+            raise PluginError(
+                f"CC={os.environ['CC']} names no program that can be run",
+                hint="name a C compiler that is installed, or unset CC to take the usual one",
+            )
+        return (path, *named[1:])
+    found = next((path for name in COMPILERS if (path := shutil.which(name))), None)
+    return None if found is None else (found,)
 
 
-def require_compiler() -> str:
+def require_compiler() -> tuple[str, ...]:
     """The same.
 
     Raises:
@@ -38,20 +52,40 @@ def require_compiler() -> str:
 
 
 def built(folder: Path, files: Sequence[str], out: str, flags: Sequence[str] = (PORTABLE,)) -> Path:
-    """Compile and link files of a folder.
+    """Compile and link files of a folder, which is searched for headers as well.
 
     Raises:
         FitError: The compiler refuses, which is a fault of the export.
-        PluginError: There is no compiler.
+        PluginError: There is no compiler, or none that makes programs at all.
     """
-    command = [require_compiler(), *STRICT, *flags, *files, "-lm", "-o", out]
-    done = _run(command, folder)
-    if done.returncode:
+    done = _compiled(folder, files, out, (*STRICT, *flags, "-I."))
+    if done.returncode or not (folder / out).is_file():
+        _require_works(flags)
         raise FitError(
             f"the C program does not compile: {done.stderr.strip()[:500]}",
             hint="this is a fault of hil's export: please report it with the model's folder",
         )
     return folder / out
+
+
+def _require_works(flags: Sequence[str]) -> None:
+    """Refuse a compiler that cannot even make a program that does nothing."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "a.c").write_text(NOTHING, "utf-8")
+        done = _compiled(folder, ("a.c",), "a.out", flags)
+        if done.returncode == 0 and (folder / "a.out").is_file():
+            return
+    raise PluginError(
+        f"{shlex.join(require_compiler())} does not compile: {done.stderr.strip()[:300]}",
+        hint="name a C compiler that makes programs for this machine with CC=…",
+    )
+
+
+def _compiled(
+    folder: Path, files: Sequence[str], out: str, flags: Sequence[str]
+) -> subprocess.CompletedProcess[str]:
+    return _run([*require_compiler(), *flags, *files, "-lm", "-o", out], folder)
 
 
 def self_tested(folder: Path, program: Path) -> str:
@@ -77,7 +111,7 @@ def asked(arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess
         FitError: It cannot be run.
         PluginError: There is no compiler.
     """
-    return _run([require_compiler(), *arguments], folder)
+    return _run([*require_compiler(), *arguments], folder)
 
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.deploy.export.c_activations import NAMES, typed
+from hil.deploy.export import c_dense_text as text
+from hil.deploy.export.c_activations import NAMES, TIMES, typed
 from hil.deploy.export.c_text import Kind, array
 from hil.deploy.export.lagrangian_terms import Layers
 from hil.typing import FloatArray
@@ -42,7 +43,10 @@ def layer_constants(name: str, layers: Layers, kind: Kind) -> str:
 
 def sized(template: str, sizes: Iterable[Size], kind: Kind, activation: str = "") -> str:
     """A template of `c_dense_text` for every size there is, once."""
-    named = template.replace("ACTIVATION", NAMES.get(activation, ""))
+    name = NAMES.get(activation, "")
+    fade = text.NO_FADE if name == "relu" else text.FADE
+    named = template.replace("FADE", fade).replace("ACTIVATION", name)
+    named = named.replace("TIMES", TIMES.get(name, "ONE"))
     return typed("".join(_sized(named, size) for size in dict.fromkeys(sizes)), kind)
 
 
@@ -50,20 +54,23 @@ def _sized(template: str, size: Size) -> str:
     inputs, outputs = size
     lanes = LANES if outputs % LANES == 0 else BLOCK
     chunk = max(c for c in range(lanes, MOST_CHUNK + 1, lanes) if outputs % c == 0)
-    sums = "".join(f"                t{r}[l] += {_sum(r, lanes, chunk)};\n" for r in range(4))
-    found = template.replace("SUMS", sums).replace("FOLDS", _folds(lanes))
+    products = text.AT_ONCE if chunk == outputs else text.IN_CHUNKS
+    sums = "".join(f"{_products(r, lanes, chunk, outputs)}\n" for r in range(4))
+    found = template.replace("PRODUCTS", products).replace("SUMS", sums)
+    found = found.replace("FOLDS", _folds(lanes))
     for word, number in (("LANES", lanes), ("CHUNK", chunk), ("IN", inputs), ("OUT", outputs)):
         found = found.replace(word, str(number))
     return found
 
 
-def _sum(row: int, lanes: int, chunk: int) -> str:
+def _products(row: int, lanes: int, chunk: int, outputs: int) -> str:
     """Products of a row, added in pairs."""
-    terms = [f"w{row}[{c} + l] * g[{c} + l]" for c in range(0, chunk, lanes)]
+    first, indent, adds = ("", 12, "=") if chunk == outputs else ("c + ", 16, "+=")
+    terms = [f"w{row}[{first}{c} + l] * y[{first}{c} + l]" for c in range(0, chunk, lanes)]
     while len(terms) > 1:
         pairs = [" + ".join(terms[k : k + 2]) for k in range(0, len(terms), 2)]
         terms = [f"({pair})" for pair in pairs]
-    return terms[0]
+    return f"{' ' * indent}t{row}[l] {adds} {terms[0]};"
 
 
 def _folds(lanes: int) -> str:

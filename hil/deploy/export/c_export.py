@@ -36,11 +36,11 @@ def export_c(
     if not unchecked:
         require_compiler()
     program = program_of(model)
-    source = c_source(program, prefix, f"{program.estimator} of {model.robot_.name}")
+    source = c_source(program, prefix, f"{program.estimator} of {Path(model.robot_.name).name}")
     files = {
         f"{prefix}.h": source.header,
         f"{prefix}.c": source.source,
-        f"{prefix}_test.c": self_test(source, golden_of(model)),
+        f"{prefix}_test.c": self_test(source, program, golden_of(model)),
         "CMakeLists.txt": cmake(source),
     }
     checked, notes = ("", ()) if unchecked else _checked(files, source)

@@ -8,7 +8,7 @@ products with L in double.
 from __future__ import annotations
 
 from hil.deploy.export import c_dense_text as text
-from hil.deploy.export.c_activations import NAMES, activation_functions, typed
+from hil.deploy.export.c_activations import NAMES, activation_functions, faded, typed
 from hil.deploy.export.c_dense import Size, layer_constants, sized, sizes_of
 from hil.deploy.export.c_text import Piece, array, number
 from hil.deploy.export.lagrangian_terms import LagrangianTerms, NetworkFriction
@@ -93,11 +93,13 @@ def _features(terms: LagrangianTerms, sizes: list[Size]) -> str:
 
 def _torque(terms: LagrangianTerms, sizes: list[Size]) -> str:
     entries = len(terms.unit) * (len(terms.unit) + 1) // 2
+    diagonal = "relu" if terms.rectified else "softplus"
     words = {
         "INPUTS": str(sizes[0][0]),
         "OUTPUTS": str(sizes[-1][1]),
         "SLOPES": str(sum(out for _, out in sizes[:-1])),
-        "DIAGONAL": "relu" if terms.rectified else "softplus",
+        "DIAGONAL": diagonal,
+        "FADED": faded(diagonal, "raw[r]"),
         "LEAST": number(terms.least),
         "ADDED": number(terms.added),
         "POTENTIAL": UPHILL if terms.potential else "",
@@ -146,8 +148,9 @@ static void hil_lagrangian(const double *q, const double *qd, const double *qdd,
     /* M = L L', D is the rate of L, u = L' qd, w = L' qdd + D' qd. */
     for (r = 0; r < HIL_N; r++) {
         const double unit = hil_row_unit[r];
-        bent[r] = (double)hil_DIAGONAL_slope(raw[r]);
-        L[r][r] = ((double)hil_DIAGONAL(raw[r]) + LEAST) * unit;
+        const REAL e = FADED;
+        bent[r] = (double)hil_DIAGONAL_slope(raw[r], e);
+        L[r][r] = ((double)hil_DIAGONAL(raw[r], e) + LEAST) * unit;
         D[r][r] = bent[r] * (double)rate[r] * unit;
         for (c = 0; c < r; c++, k++) {
             L[r][c] = (double)raw[k] * unit;

@@ -105,7 +105,7 @@ def _constants(correction: Correction, weights: CellWeights, reach: Sequence[int
 
 
 def _whole(name: str, values: Sequence[int]) -> str:
-    listed = ", ".join(str(value) for value in values)
+    listed = ", ".join(str(int(value)) for value in values)
     return f"static const int hil_network_{name}[{len(values)}] = {{{listed}}};\n"
 
 

@@ -39,6 +39,7 @@ def network_friction_piece(friction: NetworkFriction) -> Piece:
 def _layers(sizes: list[Size]) -> str:
     """Hidden layers of tanh, and the last one."""
     lines = [f"REAL h{k}[{out}];" for k, (_, out) in enumerate(sizes[:-1])]
+    lines += [f"REAL e{k}[{out}];" for k, (_, out) in enumerate(sizes[:-1])]
     lines += ["int i;"] * (len(sizes) > 1)
     for k, (inputs, out) in enumerate(sizes):
         source = f"h{k - 1}" if k else "x"
@@ -46,8 +47,17 @@ def _layers(sizes: list[Size]) -> str:
         weights = f"hil_friction_weight{k}, hil_friction_bias{k}"
         lines.append(f"hil_value_{inputs}_{out}({weights}, {source}, {target});")
         if k < len(sizes) - 1:
-            lines.append(f"for (i = 0; i < {out}; i++) {{ h{k}[i] = hil_curve(h{k}[i]); }}")
+            lines += _curved(f"h{k}", f"e{k}", out)
     return "".join(f"    {line}\n" for line in lines)
+
+
+def _curved(h: str, e: str, out: int) -> list[str]:
+    """Loops of their own, as in `c_dense_text.FADE`."""
+    loop = f"for (i = 0; i < {out}; i++)"
+    return [
+        f"{loop} {{ {e}[i] = hil_within(TWO * FABS({h}[i])); }}",
+        f"{loop} {{ {h}[i] = hil_curve({h}[i], hil_decay({e}[i])); }}",
+    ]
 
 
 FRICTION = """\

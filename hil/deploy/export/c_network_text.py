@@ -41,7 +41,8 @@ static inline double hil_network_clip(double x, double lowest, double highest)
 ENTER = """\
 /* total += x @ w, four inputs at once; the channels that come out lie behind each other in w. */
 static inline void hil_network_product(
-    const float *restrict w, const float *restrict x, int inputs, float *restrict total)
+    const float *HIL_RESTRICT w, const float *HIL_RESTRICT x, int inputs,
+    float *HIL_RESTRICT total)
 {
     int i, c;
     for (i = 0; i < inputs; i += 4) {

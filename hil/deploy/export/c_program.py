@@ -12,8 +12,18 @@ from dataclasses import dataclass
 
 from hil.deploy.export.c_friction import friction_piece
 from hil.deploy.export.c_lagrangian import lagrangian_piece
+from hil.deploy.export.c_memory import knows_warmth
+from hil.deploy.export.c_program_text import (
+    HEADER,
+    LEARNED,
+    NETWORK,
+    RESTRICT,
+    SET_WARMTH,
+    STEP,
+    TAKE_WARMTH,
+)
 from hil.deploy.export.c_rigid import bodies_of_gears, rigid_piece
-from hil.deploy.export.c_text import Piece, array
+from hil.deploy.export.c_text import Piece, array, comment
 from hil.deploy.export.program import Program
 from hil.errors import SpecError
 
@@ -21,6 +31,23 @@ PARTS = ("gravity", "inertia", "load", "friction", "ripple", "drive", "residual"
 """Of the effort, in this order in `hil_parts`; they add up to it."""
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
+
+HEADERS = """
+    assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign
+    stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath threads time
+    uchar wchar wctype features endian alloca malloc memory unistd values
+"""
+TARGETS = """
+    all clean depend edit_cache help install list_install_components package package_source
+    preinstall rebuild_cache test
+"""
+WORDS = """
+    auto break case char const continue default do double else enum extern for goto if inline int
+    long register return short signed sizeof static struct switch typedef union unsigned void
+    volatile while restrict
+"""
+TAKEN = frozenset((HEADERS + TARGETS + WORDS).split())
+"""Headers of C, targets of CMake, words of C: no names for a file, a target and symbols."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +71,7 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
     Args:
         program: What to compute.
         prefix: What all symbols begin with; also the name of the files.
-        told: For the head of both files: which model this is. Plain text without comment marks.
+        told: For the head of both files: which model this is.
 
     Raises:
         SpecError: The prefix cannot be one.
@@ -54,13 +81,18 @@ def c_source(program: Program, prefix: str = "hil", told: str = "") -> CSource:
             f"the prefix {prefix!r} cannot begin the names of C functions",
             hint="use small letters, digits and _, a letter first, at most 31 of them",
         )
+    if prefix in TAKEN:
+        raise SpecError(
+            f"the prefix {prefix!r} is a name that C or CMake has for something else",
+            hint="take another, such as arm",
+        )
     network = Piece()
     if program.correction is not None:
         from hil.deploy.export.c_network import network_piece
 
         network = network_piece(program.correction, program.n)
     pieces = (rigid_piece(program), lagrangian_piece(program), friction_piece(program), network)
-    head = f"/* {told or program.estimator}. Written by hil; do not edit. */\n"
+    head = f"/* {comment(told or program.estimator)}. Written by hil; do not edit. */\n"
     header = head + _header(program, pieces)
     source = head + _source(program, pieces, network != Piece())
     source = _renamed(source, prefix).replace("@HEADER@", f"{prefix}.h")
@@ -77,10 +109,32 @@ def _renamed(text: str, prefix: str) -> str:
 def _header(program: Program, pieces: tuple[Piece, ...]) -> str:
     state = "".join(piece.state for piece in pieces)
     parts = "".join(f"    double {name}[HIL_N];\n" for name in PARTS)
-    unit = "A" if program.effort_kind == "current" else "N*m"
     return HEADER.format(
-        n=program.n, state=state, parts=parts, unit=unit, joints=", ".join(program.joint_names)
+        n=program.n,
+        state=state,
+        parts=parts,
+        units=_units(program),
+        joints=comment(", ".join(program.joint_names)),
+        warmth=SET_WARMTH if knows_warmth(program.friction) else "",
     )
+
+
+def _units(program: Program) -> str:
+    """Of positions and efforts, joint by joint where some slide."""
+    torques = program.effort_kind != "current"
+    turns = [bool(one) for one in program.geometry.turns]
+    if program.coupling is not None:
+        # A motor's place is told in the unit of what it moves.
+        whose, start = "motors behind their gears", "All arrays are of "
+    else:
+        whose, start = "joints", ""
+    if all(turns):
+        what = f"Angles in rad, efforts in {'N*m' if torques else 'A'}."
+    else:
+        each = ", ".join("m" if not one else "rad" for one in turns)
+        efforts = ", ".join("N*m" if one else "N" for one in turns) if torques else "A"
+        what = f"Positions in {each}; efforts in {efforts}, in this order."
+    return f"{start}{whose}. {what}" if start else what
 
 
 def _source(program: Program, pieces: tuple[Piece, ...], corrected: bool) -> str:
@@ -100,123 +154,11 @@ def _source(program: Program, pieces: tuple[Piece, ...], corrected: bool) -> str
     for word, code in LEARNED.items():
         step = step.replace(word, code if learned else "")
     scale = array("hil_scale", 1.0 / program.scale)
+    if knows_warmth(program.friction):
+        step = TAKE_WARMTH + step
     start = '#include "@HEADER@"\n\n#include <math.h>\n#include <stddef.h>\n'
     start += "#include <stdint.h>\n\n" if learned else "\n"
+    if "HIL_RESTRICT" in functions:
+        start += RESTRICT
     begin = f"\nvoid hil_reset(hil_state *s)\n{{\n    int i;\n{reset}}}\n"
     return start + constants + scale + functions + begin + step
-
-
-HEADER = """#ifndef HIL_MODEL_H
-#define HIL_MODEL_H
-
-/* Joints: {joints}. Angles in rad, efforts in {unit}. */
-#define HIL_N {n}
-
-#ifdef __cplusplus
-extern "C" {{
-#endif
-
-typedef struct {{
-{state}}} hil_state;
-
-/* Parts of an effort; they add up to it. */
-typedef struct {{
-{parts}}} hil_parts;
-
-/* Before the first sample, and whenever samples stop coming. The load is taken off. */
-void hil_reset(hil_state *s);
-
-/* What is mounted: mass [kg], centre of mass [m] in the flange's frame, inertia about it
-   (xx, yy, zz, xy, xz, yz) [kg*m2]. Returns 0, or -1 for what is no load, and changes nothing. */
-int hil_set_load(hil_state *s, double mass, const double com[3], const double inertia[6]);
-
-/* One sample in, one effort per joint out. `parts` may be NULL. Returns 0, or -1 if an input is
-   not finite or beyond 1e6; then nothing is written and nothing remembered. */
-int hil_step(hil_state *s, const double q[HIL_N], const double qd[HIL_N], const double qdd[HIL_N],
-             double effort[HIL_N], hil_parts *parts);
-
-#ifdef __cplusplus
-}}
-#endif
-
-#endif
-"""
-
-NETWORK = """    hil_network(s, q, qd, qdd, effort, residual);
-    for (i = 0; i < HIL_N; i++) { effort[i] += residual[i]; }
-"""
-
-LEARNED = {
-    "@LEARNED@": "    hil_lagrangian(q, qd, qdd, rigid);\n",
-    "@LEARNED_BARE@": "    hil_lagrangian(q, qd, qdd, bare);\n",
-    "@LEARNED_GRAVITY@": "    hil_lagrangian(q, still, still, parts->gravity);\n",
-}
-"""What a Lagrangian network adds to bodies that are nothing but the load."""
-
-STEP = r"""
-/* Within 1e6, by the bits: to compare what is no number is an invalid operation, and traps. */
-static int hil_finite(const double *v, int count)
-{
-    union { double number; unsigned long long bits; } size, most;
-    int i;
-    most.number = 1e6;
-    for (i = 0; i < count; i++) {
-        size.number = v[i];
-        size.bits &= 0x7fffffffffffffffULL;
-        if (size.bits > most.bits) { return 0; }
-    }
-    return 1;
-}
-
-int hil_set_load(hil_state *s, double mass, const double com[3], const double inertia[6])
-{
-    if (!hil_finite(&mass, 1) || mass < 0.0 || !hil_finite(com, 3) || !hil_finite(inertia, 6)) {
-        return -1;
-    }
-    hil_mount(s, mass, com, inertia);
-    return 0;
-}
-
-static void hil_explain(hil_motion *m, const double *q, const double *qd, const double *qdd,
-                        const double *rigid, hil_parts *parts)
-{
-    static const double still[HIL_N] = {0.0};
-    double bare[HIL_N];
-    int i;
-    (void)qd;
-    hil_collect(m, hil_bodies, NULL, qdd, bare);
-@LEARNED_BARE@    hil_move(q, still, still, m);
-    hil_collect(m, hil_bodies, NULL, still, parts->gravity);
-@LEARNED_GRAVITY@    for (i = 0; i < HIL_N; i++) {
-        parts->load[i] = (rigid[i] - bare[i]) * hil_scale[i];
-        parts->inertia[i] = (bare[i] - parts->gravity[i]) * hil_scale[i];
-        parts->gravity[i] *= hil_scale[i];
-    }
-}
-
-int hil_step(hil_state *s, const double q[HIL_N], const double qd[HIL_N], const double qdd[HIL_N],
-             double effort[HIL_N], hil_parts *parts)
-{
-    hil_motion m;
-    double rigid[HIL_N], friction[HIL_N], ripple[HIL_N], drive[HIL_N], residual[HIL_N]@DECLARED@;
-    int i;
-    if (!hil_finite(q, HIL_N) || !hil_finite(qd, HIL_N) || !hil_finite(qdd, HIL_N)) { return -1; }
-    for (i = 0; i < HIL_N; i++) { friction[i] = ripple[i] = drive[i] = residual[i] = 0.0; }
-    hil_move(q, qd, qdd, &m);
-    hil_collect(&m, hil_bodies, s->load, qdd, rigid);
-@LEARNED@@SECOND@    hil_friction(s, q, qd, @TRANSMITTED@, friction, ripple, drive);
-    for (i = 0; i < HIL_N; i++) {
-        effort[i] = (rigid[i] + friction[i] + ripple[i] + drive[i]) * hil_scale[i];
-    }
-@NETWORK@    if (parts) {
-        hil_explain(&m, q, qd, qdd, rigid, parts);
-        for (i = 0; i < HIL_N; i++) {
-            parts->friction[i] = friction[i] * hil_scale[i];
-            parts->ripple[i] = ripple[i] * hil_scale[i];
-            parts->drive[i] = drive[i] * hil_scale[i];
-            parts->residual[i] = residual[i];
-        }
-    }
-    return 0;
-}
-"""

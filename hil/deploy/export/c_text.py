@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,6 +28,14 @@ class Piece:
     state: str = ""
     functions: str = ""
     reset: str = ""
+
+
+def comment(text: str) -> str:
+    """Foreign text as it may stand in a comment: what could end one, or begin a line, becomes `_`.
+
+    Names of joints, robots and estimators come from files that others wrote.
+    """
+    return re.sub(r"[^A-Za-z0-9_ .,+-]", "_", text)
 
 
 def number(value: float, kind: Kind = "double") -> str:

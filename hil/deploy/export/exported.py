@@ -21,7 +21,7 @@ class Exported:
         out: The file or folder.
         files: In the folder; the file's own name where it is one.
         joint_names: Order of all arrays.
-        effort_unit: Of what comes out.
+        effort_unit: Of what comes out; empty where that is no effort.
         parts: Estimator and whether it remembers, for people.
         checked: How well it agrees with the model in Python; empty if that was not looked at.
         notes: For people.
@@ -36,7 +36,7 @@ class Exported:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The contract of `hil export --json`, but for URDF."""
+        """The contract of `hil export --json`; URDF says more."""
         return {
             "out": str(self.out),
             "files": list(self.files),
@@ -57,9 +57,13 @@ def require_new(out: Path) -> None:
     """Refuse to write over anything.
 
     Raises:
-        RecordingError: It exists.
+        RecordingError: It exists, or cannot.
     """
-    if out.exists():
+    try:
+        there = out.exists() or out.is_symlink()  # a link to nothing is written over, too
+    except OSError as error:
+        raise RecordingError(f"cannot write {out}: {error.strerror}") from error
+    if there:
         raise RecordingError(f"{out} exists already", hint="name one with --out that does not")
 
 

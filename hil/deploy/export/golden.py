@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator
+from hil.identify.residual.fitted import CorrectedModel
 from hil.payload import Payload
 from hil.typing import FloatArray
 
@@ -22,6 +23,12 @@ LOAD = Payload(mass=1.5, com=(0.02, -0.03, 0.06), inertia=(0.004, 0.005, 0.003, 
 AGREES = 1e-4
 """Largest difference of a program, as a share of each joint's largest effort."""
 
+JITTER, SLOW = 2e-4, 0.1
+"""Of an encoder [rad or m], to and fro where joints are slower than this share of their fastest.
+
+There positions go against velocities, which memory has to be told from a way.
+"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Golden:
@@ -31,6 +38,7 @@ class Golden:
         q, qd, qdd: (N, n).
         bare: (N, n) efforts without a load.
         loaded: (N, n) with `LOAD`, from the start again.
+        residuals: (2, N, n) what of both a residual network adds; None where there is none.
     """
 
     q: FloatArray
@@ -38,13 +46,26 @@ class Golden:
     qdd: FloatArray
     bare: FloatArray
     loaded: FloatArray
+    residuals: FloatArray | None = None
 
 
 def golden_of(model: RobotEstimator, samples: int = SAMPLES, rate_hz: float = RATE_HZ) -> Golden:
     """Vectors of a fitted model, by its own stream."""
     q, qd, qdd = motion(model.robot_, samples, rate_hz)
+    q = jittered(q, qd)
     bare, loaded = (_streamed(model, q, qd, qdd, load) for load in (Payload(), LOAD))
-    return Golden(q, qd, qdd, bare, loaded)
+    residuals = None
+    if isinstance(model, CorrectedModel) and np.any(model.correction_.kept):
+        inner = (_streamed(model.base_, q, qd, qdd, load) for load in (Payload(), LOAD))
+        residuals = np.stack([bare, loaded]) - np.stack(list(inner))
+    return Golden(q, qd, qdd, bare, loaded, residuals)
+
+
+def jittered(q: FloatArray, qd: FloatArray) -> FloatArray:
+    """Q (N, n) as an encoder reads it around reversals and at rest: one step to and fro."""
+    way = JITTER * (-1.0) ** np.arange(len(q))[:, None]
+    slow = np.abs(qd) < SLOW * np.abs(qd).max(axis=0)
+    return np.asarray(q + way * slow)
 
 
 def motion(robot: RobotModel, samples: int, rate_hz: float) -> tuple[FloatArray, ...]:
@@ -65,7 +86,8 @@ def motion(robot: RobotModel, samples: int, rate_hz: float) -> tuple[FloatArray,
     q, qd = middle + reach * np.sin(angle), reach * w * np.cos(angle)
     qdd = -reach * w**2 * np.sin(angle)
     for joint in range(robot.n):
-        rest = slice(samples // 2 + 5 * joint, samples // 2 + 5 * joint + samples // 10)
+        start = samples // 2 + joint * (samples // 60)
+        rest = slice(start, start + samples // 10)
         q[rest, joint], qd[rest, joint], qdd[rest, joint] = q[rest.start, joint], 0.0, 0.0
     return q, qd, qdd
 

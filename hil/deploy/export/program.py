@@ -68,6 +68,9 @@ class Program:
         scale: (n,) torque per unit of effort.
         correction: Of a residual network, in effort units.
         lagrangian: Network that takes the place of the rigid body; loads stay bodies.
+        coupling: (n, n) T of joints = T · motors where a motor moves more than one joint, else
+            None. Samples and efforts are the motors' then: bodies and load hold Tᵀ times what the
+            joints at T q, T q̇, T q̈ hold; rotors, friction, networks and scale are the motors'.
     """
 
     estimator: str
@@ -82,6 +85,7 @@ class Program:
     scale: FloatArray
     correction: Correction | None = None
     lagrangian: LagrangianTerms | None = None
+    coupling: FloatArray | None = None
 
     @property
     def n(self) -> int:

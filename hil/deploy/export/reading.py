@@ -23,14 +23,20 @@ from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST
 from hil.identify.rigid_linear import TERMS, RigidLinear
+from hil.identify.static_model import StaticModel
 from hil.typing import FloatArray
+
+
+class NotExported(FitError):
+    """The model is of a kind that no program can be written of."""
 
 
 def program_of(model: RobotEstimator) -> Program:
     """What the model computes, as arithmetic.
 
     Raises:
-        FitError: It is not fitted, or of a kind that is not exported.
+        NotExported: It is of a kind that is not exported.
+        FitError: It is not fitted.
     """
     if not hasattr(model, "sigma_"):
         raise FitError(f"{model.estimator} is not fitted yet", hint="call fit first")
@@ -58,7 +64,13 @@ def program_of(model: RobotEstimator) -> Program:
         width = model.sign_width or NARROWEST
         plain = PlainFriction(coulomb, viscous, offset, model.sign_width, exponent, width)
         return _program(model, rigid, rigid, plain)
-    raise FitError(
+    if isinstance(model, StaticModel):
+        raise NotExported(
+            f"{model.estimator} says what an arm needs at rest, a program what it needs in motion",
+            hint="guide by hand with hil.deploy.hand_guiding.HandGuiding, which takes this model "
+            "as it is; take its parameters with --to json; or fit rigid-hysteresis to trajectories",
+        )
+    raise NotExported(
         f"{model.estimator} cannot be exported as a program",
         hint="export a rigid-body model (rigid-hysteresis, rigid-wls, …), lagrangian, or residual "
         "on one of them",
@@ -71,7 +83,7 @@ def _corrected(model: CorrectedModel) -> Program:
     if not np.any(correction.kept):
         return replace(inner, estimator=model.estimator)
     if correction.settings.inputs != "motion":
-        raise FitError(
+        raise NotExported(
             f"the residual network has inputs: {correction.settings.inputs}, so it needs the "
             "torque that a controller wants predicted",
             hint="fit residual with inputs: motion",
@@ -97,6 +109,7 @@ def _program(
         gears=bodies(gears, robot.n),
         friction=friction,
         scale=model.torque_scale_,
+        coupling=getattr(robot, "joints_per_motor", None),
     )
 
 

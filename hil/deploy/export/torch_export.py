@@ -49,6 +49,12 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
         loaded(content), golden_of(model), traced.state_size, "the PyTorch program"
     )
     write_file(content, out)
+    warns = () if out.suffix == ".pt2" else ("torch.export.load warns of other names than *.pt2",)
+    return told_of(traced, out, checked, *warns)
+
+
+def told_of(traced: TorchModel, out: Path, checked: str, *notes: str) -> Exported:
+    """What is said of a file with this model in it."""
     memory = f"with memory of {traced.state_size} numbers" if traced.state else "without memory"
     return Exported(
         out=out,
@@ -57,15 +63,21 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
         effort_unit=effort_unit(traced.effort_kind),
         parts=f"{traced.estimator}, {memory}",
         checked=checked,
-        notes=notes_of(traced),
+        notes=(*notes, *notes_of(traced)),
     )
 
 
 def notes_of(traced: TorchModel) -> tuple[str, ...]:
     """What callers have to keep to."""
-    if traced.rate_hz is None:
-        return ()
-    return (f"its network counts samples: call it at {traced.rate_hz:.6g} Hz",)
+    notes = []
+    if traced.rate_hz is not None:
+        notes.append(f"its network counts samples: call it at {traced.rate_hz:.6g} Hz")
+    if sliding := [
+        name for name, turns in zip(traced.joint_names, traced.turns, strict=True) if not turns
+    ]:
+        efforts = "" if traced.effort_kind == "current" else ", efforts in N"
+        notes.append(f"joints that slide: {', '.join(sliding)}; positions in m{efforts}")
+    return tuple(notes)
 
 
 def archive(traced: TorchModel) -> bytes:

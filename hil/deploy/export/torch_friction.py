@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -20,7 +20,6 @@ SLOWEST = 1e-12
 
 SENSE_RAD_S = 0.01
 """Width of the smooth sign of ripple."""
-
 
 Carried = dict[str, Tensor]
 """What is handed on from sample to sample by name, each (B, size)."""
@@ -40,21 +39,23 @@ class PlainLaw(nn.Module):
 
     def __init__(self, friction: PlainFriction) -> None:
         super().__init__()
-        self.width, self.square = friction.sign_width, friction.power_width**2
+        self.hard = friction.sign_width == 0
         self.bent = bool(np.any(friction.exponent != 1.0))
         hold(
             self,
             coulomb=friction.coulomb,
             viscous=friction.viscous,
             offset=friction.offset,
+            width=np.array([friction.sign_width]),
             bend=0.5 * (friction.exponent - 1.0),
+            square=np.array([friction.power_width**2]),
         )
 
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
     ) -> tuple[Tensor, Carried]:
         """As `MemoryLaw.forward`."""
-        sign = torch.tanh(qd / self.width) if self.width > 0 else torch.sign(qd)
+        sign = torch.sign(qd) if self.hard else torch.tanh(qd / self.width)
         power = qd * torch.exp(self.bend * torch.log(qd * qd + self.square)) if self.bent else qd
         return self.coulomb * sign + self.viscous * power + self.offset, {}
 
@@ -71,36 +72,43 @@ class MemoryLaw(nn.Module):
 
     def __init__(self, law: FrictionLaw) -> None:
         super().__init__()
-        joints = terms_of(law)
-        self.n = n = len(joints)
-        offset, self.columns = np.zeros(n), dict[str, FloatArray]()
-        for j, terms in enumerate(joints):
-            for name, weights in terms.items():
-                for column, weight in zip(GROUPS[name], weights, strict=True):
-                    into = (
-                        offset if column == "1.0" else self.columns.setdefault(column, np.zeros(n))
-                    )
-                    into[j] += weight
-        self.columns = {name: w for name, w in self.columns.items() if np.any(w)} or {
-            "v": offset * 0
-        }
-        words = {word for column in self.columns for word in _factors(column)}
-        self.multiples = tuple(k for k in MULTIPLES if {f"z{k:g}", f"fabs(z{k:g})"} & words)
-        self.warms = "warmth" in words
+        offset, weights = _weights(law)
+        self.n = n = len(offset)
+        # Columns of as many factors behind each other, so that they are multiplied together.
+        self.columns = sorted((column.split(" * ") for column in weights), key=len)
+        words = {word for column in self.columns for word in column}
+        words |= {word[5:-1] for word in words if word.startswith("fabs(")}
+        self.multiples = tuple(k for k in MULTIPLES if f"z{k:g}" in words)
+        self.warms, self.slows, self.senses = (w in words for w in ("warmth", "slow", "sense"))
+        self.peaks = [name for name in PEAKS if name in words]
+        self.laws = [name for name in ("law_p", *LAWS) if name in words]
+        waves = {word for word in words if word.lstrip("j").startswith(("sin", "cos"))}
+        self.waves = sorted({word.replace("sin", "").replace("cos", "") for word in waves})
         states = (("friction", len(self.multiples) * n), ("last", n))
-        warmth = (("celsius", n),)
-        self.parts = states * bool(self.multiples) + warmth * self.warms
-        usual = np.full(n, REFERENCE_C) if law.celsius is None else law.celsius
+        self.parts = states * bool(self.multiples) + (("warmer_k", n),) * self.warms
         hold(
             self,
             offset=offset,
-            weights=np.array(list(self.columns.values())),
-            shortness=-1.0 / np.outer(self.multiples or [1.0], law.shapes.length),
-            stribeck=law.shapes.stribeck,
-            power=law.shapes.power,
-            turns=np.nan_to_num(law.shapes.turns),
-            warmth=np.nan_to_num(usual - REFERENCE_C),
+            weights=np.array([weights[" * ".join(column)] for column in self.columns]),
+            **self._shapes(law),
         )
+
+    def _shapes(self, law: FrictionLaw) -> dict[str, FloatArray]:
+        shapes, one = law.shapes, np.ones(self.n)
+        usual = REFERENCE_C * one if law.celsius is None else law.celsius
+        powers = {"law_p": shapes.power, **{name: power * one for name, power in LAWS.items()}}
+        turns = np.nan_to_num(shapes.turns)
+        return {
+            "shortness": -1.0 / np.outer(self.multiples or (1.0,), shapes.length),
+            "peak_rates": np.array([-1.0 / (PEAKS[name] * shapes.stribeck) for name in self.peaks]),
+            "powers": np.array([powers[name] for name in self.laws]),
+            "orders": np.array(
+                [float(k.lstrip("j")) * (one if k.startswith("j") else turns) for k in self.waves]
+            ),
+            "warmth": np.nan_to_num(usual - REFERENCE_C),
+            "slow_rate": np.array([-1.0 / RIPPLE_FADES_RAD_S]),
+            "sense_rate": np.array([1.0 / SENSE_RAD_S]),
+        }
 
     def forward(
         self, q: Tensor, qd: Tensor, gears: Tensor, begun: Tensor | None, carried: Carried
@@ -112,76 +120,79 @@ class MemoryLaw(nn.Module):
             qd: (B, n) [rad/s].
             gears: (B, n) torque that the gears transmit [N·m].
             begun: (B, 1) whether there was a sample before; None where nothing is carried.
-            carried: What `parts` names. `celsius` (B, n) is how much warmer joints are than the
-                training was [K].
+            carried: What `parts` names. `warmer_k` (B, n) is how much warmer joints are than
+                the training was [K].
         """
         after = dict(carried)
-        known = {"v": qd.reshape(-1, 1, self.n), "tau": gears.reshape(-1, 1, self.n)}
+        rows = [one.reshape(-1, 1, self.n) for one in (q, qd, gears)]
+        known = self._now(*rows)
         if self.multiples:
-            way = torch.where(begun, q - carried["last"], torch.zeros_like(q))
+            way = torch.where(begun, q - carried["last"], 0.0)
             z = self._advanced(carried["friction"], way, qd)
             after |= {"friction": z.reshape(-1, len(self.multiples) * self.n), "last": q}
-            names = [f"z{k:g}" for k in self.multiples]
-            known |= dict(zip(names, z.split(1, dim=1), strict=True))
+            states = _split([f"z{k:g}" for k in self.multiples], z)
+            known |= states | {f"fabs({name})": torch.abs(state) for name, state in states.items()}
         if self.warms:
-            known["warmth"] = (self.warmth + carried["celsius"]).reshape(-1, 1, self.n)
-        shapes = _Shapes(self, q.reshape(-1, 1, self.n), known)
-        columns = torch.cat([_product(shapes, column) for column in self.columns], dim=1)
-        return (columns * self.weights).sum(dim=1) + self.offset, after
+            known["warmth"] = (self.warmth + carried["warmer_k"]).reshape(-1, 1, self.n)
+        return (self._products(known) * self.weights).sum(dim=1) + self.offset, after
+
+    def _now(self, q: Tensor, v: Tensor, tau: Tensor) -> dict[str, Tensor]:
+        """What columns are products of, each (B, 1, n), but for memory and warmth."""
+        speed = torch.abs(v)
+        known = {"v": v, "speed": speed, "tau": tau, "load": torch.abs(tau)}
+        if self.peaks:
+            known |= _split(self.peaks, torch.exp(speed * self.peak_rates))
+        if self.laws:
+            toward = torch.where(speed > SLOWEST, torch.sign(v), 0.0)
+            power = torch.exp(torch.log(torch.clamp(speed, min=SLOWEST)) * self.powers)
+            known |= _split(self.laws, toward * power)
+        if self.waves:
+            angle = q * self.orders
+            for wave, values in (("sin", torch.sin(angle)), ("cos", torch.cos(angle))):
+                names = [f"{'j' * k.startswith('j')}{wave}{k.lstrip('j')}" for k in self.waves]
+                known |= _split(names, values)
+        if self.slows:
+            known["slow"] = torch.exp(speed * self.slow_rate)
+        if self.senses:
+            known["sense"] = torch.tanh(v * self.sense_rate)
+        return known
+
+    def _products(self, known: dict[str, Tensor]) -> Tensor:
+        """(B, C, n) columns."""
+        found = []
+        for _, group in groupby(self.columns, key=len):
+            first, *others = (
+                torch.cat([known[name] for name in names], dim=1)
+                for names in zip(*group, strict=True)
+            )
+            for factor in others:
+                first = first * factor
+            found.append(first)
+        return torch.cat(found, dim=1)
 
     def _advanced(self, states: Tensor, way: Tensor, qd: Tensor) -> Tensor:
         """(B, M, n) Dahl's states one step on: only what goes with the velocity counts as way."""
-        gone = torch.where(way * qd > 0.0, way, torch.zeros_like(way)).reshape(-1, 1, self.n)
+        gone = torch.where(way * qd > 0.0, way, 0.0).reshape(-1, 1, self.n)
         toward = torch.sign(gone)
         before = states.reshape(-1, len(self.multiples), self.n)
         return toward + (before - toward) * torch.exp(torch.abs(gone) * self.shortness)
 
 
-class _Shapes:
-    """What columns are products of, each (B, 1, n) and computed once."""
-
-    def __init__(self, law: MemoryLaw, q: Tensor, known: dict[str, Tensor]) -> None:
-        self._law, self._q, self._known = law, q, known
-
-    def __getitem__(self, name: str) -> Tensor:
-        if name not in self._known:
-            self._known[name] = self._made(name)
-        return self._known[name]
-
-    def _made(self, name: str) -> Tensor:
-        law, v = self._law, self["v"]
-        simple: dict[str, Callable[[], Tensor]] = {
-            "speed": lambda: torch.abs(v),
-            "load": lambda: torch.abs(self["tau"]),
-            "slow": lambda: torch.exp(self["speed"] * (-1.0 / RIPPLE_FADES_RAD_S)),
-            "sense": lambda: torch.tanh(v / SENSE_RAD_S),
-            "slog": lambda: torch.log(torch.clamp(self["speed"], min=SLOWEST)),
-            "toward": lambda: torch.where(
-                self["speed"] > SLOWEST, torch.sign(v), torch.zeros_like(v)
-            ),
-            "law_p": lambda: self["toward"] * torch.exp(law.power * self["slog"]),
-        }
-        if name in simple:
-            return simple[name]()
-        if name in PEAKS:
-            return torch.exp(self["speed"] / (-PEAKS[name] * law.stribeck))
-        if name in LAWS:
-            return self["toward"] * torch.exp(LAWS[name] * self["slog"])
-        if name.startswith("fabs("):
-            return torch.abs(self[name[5:-1]])
-        wave, order = name.rstrip("0123456789"), float(name.lstrip("jsinco"))
-        angle = self._q * order if wave.startswith("j") else self._q * (order * law.turns)
-        return torch.sin(angle) if wave.endswith("sin") else torch.cos(angle)
+def _weights(law: FrictionLaw) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """(n,) constants, and every other column's coefficient of each joint; at least one column."""
+    joints = terms_of(law)
+    offset, weights = np.zeros(len(joints)), dict[str, FloatArray]()
+    for j, terms in enumerate(joints):
+        for name, found in terms.items():
+            for column, weight in zip(GROUPS[name], found, strict=True):
+                if column == "1.0":
+                    offset[j] += weight
+                else:
+                    weights.setdefault(column, np.zeros(len(joints)))[j] += weight
+    used = {column: weight for column, weight in weights.items() if np.any(weight)}
+    return offset, used or {"v": np.zeros(len(joints))}
 
 
-def _product(shapes: _Shapes, column: str) -> Tensor:
-    first, *others = _factors(column)
-    found = shapes[first]
-    for name in others:
-        found = found * shapes[name]
-    return found
-
-
-def _factors(column: str) -> list[str]:
-    """Columns are products; the table of the C export has them as `a * b * c`."""
-    return column.split(" * ")
+def _split(names: list[str], values: Tensor) -> dict[str, Tensor]:
+    """Rows of (B, K, n) by name, each (B, 1, n)."""
+    return dict(zip(names, values.split(1, dim=1), strict=True))

@@ -12,7 +12,8 @@ from hil.deploy.export.reading import program_of
 from hil.deploy.export.torch_program import ProgramModule
 from hil.identify.base import RobotEstimator
 
-LOAD = "mass_kg com_x_m com_y_m com_z_m ixx iyy izz ixy ixz iyz (about the centre of mass, kg m2)"
+LOAD = ("kg", *["m"] * 3, *["kg*m2"] * 6)
+"""Units of mass, centre of mass x y z and inertia about it xx yy zz xy xz yz."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,6 +26,7 @@ class TorchModel:
         estimator: What found it.
         joint_names: n of them.
         effort_kind: `current` or `torque`.
+        turns: Which joints turn; the others slide.
         state: Name and size of the parts of the state, in this order; empty without memory.
         rate_hz: At which samples must come, as a network counts them; None where it does not
             matter.
@@ -34,6 +36,7 @@ class TorchModel:
     estimator: str
     joint_names: tuple[str, ...]
     effort_kind: str
+    turns: tuple[bool, ...]
     state: tuple[tuple[str, int], ...] = ()
     rate_hz: float | None = None
 
@@ -53,13 +56,26 @@ class TorchModel:
         taken, given = ("q", "qd", "qdd", "load"), ("effort",)
         return ((*taken, "state"), (*given, "state_next")) if self.state else (taken, given)
 
+    @property
+    def units(self) -> dict[str, list[str]]:
+        """Of every column of the inputs and of the effort, in ASCII."""
+        lengths = ["rad" if turns else "m" for turns in self.turns]
+        of_torque = ["N*m" if turns else "N" for turns in self.turns]
+        return {
+            "q": lengths,
+            "qd": [f"{one}/s" for one in lengths],
+            "qdd": [f"{one}/s2" for one in lengths],
+            "load": list(LOAD),
+            "effort": of_torque if self.effort_kind == "torque" else ["A"] * self.n,
+        }
+
     def told(self) -> dict[str, str]:
         """Metadata for a file: plain text, lists as JSON."""
         return {
             "written_by": "hil",
             "estimator": self.estimator,
             "joint_names": json.dumps(self.joint_names),
-            "units": json.dumps({"q": "rad", "qd": "rad/s", "qdd": "rad/s2", "load": LOAD}),
+            "units": json.dumps(self.units),
             "effort_unit": effort_unit(self.effort_kind).replace("·", "*"),
             "state_size": str(self.state_size),
             "state": json.dumps(self.state),
@@ -81,6 +97,7 @@ def module_of(model: RobotEstimator) -> TorchModel:
         estimator=program.estimator,
         joint_names=program.joint_names,
         effort_kind=program.effort_kind,
+        turns=tuple(bool(turns) for turns in program.geometry.turns),
         state=module.parts,
         rate_hz=None if correction is None else correction.networks[0].rate_hz,
     )

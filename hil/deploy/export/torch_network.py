@@ -37,7 +37,9 @@ class StreamingTcn(nn.Module):
         self.own = self.settings.layout == "grouped"
         self.cells, self.width = len(weights.enter), self.settings.width
         self.sets = len(weights.means)
-        self.features = len(self._raw_names()) if self.own else 3 * self.n
+        signs = len(self.settings.sign_widths)
+        own = 2 + signs + self.settings.base_input
+        self.features = own if self.own else 3 * self.n
         self.rows = tuple((self.settings.kernel - 1) * d for d in self.settings.dilations)
         layer = self.cells * self.width
         self.parts = (
@@ -76,10 +78,9 @@ class StreamingTcn(nn.Module):
     def _seen(self, q: Tensor, qd: Tensor, qdd: Tensor, base: Tensor) -> Tensor:
         """(S, B, F) inputs, scaled and held in the range of the training."""
         if self.own:
-            known = {"qd": qd, "qdd": qdd, "base": base}
-            for number, width in enumerate(self.settings.sign_widths):
-                known[f"sign {number}"] = torch.tanh(qd / width)
-            raw = torch.stack([known[name] for name in self._raw_names()], dim=1)
+            one = [values.reshape(-1, 1, self.n) for values in (qd, qdd, base)]
+            signs = torch.tanh(one[0] * self.signs)
+            raw = torch.cat([one[0], signs, one[1], *one[2:][: self.settings.base_input]], dim=1)
             raw = (raw @ self.kept).transpose(1, 2)
         else:
             raw = torch.stack([q, qd, qdd], dim=2)
@@ -110,10 +111,6 @@ class StreamingTcn(nn.Module):
         """(B, E·C) of (E, B, C)."""
         return h.transpose(0, 1).reshape(-1, self.cells * h.shape[2])
 
-    def _raw_names(self) -> list[str]:
-        signs = [f"sign {number}" for number in range(len(self.settings.sign_widths))]
-        return ["qd", *signs, "qdd", *(["base"] if self.settings.base_input else [])]
-
     def _inputs(self, weights: CellWeights, correction: Correction) -> dict[str, FloatArray]:
         shape = (1, self.networks, self.sets // self.networks, self.features)
         names = {"mean": "means", "rate": "rates", "lowest": "lowest", "highest": "highest"}
@@ -127,6 +124,7 @@ class StreamingTcn(nn.Module):
         return found | {
             "share": share,
             "limit": limit,
+            "signs": 1.0 / np.reshape(self.settings.sign_widths, (-1, 1)),
             "kept": np.eye(self.n)[:, correction.kept],
         }
 

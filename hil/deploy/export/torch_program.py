@@ -6,13 +6,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hil.deploy.export.lagrangian_terms import NetworkFriction
 from hil.deploy.export.program import PlainFriction, Program
+from hil.deploy.export.shaped import ShapedFriction
 from hil.deploy.export.torch_constants import hold
 from hil.deploy.export.torch_friction import Carried, MemoryLaw, PlainLaw
+from hil.deploy.export.torch_lagrangian import LagrangianTorque, NetworkLaw
 from hil.deploy.export.torch_network import StreamingTcn
 from hil.deploy.export.torch_rigid import RigidTorque
-from hil.errors import FitError
-from hil.identify.friction.law import FrictionLaw
+from hil.deploy.export.torch_shaped import ShapedLaw
 
 
 class ProgramModule(nn.Module):
@@ -73,13 +75,9 @@ class ProgramModule(nn.Module):
 
 
 def physics_module(program: Program) -> nn.Module:
-    """(q, qd, qdd, load) → torque with load, and what of it the gears transmit, each (B, n) [N·m].
-
-    Raises:
-        FitError: There is none of this kind.
-    """
+    """(q, qd, qdd, load) → torque with load, and that of the gears, each (B, n) [N·m]."""
     if program.lagrangian is not None:
-        raise FitError(f"{program.estimator} cannot be written for PyTorch or ONNX")
+        return LagrangianTorque(program, program.lagrangian)
     return RigidTorque(program)
 
 
@@ -87,16 +85,15 @@ def friction_module(program: Program) -> nn.Module:
     """(q, qd, gears, begun, carried) → torque (B, n) [N·m], and what is carried on.
 
     Its `parts` say what that is; see `torch_friction.MemoryLaw`.
-
-    Raises:
-        FitError: There is none of this kind.
     """
     friction = program.friction
     if isinstance(friction, PlainFriction):
         return PlainLaw(friction)
-    if isinstance(friction, FrictionLaw):
-        return MemoryLaw(friction)
-    raise FitError(f"the friction of {program.estimator} cannot be written for PyTorch or ONNX")
+    if isinstance(friction, ShapedFriction):
+        return ShapedLaw(friction)
+    if isinstance(friction, NetworkFriction):
+        return NetworkLaw(friction)
+    return MemoryLaw(friction)
 
 
 def network_module(program: Program) -> StreamingTcn | None:

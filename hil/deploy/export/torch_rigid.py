@@ -6,6 +6,7 @@ A = (V' + V²)·T J Tᵀ, gravity within V'. A joint holds τᵢ = ⟨Gᵢ, Σ A
 (Uicker 1967, in the notation of Wensing, Kim & Slotine 2018). It is Newton and Euler without their
 walk from link to link: only the poses are multiplied one by one, sums along the chain are products
 with a triangular matrix. So there are few operations, which is what a sample costs in a runtime.
+Where motors move more than one joint, q, q̇, q̈, rotors and torques are the motors'.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ class RigidTorque(nn.Module):
         self.n = program.n
         self.slides = not np.all(program.geometry.turns)
         self.own_gears = not np.array_equal(program.gears, program.rigid)
+        self.coupled = program.coupling is not None
+        if program.coupling is not None:
+            hold(self, joints=program.coupling.T, motors=program.coupling)
         hold(self, **_geometry(program), **_load(program), rotors=program.rigid[:, 10])
         hold(self, bodies=np.array([pseudo_inertia(row) for row in program.rigid]))
         if self.own_gears:
@@ -48,9 +52,10 @@ class RigidTorque(nn.Module):
             load: (B, 10) mass [kg], centre of mass [m] in the flange's frame, inertia about it
                 (xx, yy, zz, xy, xz, yz) [kg·m²].
         """
-        pose = self._poses(q)
+        moves = [rows @ self.joints for rows in (q, qd, qdd)] if self.coupled else [q, qd, qdd]
+        pose = self._poses(moves[0])
         twist = self._twists(pose)
-        moving = self._moving(twist, qd, qdd)
+        moving = self._moving(twist, *moves[1:])
         mounted = self.last * self._mounted(load)
         torque = self._held(pose, twist, moving, self.bodies + mounted) + self.rotors * qdd
         if not self.own_gears:
@@ -86,7 +91,8 @@ class RigidTorque(nn.Module):
     def _held(self, pose: Tensor, twist: Tensor, moving: Tensor, inertia: Tensor) -> Tensor:
         wrench = moving @ (pose @ inertia @ pose.transpose(2, 3))
         carried = self.inwards @ wrench.reshape(-1, self.n, 16)
-        return (twist.reshape(-1, self.n, 16) * carried).sum(dim=2)
+        torque = (twist.reshape(-1, self.n, 16) * carried).sum(dim=2)
+        return torque @ self.motors if self.coupled else torque
 
     def _outwards(self, each: Tensor) -> Tensor:
         """Sums over the joints up to each link."""

@@ -124,7 +124,8 @@ class LagrangianNetwork(nn.Module):
 
     def _by_potential(self, at: _Motion) -> Tensor:
         """Gradient of −V by its raw output."""
-        return -self.gravity_unit * torch.ones_like(at.raw[..., -1:])
+        # Ones of the same shape would ask for it at run time, which small targets cannot answer.
+        return 0.0 * at.raw[..., -1:] - self.gravity_unit
 
     def _uphill(self, at: _Motion, kinetic: Tensor) -> Tensor:
         alone = torch.cat([torch.zeros_like(kinetic), -self._by_potential(at)], dim=-1)

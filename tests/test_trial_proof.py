@@ -1,0 +1,29 @@
+"""A hand that leads arms the filter was not chosen on: at most half of the effort, and rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trial_parts import of_arm
+
+from hil.trial import leading
+from hil.trial.judged import judged, relief
+from hil.trial.settings import HALF
+from hil.trial.trial import run_trial
+
+pytestmark = pytest.mark.proof
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("arm", ["ur5", "lab6"])
+def test_compensation_halves_the_effort_of_the_hand(tmp_path, arm, seed) -> None:
+    station = tmp_path / "station.yaml"
+    station.write_text(
+        "hil_station: 1\nrobots:\n"
+        f"  arm: {{driver: mock, model: {arm}, options: {{seed: {seed}}}}}\n"
+    )
+    folder = of_arm(arm, seed).save(tmp_path / "model")
+    trial = run_trial(folder, station=station, robot="arm")
+    assert [criterion.name for criterion in judged(trial) if not criterion.met] == []
+    for over in (leading.NOTHING, leading.DATASHEET, leading.GRAVITY):
+        assert np.all(relief(trial, leading.FRICTION, over) <= HALF)

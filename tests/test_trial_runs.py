@@ -1,0 +1,160 @@
+"""Runs of a trial are fair to what the model is compared with, and safe for whoever leads."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from trial_parts import bench, model, reference, way
+
+from hil import plugins
+from hil.deploy.hand_guiding import HandGuiding
+from hil.errors import SpecError
+from hil.payload import Payload
+from hil.plan.build import build_plan
+from hil.spec.station import StationRobot
+from hil.trial import leading, runs, trial
+from hil.trial.arm import RATE_HZ, Arm, require_simulated
+from hil.trial.gains import Spring, spring_for
+from hil.trial.judged import relief
+from hil.trial.leading import HAND_FIRMNESS, lead
+from hil.trial.reference import Leading, spec_of
+from hil.trial.settings import FRICTION_SHARE, HALF
+
+
+class RealArm:
+    """A driver with methods of the right names, which could turn a real arm."""
+
+    def command_torque(self, torque):
+        raise AssertionError("a real arm was driven by torque")
+
+    push = command_torque
+
+
+@pytest.mark.parametrize("said", [None, False, 1, "yes"])
+def test_methods_of_the_right_names_make_no_simulated_arm(said, monkeypatch) -> None:
+    driver = type("Driver", (RealArm,), {} if said is None else {"simulated": said})
+    monkeypatch.setattr(plugins, "load", lambda group, name: driver)
+    with pytest.raises(SpecError, match="does not declare itself a simulated arm"):
+        require_simulated("real", StationRobot(driver="ur", model="ur5"))
+    robot = driver()
+    robot.identity = SimpleNamespace(model="ur5")
+    with pytest.raises(SpecError, match="no simulated arm"):
+        Arm(robot)
+
+
+def test_every_law_has_the_same_controller_and_every_way_the_same_hand(monkeypatch) -> None:
+    given = []
+
+    def track(arm, law, ahead, asked, pd):
+        given.append(pd)
+
+    def led(arm, name, drives, asked, hand):
+        given.append(hand)
+
+    monkeypatch.setattr(runs, "track", track)
+    monkeypatch.setattr(runs, "lead", led)
+    pd, hand = Spring(np.ones(6), np.ones(6)), Spring(np.ones(6), np.ones(6))
+    runs.tracked_by(model(), bench(), reference(), pd, print)
+    assert len(given) == 4
+    assert all(one is pd for one in given)
+    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    given.clear()
+    runs.led_with(helped, model(), bench(), way(), hand, print)
+    assert len(given) == 4
+    assert all(one is hand for one in given)
+
+
+def test_the_datasheet_carries_the_arm_too(monkeypatch) -> None:
+    given = {}
+    monkeypatch.setattr(
+        runs, "lead", lambda arm, name, drives, way, hand: given.update({name: drives})
+    )
+    load = Payload(2.0, (0.0, 0.0, 0.05))
+    loaded = bench()
+    loaded = type(loaded)(loaded.name, loaded.robot, load)
+    runs.led_with({}, model(), loaded, way(), Spring(np.ones(6), np.ones(6)), print)
+    q = way().start
+    true = model().robot_.with_payload(load).gravity(q[None])[0]
+    assert given[leading.DATASHEET](q, np.zeros(6)) == pytest.approx(true)
+    assert given[leading.NOTHING] is None
+
+
+def test_an_arm_that_strays_from_the_hand_is_braked() -> None:
+    asked = iter(range(10**6))
+
+    def runaway(q, qd):
+        # More and more, so slowly that no limit of speed is reached.
+        return np.array([min(0.05 * next(asked), 150.0), 0, 0, 0, 0, 0])
+
+    with bench().arm(way().start) as arm:
+        soft = Spring(np.full(6, 150.0), np.full(6, 20.0))
+        run = lead(arm, "runaway", runaway, way(), soft)
+    assert run.stopped.startswith("the arm strayed from the hand")
+    assert 0.55 < np.abs(run.q - way().start).max() < 0.7
+    assert np.isnan(run.rms).all()
+
+
+def test_trembling_of_the_measured_velocity_does_not_reach_the_drives() -> None:
+    guiding = HandGuiding(model(), friction_share=FRICTION_SHARE)
+    drives = runs.in_torque(guiding, SimpleNamespace(gains=np.ones(6)))
+    q, still = way().start, np.zeros(6)
+    for k in range(200):
+        torque = drives(q, np.full(6, 0.1 * (-1) ** k))
+    assert torque == pytest.approx(guiding(q, still))
+    assert np.abs(guiding(q, np.full(6, 0.1)) - guiding(q, still)).min() > 0.1
+
+
+@pytest.mark.parametrize("filtered", [True, False])
+def test_an_arm_comes_to_rest_behind_the_filter_alone(monkeypatch, filtered) -> None:
+    monkeypatch.setattr(leading, "ALONE_S", 1.5)
+    if not filtered:
+        monkeypatch.setattr(runs, "LowPass", lambda cutoff, rate: lambda qd: qd)
+    short = Leading(way().start, way().swing, 0.5)
+    hand = spring_for(model().robot_, short.start[None]).firmer(HAND_FIRMNESS)
+    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    with bench().arm(short.start) as arm:
+        run = lead(arm, "led", runs.in_torque(helped[leading.FRICTION], arm), short, hand)
+    assert np.isfinite(run.rest_s) == filtered
+
+
+def test_a_trial_of_a_seed_is_no_experiment_of_that_seed() -> None:
+    ours = spec_of("arm", Payload(), 7)
+    theirs = ours.model_copy(update={"excitation": ours.excitation.model_copy(update={"seed": 7})})
+    plans = [build_plan(spec, bench().robot, rate_hz=RATE_HZ) for spec in (ours, theirs)]
+    motions = [
+        next(step.motion.sample(100.0).q for step in plan.steps if step.kind == "trajectory")
+        for plan in plans
+    ]
+    assert motions[0].shape != motions[1].shape or np.abs(motions[0] - motions[1]).max() > 0.1
+
+
+def test_what_a_static_model_is_not_worth_is_said() -> None:
+    static = SimpleNamespace(series_kinds=(("dwell",),), estimator="static-wls")
+    assert "all that it gives ahead is gravity" in next(trial._about(static, "a", "a"))
+    assert not list(trial._about(model(), "a", "a"))
+
+
+def test_joints_that_are_led_less_far_are_named() -> None:
+    short = Leading(way().start, np.radians([20.0, -20, 10, 20, 20, 20]))
+    (told,) = trial._short_ways(short, model().joint_names_)
+    assert told.endswith(f"{model().joint_names_[2]} 10°")
+    assert not list(
+        trial._short_ways(Leading(short.start, np.full(6, np.radians(20.0))), model().joint_names_)
+    )
+
+
+def test_a_hand_needs_at_most_half_of_the_effort(monkeypatch) -> None:
+    """In three quarters of the time; as `hil try-out` has it in test_trial_proof.py."""
+    monkeypatch.setattr(leading, "ALONE_S", 0.0)
+    slow = Leading(way().start, np.full(6, np.radians(20.0)), 3.0)
+    hand = spring_for(model().robot_, slow.start[None]).firmer(HAND_FIRMNESS)
+    helped, _ = runs.guidings(model(), bench(), FRICTION_SHARE)
+    led = []
+    for name in (leading.NOTHING, leading.FRICTION):
+        with bench().arm(slow.start) as arm:
+            drives = runs.in_torque(helped[name], arm) if name in helped else None
+            led.append(lead(arm, name, drives, slow, hand))
+    made = SimpleNamespace(led=led, joint_names=model().joint_names_)
+    assert np.all(relief(made, leading.FRICTION, leading.NOTHING) <= HALF)
