@@ -106,9 +106,9 @@ def test_one_cause_that_moves_others_is_named_alone() -> None:
     chart = charted([*probes, loaded], SIGMA)
     assert chart.alarm.sum() >= 3
     (cause,) = causes(loaded, chart, 0.01, "A")
-    assert cause.name == "load mass"
+    assert cause.name == "load"
     assert cause.change == pytest.approx(0.4, abs=0.05)
-    assert cause.text.startswith("load at the flange (mass): +0.4")
+    assert cause.text.startswith("load at the flange: +0.4")
 
 
 def test_features_come_back_from_json_as_they_were() -> None:

@@ -14,6 +14,7 @@ from hil.cli.app import app
 from hil.drift.history import PROBES_FILE, assess, probes_of
 from hil.errors import DataError, RegistryError
 from hil.fitting import fit_sources
+from hil.identify.model_file import plain
 from hil.registry.registry import Registry
 
 MOTION = 30
@@ -56,17 +57,16 @@ def test_a_load_nobody_told_of_is_named(registry, quiet, tmp_path: Path) -> None
         assess(registry, "ur5", source)
     loaded = assess(registry, "ur5", probe(tmp_path, MOTION, noise=8, load=LOAD))
     names = [cause.name for cause in loaded.causes]
-    assert "load mass" in names
-    mass = loaded.causes[names.index("load mass")]
-    assert mass.change == pytest.approx(LOAD.mass, rel=0.1)
+    assert names[0] == "load", loaded.text
+    assert loaded.causes[0].change == pytest.approx(LOAD.mass, abs=0.3)
 
 
 def test_a_probe_is_judged_once_and_kept(registry, quiet) -> None:
     first = assess(registry, "ur5", quiet[0])
     again = assess(registry, "ur5", quiet[0])
-    assert again.to_dict() == first.to_dict()
+    assert plain(again.to_dict()) == plain(first.to_dict())
     (kept,) = probes_of(registry, "ur5")
-    assert kept.to_dict() == first.to_dict()
+    assert plain(kept.to_dict()) == plain(first.to_dict())
 
 
 def test_a_new_champion_begins_anew(registry, quiet, model, tmp_path: Path) -> None:

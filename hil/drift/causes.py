@@ -13,6 +13,9 @@ from hil.drift.chart import Charted
 from hil.drift.features import UNITS, Features
 from hil.typing import FloatArray
 
+LEAST_KG = 0.05
+"""Below this a place would be that of noise."""
+
 MOST = 4
 """Causes named at most: what changes more is another robot."""
 
@@ -22,8 +25,8 @@ class Cause:
     """Something that has changed.
 
     Attributes:
-        name: Feature.
-        change: Of it, in its unit.
+        name: Feature; `load` for all of the load.
+        change: Of it, in its unit; of the load its mass.
         std: How sure.
         unit: `1` for a share.
         text: For people.
@@ -61,37 +64,58 @@ def causes(probe: Features, chart: Charted, false_alarm: float, effort_unit: str
     scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
     found: list[Cause] = []
     limit = float(norm.isf(false_alarm / len(left) / 4))
+    groups = _groups(probe.names)
     while len(found) < MOST:
-        z = np.abs(left) / scale
-        if not np.max(z) > limit:
+        over = np.abs(left) > limit * scale
+        if not over.any():
             break
-        k = _best(left, scale, probe.response, z > limit)
-        found.append(_cause(probe.names[k], float(left[k]), float(chart.std[k]), effort_unit))
-        left = left - probe.response[:, k] * left[k]
+        group = _best(left, scale, probe.response, [one for one in groups if over[one].any()])
+        found.append(_cause(probe, group, left, chart.std, effort_unit))
+        left = left - probe.response[:, group] @ left[group]
     return found
 
 
-def _best(left: FloatArray, scale: FloatArray, response: FloatArray, over: FloatArray) -> int:
-    """The feature that, changed alone by what it shows, leaves least of all of them."""
-    rest = [
-        float(np.sum(((left - response[:, k] * left[k]) / scale) ** 2)) if over[k] else np.inf
-        for k in range(len(left))
-    ]
-    return int(np.argmin(rest))
+def _groups(names: Sequence[str]) -> list[list[int]]:
+    """Features that are one cause: each of a joint by itself, all of the load."""
+    load = [k for k, name in enumerate(names) if name.startswith("load ")]
+    return [*([k] for k in range(len(names)) if k not in load), load]
 
 
-def _cause(name: str, change: float, std: float, effort_unit: str) -> Cause:
-    where, what = name.rsplit(" ", 1)
-    unit = effort_unit if what == "offset" else UNITS[what]
-    if what in ("friction", "gain"):
-        # Effort is torque over gain: more effort for the same torque is less gain.
-        sense = ("up" if change > 0 else "down") if what == "friction" else "off"
-        word = "friction" if what == "friction" else "effort for the same torque"
-        share = f"{100 * change:+.1f} ± {100 * std:.1f} %"
-        return Cause(name, change, std, unit, f"{word} {sense} on {where}: {share}")
-    text = f"{'load at the flange' if where == 'load' else f'offset on {where}'}"
-    text += f" ({what})" if where == "load" else ""
-    return Cause(name, change, std, unit, f"{text}: {change:+.3g} ± {std:.2g} {unit}")
+def _best(
+    left: FloatArray, scale: FloatArray, response: FloatArray, groups: Sequence[list[int]]
+) -> list[int]:
+    """The cause that, changed alone by what it shows, leaves least of all of them."""
+
+    def rest(group: list[int]) -> float:
+        return float(np.sum(((left - response[:, group] @ left[group]) / scale) ** 2))
+
+    return min(groups, key=rest)
+
+
+def _cause(
+    probe: Features, group: Sequence[int], left: FloatArray, std: FloatArray, effort_unit: str
+) -> Cause:
+    k = group[0]
+    change, error = float(left[k]), float(std[k])
+    where, what = probe.names[k].rsplit(" ", 1)
+    if where == "load":
+        text = f"load at the flange: {change:+.2f} ± {error:.2f} kg{_place(left[list(group)])}"
+        return Cause("load", change, error, UNITS[what], text)
+    if what == "offset":
+        text = f"offset on {where}: {change:+.3g} ± {error:.2g} {effort_unit}"
+        return Cause(probe.names[k], change, error, effort_unit, text)
+    # Effort is torque over gain: more effort for the same torque is less gain.
+    sense = ("up" if change > 0 else "down") if what == "friction" else "off"
+    word = "friction" if what == "friction" else "effort for the same torque"
+    text = f"{word} {sense} on {where}: {100 * change:+.1f} ± {100 * error:.1f} %"
+    return Cause(probe.names[k], change, error, UNITS[what], text)
+
+
+def _place(load: FloatArray) -> str:
+    """Of what was mounted or taken away; where the mass hardly changed there is none."""
+    if abs(load[0]) < LEAST_KG:
+        return ""
+    return " at ({:.0f}, {:.0f}, {:.0f}) mm".format(*(1000.0 * load[1:] / load[0]))
 
 
 def told(found: Sequence[Cause]) -> str:
