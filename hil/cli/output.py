@@ -120,22 +120,20 @@ def width_of(stream: TextIO) -> int | None:
     """Columns of the terminal that a stream is, None where it is none; it may change any time."""
     if not stream.isatty():
         return None
-    columns = _asked_columns()
+    columns = 0
+    with contextlib.suppress(ValueError):
+        columns = int(os.environ.get("COLUMNS", ""))
     with contextlib.suppress(OSError, ValueError):
         columns = columns or os.get_terminal_size(stream.fileno()).columns
     return max(columns or 80, 20)
 
 
 def out_width() -> int | None:
-    """Columns to print within: as $COLUMNS asks, even in a pipe, else the terminal's, else None."""
-    asked = _asked_columns()
-    return max(asked, 20) if asked > 0 else width_of(sys.stdout)
+    """Columns to print within, None in a pipe.
 
-
-def _asked_columns() -> int:
-    with contextlib.suppress(ValueError):
-        return int(os.environ.get("COLUMNS", ""))
-    return 0
+    $COLUMNS alone is nobody's wish there: every Python that has loaded readline hands it down.
+    """
+    return width_of(sys.stdout)
 
 
 def fit_words(number: int, total: int, name: str) -> str:
