@@ -13,9 +13,10 @@ from hil.data import Dataset
 from hil.errors import RegistryError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
-from hil.registry.compare import BLOCK_S, compare
+from hil.registry.compare import BLOCK_S, Comparison, compare
 
 NOISE_A = 0.05
+JOINTS = tuple(f"j{k + 1}" for k in range(6))
 
 
 def fitted(data: Dataset) -> RobotEstimator:
@@ -74,6 +75,15 @@ def test_a_joint_that_gets_clearly_worse_is_not_outweighed(champion) -> None:
     assert told.worse
     assert not told.better
     assert told.words.startswith("wrist_2_joint errs ")
+
+
+def test_who_errs_a_little_more_everywhere_is_worse() -> None:
+    """No joint by itself errs so much more that it would be turned down."""
+    old = np.full(6, 0.1)
+    told = Comparison("A", JOINTS, (), 1000, 20, old, 1.02 * old, 0.04, (-0.01, 0.09))
+    assert told.worse
+    assert not told.better
+    assert "errs more" in told.words
 
 
 def test_too_little_data_decide_nothing(champion) -> None:

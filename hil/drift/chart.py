@@ -49,8 +49,7 @@ class Charted:
     """What the charts say of the newest probe.
 
     Attributes:
-        expected: (K,) by the reference probes, at this temperature.
-        deviation: (K,) of the newest probe from that.
+        deviation: (K,) of the newest probe from what the reference says at its temperature.
         std: (K,) that such a deviation may have.
         p: (K,) how probable one as large is, without a change.
         p_mean: (K,) the same of the weighted mean; 1 while there is none but the reference.
@@ -60,7 +59,6 @@ class Charted:
         reference: How many probes told.
     """
 
-    expected: FloatArray
     deviation: FloatArray
     std: FloatArray
     p: FloatArray
@@ -100,11 +98,11 @@ def charted(
         for k, name in enumerate(probes[0].names)
     ]
     share = false_alarm / len(told) / 2
-    expected, deviation, std, dof, mean, mean_std = np.array(told).T
+    deviation, std, dof, mean, mean_std = np.array(told).T
     p, p_mean = _p(deviation, std, dof), _p(mean, mean_std, dof)
     limit = std * student.isf(share / 2, dof)
     alarm = (p < share) | (p_mean < share)
-    return Charted(expected, deviation, std, p, p_mean, mean, limit, alarm, count)
+    return Charted(deviation, std, p, p_mean, mean, limit, alarm, count)
 
 
 _ARRAYS = ("values", "temperature")
@@ -122,7 +120,7 @@ def _prior(name: str, sigma: FloatArray) -> FloatArray:
 def _feature(
     values: FloatArray, warm: FloatArray, prior: FloatArray, noise: float, count: int
 ) -> tuple[float, ...]:
-    """Expected, deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
+    """Deviation, its std, degrees of freedom, weighted mean and its std, of one feature.
 
     Values and temperatures (P,) are of all probes, the newest last; the first `count` tell.
     """
@@ -143,7 +141,7 @@ def _feature(
     weights /= np.sum(weights)
     pooled = weights @ X[since]
     mean_std = float(np.sqrt(variance * (weights @ weights + pooled @ spread @ pooled)))
-    return float(new @ centre), float(away[-1]), std, dof, float(weights @ away), mean_std
+    return float(away[-1]), std, dof, float(weights @ away), mean_std
 
 
 def _p(value: FloatArray, std: FloatArray, dof: FloatArray) -> FloatArray:

@@ -90,6 +90,8 @@ def challenge(
     if champion is not None and champion.number != version.number:
         compared = compare_sources(registry.load(name, champion.label), model, sources)
     good, words = _decide(compared, verdicts, unless_worse)
+    if good and version.number == number:
+        words = "it was so before"
     told = f"{reason}: {words}" if reason else words
     decision = Decision(version, champion, good, told, compared, verdicts)
     evidence = decision.evidence
