@@ -144,18 +144,24 @@ def _figure(value: float | None) -> str:
 
 def schema(
     kind: Annotated[
-        Literal["experiment", "station", "series", "map"], typer.Argument()
+        Literal["experiment", "station", "series", "schedule", "map"], typer.Argument()
     ] = "experiment",
 ) -> None:
-    """Print the JSON Schema of a spec, station file, series or import map, for editors."""
+    """Print the JSON Schema of a spec, station, series, schedule or import map, for editors."""
     if kind == "map":
         from hil.data.importing.map_schema import map_schema
 
         print_json(map_schema())
         return
-    from hil.spec.schema import experiment_schema, series_schema, station_schema
+    from hil.spec.schema import (
+        experiment_schema,
+        schedule_schema,
+        series_schema,
+        station_schema,
+    )
 
     schemas = {
         "experiment": experiment_schema, "station": station_schema, "series": series_schema,
+        "schedule": schedule_schema,
     }  # fmt: skip
     print_json(schemas[kind]())

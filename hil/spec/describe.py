@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
+from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
 from hil.spec.source import Path, dotted
 from hil.spec.station import Station
@@ -61,7 +62,11 @@ def explain_key(path: str) -> list[KeyInfo]:
         SpecError: There is no such key.
     """
     wanted = ".".join(step for step in path.split(".") if not step.isdigit())
-    known = [info for model in (ExperimentSpec, Station, SeriesSpec) for info in keys_below(model)]
+    known = [
+        info
+        for model in (ExperimentSpec, Station, SeriesSpec, ScheduleSpec)
+        for info in keys_below(model)
+    ]
     found = [info for info in known if info.path == wanted or info.path.endswith("." + wanted)]
     if not found:
         hint = did_you_mean(wanted, {info.path for info in known})
@@ -76,6 +81,7 @@ def reference() -> str:
         ("Experiment", ExperimentSpec),
         ("Station", Station),
         ("Series", SeriesSpec),
+        ("Schedule", ScheduleSpec),
     ):
         parts += [f"## {title}", _sections(model)]
     return "\n\n".join(parts) + "\n"

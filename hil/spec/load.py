@@ -146,6 +146,7 @@ _KINDS = {
     "hil_station": "a station",
     "hil_map": "an import map",
     "hil_series": "a series of experiments",
+    "hil_schedule": "a schedule",
 }
 
 

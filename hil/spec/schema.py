@@ -14,6 +14,7 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.quantities import Strict
+from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
 from hil.spec.station import Station
 from hil.spec.units import split_unit, symbol_of
@@ -36,10 +37,16 @@ def series_schema() -> dict[str, Any]:
     return _schema(SeriesSpec, "series")
 
 
+def schedule_schema() -> dict[str, Any]:
+    """JSON Schema of a schedule."""
+    return _schema(ScheduleSpec, "schedule")
+
+
 def schema_files() -> dict[str, str]:
     """The text of every schema file by its name."""
     schemas = {
         "experiment": experiment_schema(),
+        "schedule": schedule_schema(),
         "series": series_schema(),
         "station": station_schema(),
     }

@@ -6,12 +6,11 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
-from hil.spec.checks import is_file
-from hil.spec.load import no_such_kind, refuse_other_kind, validated
+from hil.spec.load import refuse_other_kind, validated
+from hil.spec.named_files import make_absolute
 from hil.spec.quantities import FormatVersion, Name, Strict
-from hil.spec.source import Path, Source, shown
+from hil.spec.source import Path, Source
 from hil.spec.yaml_source import read_source
-from hil.suggest import closest
 
 KEY = "hil_series"
 
@@ -64,7 +63,7 @@ def load_series_spec(path: str | FilePath) -> SeriesSpec:
     source, folder = read_source(path), FilePath(path).parent
     refuse_other_kind(source, KEY)
     for place in _places(source):
-        _make_absolute(source, place, folder)
+        make_absolute(source, place, folder)
     return validated(source, SeriesSpec)
 
 
@@ -76,25 +75,3 @@ def _places(source: Source) -> list[Path]:
         ("station",),
         *(("series", i, key) for i in range(count) for key in ("spec", "station")),
     ]
-
-
-def _make_absolute(source: Source, place: Path, folder: FilePath) -> None:
-    named, holder = source.at(place), source.at(place[:-1])
-    if not isinstance(named, str) or not isinstance(holder, dict):
-        return
-    file = folder / named
-    if not is_file(file):
-        source.add(place, f"there is no file {shown(str(file), most=300)}{_guess(file)}")
-        return
-    if wrong := no_such_kind(file, "hil_station" if place[-1] == "station" else "hil"):
-        source.add(place, wrong)
-    holder[place[-1]] = str(file.resolve())
-
-
-def _guess(file: FilePath) -> str:
-    try:
-        names = [other.name for other in file.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-    except (OSError, ValueError):
-        return ""
-    match = closest(file.name, names)
-    return f"; did you mean {match!r}?" if match else ""

@@ -1,0 +1,57 @@
+"""Durations as people write them in schedules: `7d`, `90min`, `1h30min`."""
+
+from __future__ import annotations
+
+import re
+from datetime import timedelta
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, PlainSerializer, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "w": 604_800.0}
+PATTERN = r"^(\d+(\.\d+)?(s|min|h|d|w))+$"
+_PART = re.compile(r"(\d+(?:\.\d+)?)(s|min|h|d|w)")
+_MOST = timedelta(days=36_500)
+
+
+def duration_of(text: str) -> timedelta:
+    """The duration that a text says.
+
+    Raises:
+        ValueError: It says none, or more than a century.
+    """
+    if not re.match(PATTERN, text):
+        raise ValueError(f"must be a duration such as 7d, 12w, 8h or 90min, not {text!r}")
+    seconds = sum(float(number) * SECONDS[unit] for number, unit in _PART.findall(text))
+    if seconds > _MOST.total_seconds():
+        raise ValueError(f"must be at most 100 years, not {text!r}")
+    return timedelta(seconds=seconds)
+
+
+def duration_text(duration: timedelta) -> str:
+    """Inverse of `duration_of`, in whole seconds."""
+    left, parts = round(duration.total_seconds()), []
+    for unit in ("w", "d", "h", "min", "s"):
+        count, left = divmod(left, int(SECONDS[unit]))
+        parts += [f"{count}{unit}"] if count else []
+    return "".join(parts) or "0s"
+
+
+def _from_yaml(value: Any) -> Any:
+    if isinstance(value, timedelta):
+        return value
+    try:
+        return duration_of(value if isinstance(value, str) else str(value))
+    except ValueError as error:
+        raise PydanticCustomError("mistake", "{message}", {"message": str(error), "at": []}) from (
+            error
+        )
+
+
+Duration = Annotated[
+    timedelta,
+    BeforeValidator(_from_yaml),
+    PlainSerializer(duration_text),
+    WithJsonSchema({"type": "string", "pattern": PATTERN, "examples": ["7d", "90min"]}),
+]
