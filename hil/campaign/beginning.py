@@ -55,6 +55,7 @@ def write_beginning(
             ],
             "seed": experiment.spec.excitation.seed,
             **_commissioning(experiment),
+            **({"occasion": experiment.occasion} if experiment.occasion else {}),
             "waivers": [
                 {"check": check, "reason": reason, "who": provenance["operator"]}
                 for check, reason in waivers.items()

@@ -41,6 +41,8 @@ class Experiment:
         station_source: Path of the station file, or that it is the built-in mock bench.
         commissioning: What of the plan is executed, and how fast; None for all of it.
         spec_source: Path of the spec file; empty when there is none.
+        occasion: What of a schedule it is run for, such as `weekly/20261128T030000Z-probe/probe`;
+            empty when it is not.
     """
 
     spec: ExperimentSpec
@@ -52,6 +54,7 @@ class Experiment:
     folder: Path
     commissioning: Commissioning | None = None
     spec_source: str = ""
+    occasion: str = ""
 
     @property
     def title(self) -> str:

@@ -1,0 +1,145 @@
+"""A schedule with the experiments it names, checked: what could only fail at night fails now."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.campaign.driver_check import check_driver
+from hil.campaign.experiment import Experiment, load_experiment
+from hil.errors import HilError, PluginError, SpecError
+from hil.identify.base import HONEST, estimator
+from hil.registry.registry import require_name
+from hil.spec.experiment import ExperimentSpec, Fit
+from hil.spec.schedule import ScheduleSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """A schedule bound to its experiments and their station.
+
+    Attributes:
+        spec: What the file says.
+        name: Of the models in the registry.
+        probe: None where there is none.
+        campaign: The full program.
+        fit: Entry of the campaign's spec whose model challenges the champion.
+    """
+
+    spec: ScheduleSpec
+    name: str
+    probe: Experiment | None
+    campaign: Experiment
+    fit: Fit
+
+    @property
+    def experiments(self) -> tuple[Experiment, ...]:
+        """Those there are."""
+        return (self.campaign,) if self.probe is None else (self.probe, self.campaign)
+
+
+def bind(spec: ScheduleSpec, station: Path | None = None) -> Bound:
+    """Load what a schedule names, and check that it fits together.
+
+    Args:
+        spec: From `load_schedule_spec`.
+        station: In place of the one it names.
+
+    Raises:
+        SpecError: With a line for every problem of the schedule and of the files it names.
+        PluginError: A driver is missing or does not load.
+    """
+    at = station or (Path(spec.station) if spec.station else None)
+    loaded: dict[str, Experiment] = {}
+    problems: list[str] = []
+    hint = ""
+    for part, job in (("probe", spec.probe), ("campaign", spec.campaign)):
+        try:
+            if job is not None:
+                loaded[part] = load_experiment(Path(job.spec), at)
+        except SpecError as error:
+            problems += error.message.splitlines()
+            hint = hint or error.hint
+    if "campaign" in loaded:
+        problems += _problems(spec, loaded["campaign"], loaded.get("probe"))
+    if problems:
+        raise SpecError("\n".join(dict.fromkeys(problems)), hint=hint)
+    campaign = loaded["campaign"]
+    fit = next(fit for fit in _wanted(spec, campaign.spec))
+    name = spec.model or campaign.spec.robot
+    return Bound(spec, name, loaded.get("probe"), campaign, fit)
+
+
+def _problems(spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None) -> Iterator[str]:
+    try:
+        require_name(spec.model or campaign.spec.robot)
+    except HilError as error:
+        yield f"model: {error.message}; {error.hint}"
+    yield from _of_the_model(spec, campaign.spec)
+    yield from _needs_somebody("campaign", campaign)
+    if probe is None:
+        return
+    yield from _needs_somebody("probe", probe)
+    robots = probe.spec.robot, campaign.spec.robot
+    if robots[0] != robots[1] or probe.robot != campaign.robot:
+        yield (
+            f"probe.spec: drives {robots[0]} ({probe.station_source}), and the campaign "
+            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot"
+        )
+    if _motion(probe.spec) == _motion(campaign.spec):
+        yield (
+            "probe.spec: its motion is that of the campaign, so that no model could be judged on "
+            "it: give it another excitation.seed"
+        )
+    if probe.spec.excitation.kind != campaign.spec.excitation.kind:
+        yield (
+            f"probe.spec: its excitation is {probe.spec.excitation.kind}, that of the campaign "
+            f"{campaign.spec.excitation.kind}: the champion could not be compared with it"
+        )
+
+
+def _of_the_model(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[str]:
+    """What keeps the campaign from having the one model that challenges."""
+    names = [fit.estimator for fit in campaign.fit]
+    wanted = spec.campaign.estimator
+    if not names:
+        yield f"campaign.spec: {campaign.name} has no `fit`: there would be no model"
+        return
+    if wanted and wanted not in names:
+        yield f"campaign.estimator: {campaign.name} fits {', '.join(names)}, not {wanted!r}"
+        return
+    fits = list(_wanted(spec, campaign))
+    if len(fits) > 1:
+        yield f"campaign.spec: {campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+    protocol = estimator(fits[0].estimator, **fits[0].parameters).protocol
+    if protocol != HONEST:
+        yield (
+            f"campaign.estimator: {fits[0].estimator} follows {protocol}, so its model is never "
+            "judged: name an honest one"
+        )
+
+
+def _wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
+    name = spec.campaign.estimator or campaign.fit[0].estimator
+    return (fit for fit in campaign.fit if fit.estimator == name)
+
+
+def _needs_somebody(part: str, experiment: Experiment) -> Iterator[str]:
+    """Prompts that only a person could answer; a mock on a virtual clock mounts by itself."""
+    asked = [load.prompt for load in experiment.spec.loads if load.prompt]
+    if not asked:
+        return
+    try:
+        alone = check_driver(experiment).clock == "virtual"
+    except (SpecError, PluginError):
+        return  # told where drivers are checked
+    if not alone:
+        yield (
+            f"{part}.spec: {experiment.spec.name} asks for something to be done "
+            f"({asked[0]!r}), and nobody attends a schedule"
+        )
+
+
+def _motion(spec: ExperimentSpec) -> dict[str, object]:
+    return spec.excitation.model_dump(exclude={"trajectories", "waypoints"})

@@ -1,0 +1,132 @@
+"""A run that belongs to an occasion: moved once, however often somebody dies meanwhile.
+
+Its start document names the occasion before anything moves. Whoever comes after a crash looks for
+it there: a run that is complete is taken as it is, one that was cut off is gone on with.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.console import Console
+from hil.campaign.desk import Desk
+from hil.campaign.experiment import Experiment
+from hil.campaign.operator import ConsoleOperator
+from hil.campaign.run import RunReport, resume_experiment, run_experiment
+from hil.engine import Observer
+from hil.engine.pausing import nobody_goes_on
+from hil.errors import HilError, RobotError, Stopped, exit_code_of
+from hil.record.numbering import run_folders
+from hil.record.rundir import RunDirectory
+from hil.spec.hashing import spec_hash
+
+BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Measuring:
+    """How runs are made that nobody attends.
+
+    Attributes:
+        runs: Where run directories are kept.
+        wait_s: How long to wait for a robot that somebody else holds [s].
+        observers: Told about progress.
+        operator: Recorded; by default the user of this process.
+    """
+
+    runs: Path
+    wait_s: float = 0.0
+    observers: Sequence[Observer] = ()
+    operator: str = ""
+
+    def measure(self, experiment: Experiment, occasion: str) -> Path:
+        """The run of an occasion: found, gone on with, or made now.
+
+        Args:
+            experiment: What is to be done.
+            occasion: Unique among all runs with this spec.
+
+        Returns:
+            The run directory; its recording is complete and it was judged.
+
+        Raises:
+            RobotError: The run of this occasion was ended by something other than a crash or a
+                signal: nobody is there to look before the arm moves again.
+            HilError: It cannot be begun, or ended early.
+        """
+        found = run_of(self.runs, experiment, occasion)
+        if found is None:
+            begun = replace(experiment, occasion=occasion)
+            return self._judged(run_experiment(begun, runs=self.runs, **self._attendance()))
+        if _is_done(found):
+            _complete_views(found)
+            return found
+        _require_harmless(found)
+        return self._judged(resume_experiment(found, **self._attendance()))
+
+    def _attendance(self) -> dict[str, Any]:
+        operator = ConsoleOperator(console=_NoConsole())
+        desk = Desk(operator, nobody_goes_on, self.wait_s)
+        return {"desk": desk, "observers": self.observers, "operator": self.operator}
+
+    def _judged(self, report: RunReport) -> Path:
+        if not _is_done(report.run):
+            told = f"{report.run} ended early: {report.outcome}"
+            raise report.error or RobotError(told, hint=f"hil show {report.run}")
+        return report.run
+
+
+def run_of(runs: Path, experiment: Experiment, occasion: str) -> Path | None:
+    """The run of an occasion with this spec; None if nothing has begun."""
+    said, wanted = json.dumps(occasion, ensure_ascii=False).encode(), spec_hash(experiment.spec)
+    for path in reversed(run_folders(runs)):
+        try:
+            raw = (path / "start.json").read_bytes()
+            start = json.loads(raw) if said in raw else {}
+        except (OSError, ValueError):
+            continue
+        if start.get("occasion") == occasion and start.get("spec_hash") == wanted:
+            return path
+    return None
+
+
+class _NoConsole(Console):
+    """Nobody sits here, also where the scheduler was started in a terminal."""
+
+    @property
+    def present(self) -> bool:
+        """Never."""
+        return False
+
+
+def _is_done(run: Path) -> bool:
+    """Only what was measured to its end is judged; whoever judged it after a crash ended no run."""
+    return (run / "verdict.json").is_file()
+
+
+def _complete_views(run: Path) -> None:
+    """Studies and page of a run whose process died after its verdict."""
+    if (run / "report.html").is_file():
+        return
+    from hil.campaign.studies import entries_for, run_studies, unwatched
+    from hil.report import render_report
+
+    with contextlib.suppress(HilError):  # there are none, or they cannot be made: the run is whole
+        run_studies(run, entries_for(run), unwatched)
+    with contextlib.suppress(HilError):
+        render_report(run)
+
+
+def _require_harmless(run: Path) -> None:
+    stop = RunDirectory.open(run).stop
+    if stop is None or stop.get("exit_code") == BY_SIGNAL:
+        return
+    raise RobotError(
+        f"{run} was {stop.get('outcome')}: {stop.get('reason')}",
+        hint=f"look at the robot, then go on with: hil resume {run}",
+    )
