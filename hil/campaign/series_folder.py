@@ -57,7 +57,7 @@ class SeriesFolder:
             "station": str(station.resolve()) if station else None,
             "started": now.isoformat(timespec="seconds"),
         }
-        return cls(_made(above, f"series-{name_for_path(spec.name)}"), head)
+        return cls(new_folder(above, f"series-{name_for_path(spec.name)}"), head)
 
     @classmethod
     def open(cls, path: Path) -> tuple[SeriesFolder, list[dict[str, Any]]]:
@@ -100,7 +100,7 @@ def is_series_folder(path: Path) -> bool:
     return (path / DOCUMENT).is_file()
 
 
-def _made(above: Path, name: str) -> Path:
+def new_folder(above: Path, name: str) -> Path:
     """A new folder of this name, or of the name and the next free number."""
     above.mkdir(parents=True, exist_ok=True)
     for n in count(1):

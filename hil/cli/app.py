@@ -20,6 +20,7 @@ from hil.cli import (
     drift,
     exciting,
     exports,
+    fleet,
     gains,
     listening,
     live,
@@ -62,7 +63,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, registry, drift, resting, exports, trying, data, system, bench,
+    studies, registry, drift, fleet, resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -60,7 +60,7 @@ class Attended:
             return move(
                 operator=self.operator,
                 observers=(ProgressLines(), *views),
-                waivers=_waivers(self.waive),
+                waivers=waivers_of(self.waive),
                 desk=desk,
             )
 
@@ -73,7 +73,7 @@ def rejected(report: RunReport) -> Rejected | None:
     return Rejected(missed, hint=f"hil show {report.run}")
 
 
-def _waivers(texts: Iterable[str]) -> dict[str, str]:
+def waivers_of(texts: Iterable[str]) -> dict[str, str]:
     """`NAME=REASON` texts to a dict; a waiver without a reason is none."""
     pairs = [text.partition("=") for text in texts]
     for name, _, reason in pairs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
@@ -67,6 +68,9 @@ class StationRobot(Strict):
         False,
         description="Run the driver in a process of its own, which stops the arm when `hil` dies "
         "and keeps a driver that hangs from hanging `hil`; Linux only.",
+    )
+    in_service: date | None = Field(
+        None, description="Day it went into service (2021-03-01), for its age in reports of fleets."
     )
     surroundings: Surroundings = Field(
         Surroundings(), description="What the arm must not touch; by default a table at its base."

@@ -1,0 +1,1 @@
+"""Many robots of one station: runs in parallel, fits wherever there are workers, one report."""

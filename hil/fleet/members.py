@@ -1,0 +1,87 @@
+"""Which robots of a station a fleet is made of, and the experiment as each of them runs it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import yaml
+
+from hil.campaign.experiment import Experiment, find_station
+from hil.errors import SpecError
+from hil.spec.load import resolve_robot, spec_from_text
+from hil.spec.station import Station
+from hil.suggest import closest
+
+
+def robots_like(station: Station, patterns: Sequence[str]) -> tuple[str, ...]:
+    """Names of a station's robots that match any of the patterns, in the station's order.
+
+    Args:
+        station: With the robots.
+        patterns: As of files: `ur5-*`, `ur5-00[1-9]`, or whole names.
+
+    Raises:
+        SpecError: One of the patterns matches no robot.
+    """
+    count, first = len(station.robots), next(iter(station.robots))
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in station.robots):
+            guess = closest(pattern, list(station.robots))
+            like = f"did you mean {guess!r}? " if guess else ""
+            raise SpecError(
+                f"the station {station.name!r} has no robot {pattern!r}",
+                hint=f"{like}it has {count}, the first is {first!r}",
+            )
+    return tuple(name for name in station.robots if any(fnmatchcase(name, one) for one in patterns))
+
+
+def spec_for(text: str, name: str, robot: str) -> str:
+    """The text of a spec with another robot; all else stays as it was written.
+
+    Args:
+        text: YAML.
+        name: Of its file, for errors.
+        robot: To be named in it.
+
+    Raises:
+        SpecError: It names no robot whose place could be taken.
+    """
+    try:
+        document = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError:
+        document = None
+    entries = document.value if isinstance(document, yaml.MappingNode) else ()
+    for key, value in entries:
+        if key.value == "robot" and isinstance(value, yaml.ScalarNode):
+            begin, end = value.start_mark.index, value.end_mark.index
+            return f"{text[:begin]}{json.dumps(robot)}{text[end:]}"
+    raise SpecError(f"{name} names no robot", hint="it needs a line such as `robot: ur5`")
+
+
+def experiment_for(text: str, folder: Path, station: Path | None, source: Path) -> Experiment:
+    """The experiment of one robot.
+
+    Args:
+        text: Its spec, from `spec_for`.
+        folder: Where relative paths in it begin.
+        station: The station file; by default the one an experiment in `folder` would use.
+        source: What the run shall name as its spec.
+
+    Raises:
+        SpecError: Spec or station have problems, or the station lacks the robot.
+    """
+    spec = spec_from_text(text, str(source), folder=folder)
+    bench, station_text, where = find_station(folder, station)
+    return Experiment(
+        spec=spec,
+        station=bench,
+        robot=resolve_robot(spec, bench),
+        spec_text=text,
+        station_text=station_text or f"# {where}\n" + bench.model_dump_json(indent=1) + "\n",
+        station_source=where,
+        folder=folder,
+        spec_source=str(source),
+    )
