@@ -17,6 +17,7 @@ from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.campaign.view import describe_run, list_runs
+from hil.catalogue.view import find_runs
 from hil.data.dataset import Dataset
 from hil.engine import Observer
 from hil.plan.plan import Plan
@@ -40,6 +41,7 @@ __all__ = [
     "evaluate",
     "export_model",
     "figures",
+    "find_runs",
     "fit",
     "import_recording",
     "list_runs",

@@ -25,7 +25,7 @@ def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
 
     Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`.
     """
-    return [_entry(listing) for listing in listings_of(Path(runs))]
+    return [entry_of(listing) for listing in listings_of(Path(runs))]
 
 
 def describe_run(run: str | Path) -> dict[str, Any]:
@@ -73,7 +73,8 @@ def _study(file: Path) -> dict[str, Any] | None:
     return document and {key: document.get(key) for key in keys}
 
 
-def _entry(listing: RunListing) -> dict[str, Any]:
+def entry_of(listing: RunListing) -> dict[str, Any]:
+    """What `list_runs` says of one run."""
     stop = _stop(RunDirectory(listing.path))
     return {
         "run": str(listing.path),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shutil import get_terminal_size
-from typing import Annotated
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
@@ -22,6 +22,8 @@ RunArgument = Annotated[
     str,
     typer.Argument(help="Run directory, or the number or name of a run.", show_default=False),
 ]
+
+_Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 
 def register(app: typer.Typer) -> None:
@@ -46,29 +48,76 @@ def tell_run(run: Path) -> None:
         typer.echo(line)
 
 
-def runs(runs: RunsOption = Path("runs"), json: JsonFlag = False) -> None:
+def runs(
+    query: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[QUERY]...",
+            help="Terms that all hold: robot=ur5-*, status=completed, since=7d, 'rmse<0.1', or a "
+            "word of name, description or operator.",
+            show_default=False,
+        ),
+    ] = None,
+    runs: RunsOption = Path("runs"),
+    rebuild: Annotated[
+        bool, typer.Option("--rebuild", help="Make the catalogue that queries use anew.")
+    ] = False,
+    json: JsonFlag = False,
+) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
-    from hil.campaign.view import list_runs
+    if query or rebuild:
+        from hil.catalogue.view import find_runs
 
-    entries = list_runs(runs)
+        entries, table = find_runs(*(query or ()), runs=runs, rebuild=rebuild), _found
+    else:
+        from hil.campaign.view import list_runs
+
+        entries, table = list_runs(runs), _listed
     if json:
         print_json(entries)
-    elif not entries:
-        say(f"no runs under {runs}; make one with: hil run SPEC")
+    elif entries:
+        print_table(*table(entries))
+    elif query:
+        say(f"no run under {runs} meets: {' '.join(query)}")
     else:
-        header = ("run", "status", "duration", "verdict", "studies")
-        rows = [
-            (
-                e["run"],
-                e["status"],
-                duration(e["duration_s"] or 0.0),
-                e["verdict"],
-                ", ".join(e["studies"]),
-            )
-            for e in entries
-        ]
-        shown = slice(None) if any(e["studies"] for e in entries) else slice(4)
-        print_table(header[shown], [row[shown] for row in rows])
+        say(f"no runs under {runs}; make one with: hil run SPEC")
+
+
+def _listed(entries: list[dict[str, Any]]) -> _Table:
+    header: tuple[str, ...] = ("run", "status", "duration", "verdict", "studies")
+    rows: list[tuple[str, ...]] = [
+        (
+            e["run"],
+            e["status"],
+            duration(e["duration_s"] or 0.0),
+            e["verdict"],
+            ", ".join(e["studies"]),
+        )
+        for e in entries
+    ]
+    shown = slice(None) if any(e["studies"] for e in entries) else slice(4)
+    return header[shown], [row[shown] for row in rows]
+
+
+def _found(entries: list[dict[str, Any]]) -> _Table:
+    header = ("run", "status", "duration", "verdict", "serial", "RMSE on held-out data")
+    rows: list[tuple[str, ...]] = [
+        (
+            e["run"],
+            e["status"],
+            duration(e["duration_s"] or 0.0),
+            e["verdict"],
+            e["serial"],
+            ", ".join(_fit(fit) for fit in e["fits"]),
+        )
+        for e in entries
+    ]
+    return header, rows
+
+
+def _fit(fit: dict[str, Any]) -> str:
+    error = "not judged" if fit["rmse"] is None else f"{fit['rmse']:.4f} {fit['unit']}"
+    return f"{fit['estimator']} {error}"
 
 
 def show(

@@ -45,17 +45,26 @@ def list_runs(runs_root: Path) -> list[RunListing]:
     Raises:
         DataError: `runs_root` is a file. A folder that does not exist holds no runs.
     """
+    listings = [listing_of(path) for path in run_paths(runs_root)]
+    return sorted(listings, key=lambda run: (run.number, run.path))
+
+
+def run_paths(runs_root: Path) -> list[Path]:
+    """Every run directory under `runs_root`, damaged ones too; nothing in them is read.
+
+    Raises:
+        DataError: `runs_root` is a file.
+    """
     if runs_root.exists() and not runs_root.is_dir():
         raise DataError(
             f"{runs_root} is not a folder of runs but a file",
             hint="give the folder that holds them: --runs DIR",
         )
-    listings = [
-        _listing(path)
+    return [
+        path
         for path in run_folders(runs_root)
         if number_of(path) or (path / "start.json").exists()
     ]
-    return sorted(listings, key=lambda run: (run.number, run.path))
 
 
 def find_run(named: str, runs_root: Path) -> Path:
@@ -94,7 +103,8 @@ def _no_run(file: Path) -> DataError:
     return DataError(f"{file} is a recording, not a run directory", hint=hint)
 
 
-def _listing(path: Path) -> RunListing:
+def listing_of(path: Path) -> RunListing:
+    """The line of one run directory."""
     status, uid, problem = _state_of(path)
     return RunListing(
         path=path,

@@ -1,0 +1,110 @@
+"""What can be asked about a run, from its documents; one that is missing or odd says nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hil.campaign.view import entry_of
+from hil.errors import DataError
+from hil.record.catalogue import listing_of
+from hil.record.files import read_json
+
+LARGEST_SPEC = 262_144
+"""Bytes; a longer spec is not searched for a description."""
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """An entry of `hil runs QUERY`: what `hil runs` says of a run, and what can be asked.
+
+    Keys beside those of `hil.list_runs`: `number`, `name`, `description`, `started` (ISO 8601),
+    `arm`, `serial`, `operator`, `reason`, `samples`, `gaps`, `loads_kg`, `occasion`, and `fits`:
+    `{estimator, unit, rmse}` each, the mean of the joints' `rmse_raw` on what was held out.
+
+    Args:
+        path: The run directory; it may be damaged.
+    """
+    listing = listing_of(path)
+    start, stop = _document(path / "start.json"), _last_stop(path)
+    robot = _mapping(start.get("robot"))
+    return entry_of(listing) | {
+        "number": listing.number,
+        "name": _text(start.get("experiment")),
+        "description": _description(path / "spec.yaml"),
+        "started": _text(start.get("started")),
+        "arm": _text(robot.get("model")),
+        "serial": _text(_mapping(robot.get("identity")).get("serial")),
+        "operator": _text(start.get("operator")),
+        "reason": _text(stop.get("reason")),
+        "samples": _number(stop.get("samples")),
+        "gaps": _number(stop.get("gaps")),
+        "loads_kg": _loads(start.get("loads")),
+        "occasion": _text(start.get("occasion")),
+        "fits": [_fit(file) for file in sorted(path.glob("fit/*/evaluation.json"))],
+    }
+
+
+def started_s(facts: dict[str, Any]) -> float | None:
+    """When a run was started [s, Unix]; of one that does not say the day of its folder."""
+    for told in (facts["started"], facts["date"]):
+        with contextlib.suppress(ValueError, OverflowError, OSError):
+            return datetime.fromisoformat(told).timestamp()
+    return None
+
+
+def _last_stop(path: Path) -> dict[str, Any]:
+    ends = sorted(path.glob("stop*.json"), key=lambda file: (len(file.name), file.name))
+    return _document(ends[-1]) if ends else {}
+
+
+def _fit(file: Path) -> dict[str, Any]:
+    document = _document(file)
+    held_out = _mapping(document.get("held_out"))
+    errors = _mapping(held_out.get("total")).get("rmse_raw")
+    rmse = None
+    with contextlib.suppress(TypeError, ValueError):
+        mean = float(np.mean(np.asarray(errors, dtype=np.float64)))
+        rmse = mean if math.isfinite(mean) else None
+    estimator = _text(document.get("estimator")) or file.parent.name.rpartition("-")[0]
+    return {"estimator": estimator, "unit": _text(held_out.get("unit")), "rmse": rmse}
+
+
+def _description(spec: Path) -> str:
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    with contextlib.suppress(OSError, ValueError, yaml.YAMLError, RecursionError):
+        if spec.stat().st_size <= LARGEST_SPEC:
+            told = yaml.load(spec.read_bytes(), loader)  # noqa: S506 - a safe loader, compiled
+            return _text(_mapping(told).get("description"))
+    return ""
+
+
+def _loads(told: Any) -> list[float]:
+    """Masses in the order of the spec [kg]."""
+    given = told if isinstance(told, list) else []
+    masses = (_number(_mapping(load).get("mass_kg")) for load in given)
+    return [mass for mass in masses if mass is not None]
+
+
+def _document(path: Path) -> dict[str, Any]:
+    with contextlib.suppress(DataError):
+        return read_json(path)
+    return {}
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else ""
+
+
+def _number(value: Any) -> float | None:
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return value if known and math.isfinite(value) and abs(value) < 2**63 else None

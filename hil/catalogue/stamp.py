@@ -1,0 +1,65 @@
+"""Has a run directory changed since it was read? Told by names, times and sizes alone."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from hil.record.lock import LOCK
+
+SETTLED_S = 2.0
+"""What was changed less long ago may change again within the same tick of a clock [s]."""
+
+ALWAYS_READ = ""
+"""Stamp of a run that has to be read again whatever its files look like."""
+
+_FOLDERS = ("fit", "study")
+_PARTS = ("evaluation.json", "model.json", "study.json")
+
+
+def stamp_of(run: Path) -> str:
+    """A text that changes whenever what the catalogue says of a run may have changed.
+
+    `ALWAYS_READ` where that cannot be told: of a run that a process holds, one that was changed a
+    moment ago, and one that cannot be looked into.
+    """
+    try:
+        seen = sorted(_seen(run))
+    except OSError:
+        return ALWAYS_READ
+    newest = max((changed for _, changed, _ in seen), default=0)
+    young = newest > time.time_ns() - int(SETTLED_S * 1e9)
+    if young or any(name == LOCK for name, _, _ in seen):
+        return ALWAYS_READ
+    return ";".join(f"{name}:{changed}:{size}" for name, changed, size in seen)
+
+
+def _seen(run: Path) -> Iterator[tuple[str, int, int]]:
+    """Name, time of change [ns] and size of whatever tells something about a run."""
+    yield _look("", run)
+    with os.scandir(run) as entries:
+        inside = [entry for entry in entries if entry.name[0] != "." or entry.name == LOCK]
+    for entry in inside:
+        told = entry.stat()
+        yield entry.name, told.st_mtime_ns, 0 if entry.is_dir() else told.st_size
+        if entry.name in _FOLDERS and entry.is_dir():
+            yield from _below(entry.name, Path(entry))
+
+
+def _below(name: str, folder: Path) -> Iterator[tuple[str, int, int]]:
+    with os.scandir(folder) as entries:
+        inside = [entry for entry in entries if entry.is_dir()]
+    for entry in inside:
+        yield _look(f"{name}/{entry.name}", Path(entry))
+        for part in _PARTS:
+            try:
+                yield _look(f"{name}/{entry.name}/{part}", Path(entry) / part)
+            except FileNotFoundError:
+                continue
+
+
+def _look(name: str, path: Path) -> tuple[str, int, int]:
+    told = path.stat()
+    return name, told.st_mtime_ns, told.st_size
