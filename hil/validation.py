@@ -109,13 +109,18 @@ def _evaluations(path: Path) -> dict[str, Any]:
     return document
 
 
+def seen_share(model: RobotEstimator, data: Dataset) -> float:
+    """Share of a dataset's samples that are among those a model was fitted to."""
+    return model.training_.rows.share_known(data) if model.training_ else 0.0
+
+
 def require_unseen(model: RobotEstimator, source: Path, data: Dataset) -> None:
     """Refuse to judge a model on its own training data.
 
     Raises:
         DataError: They are among the data; older model files cannot tell.
     """
-    share = model.training_.rows.share_known(data) if model.training_ else 0.0
+    share = seen_share(model, data)
     if model.training_ and share > SAME_SHARE:
         raise DataError(
             f"{source}: about {100 * share:.0f} % of its samples are among those the model was "

@@ -13,7 +13,8 @@ from hil.data import Dataset
 from hil.errors import RegistryError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
-from hil.registry.compare import BLOCK_S, Comparison, compare
+from hil.identify.training import Training
+from hil.registry.compare import BLOCK_S, Comparison, compare, fresh_part
 
 NOISE_A = 0.05
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
@@ -34,6 +35,38 @@ def rougher(data: Dataset, joint: int, amount_a: float) -> Dataset:
 @pytest.fixture(scope="module")
 def champion() -> RobotEstimator:
     return fitted(moving(1, 2, 3, noise_a=NOISE_A))
+
+
+def judged(
+    ratio: np.ndarray,
+    sure: int | None = None,
+    difference: float = -0.2,
+    interval: tuple[float, float] = (-0.3, -0.1),
+) -> Comparison:
+    """A comparison in which the challenger errs `ratio` times as much, in one joint for sure."""
+    old = np.full(6, 0.1)
+    return Comparison(
+        "A", JOINTS, (), 1000, 20, old, old * ratio, difference, interval, np.arange(6) == sure
+    )
+
+
+@pytest.mark.parametrize(
+    ("times", "sure", "spoilt"),
+    [
+        (1.04, 4, False),
+        (1.06, None, False),
+        (1.06, 4, True),
+        (1.24, None, False),
+        (1.26, None, True),
+    ],
+)
+def test_a_joint_is_spoilt_if_it_errs_noticeably_more_for_sure_or_much_more(
+    times: float, sure: int | None, spoilt: bool
+) -> None:
+    told = judged(np.array([1, 0.4, 1, 1, times, 1]), sure)
+    assert told.better is not spoilt
+    assert told.worse is spoilt
+    assert ("j5 errs" in told.words) is spoilt
 
 
 FRESH = (11, 12, 13, 14, 15, 16)
@@ -75,12 +108,12 @@ def test_a_joint_that_gets_clearly_worse_is_not_outweighed(champion) -> None:
     assert told.worse
     assert not told.better
     assert told.words.startswith("wrist_2_joint errs ")
+    assert told.surely_more.tolist() == [False] * 4 + [True, False]
 
 
 def test_who_errs_a_little_more_everywhere_is_worse() -> None:
     """No joint by itself errs so much more that it would be turned down."""
-    old = np.full(6, 0.1)
-    told = Comparison("A", JOINTS, (), 1000, 20, old, 1.02 * old, 0.04, (-0.01, 0.09))
+    told = judged(1.02 * np.ones(6), difference=0.04, interval=(-0.01, 0.09))
     assert told.worse
     assert not told.better
     assert "errs more" in told.words
@@ -95,3 +128,18 @@ def test_models_of_another_unit_are_not_compared(champion) -> None:
     other = fitted(moving(1, 2, 3, kind="torque"))
     with pytest.raises(RegistryError, match="effort kind are current"):
         compare(champion, other, [moving(*FRESH)])
+
+
+def test_of_a_run_that_was_learned_from_only_held_out_series_count() -> None:
+    data = moving(1, 2, 3, 4, 5, noise_a=NOISE_A)
+    learned = [model_of(data.take([0, 1, 2])), model_of(data.take([2, 3]))]
+    assert [one.id for one in fresh_part(learned[:1], data).conditions] == [
+        one.id for one in data.conditions[3:]
+    ]
+    assert len(fresh_part(learned, data).conditions) == 1
+
+
+def model_of(data: Dataset) -> RobotEstimator:
+    model = fitted(data)
+    model.training_ = Training.of(data)
+    return model

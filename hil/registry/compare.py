@@ -17,12 +17,13 @@ from scipy.stats import t as student
 
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
+from hil.data.splits import SAME_SHARE
 from hil.errors import RegistryError
 from hil.evaluate.evaluation import filtered_effort
 from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
-from hil.validation import require_unseen
+from hil.typing import BoolArray, FloatArray
+from hil.validation import require_unseen, seen_share
 
 BLOCK_S = 5.0
 """Of time that counts as one observation; friction and load keep errors alike for about as long."""
@@ -30,8 +31,11 @@ BLOCK_S = 5.0
 SURE = 0.95
 FEWEST_BLOCKS = 6
 
-WORST_JOINT = 1.05
-"""A single joint may not err more than so many times what it did, however good the others are."""
+NOTICED = 1.05
+"""A joint that errs for sure, and more than so many times what it did, keeps the champion."""
+
+WORST_JOINT = 1.25
+"""So does one that errs more than so many times what it did, sure or not: data may be few."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +52,7 @@ class Comparison:
         difference: Mean over joints and blocks of the squared error's difference, as a share of the
             champion's squared error; negative where the challenger errs less.
         interval: Of that, with 95 %.
+        surely_more: (n,) whether a joint errs more, of all joints together with 95 %.
     """
 
     unit: str
@@ -59,16 +64,22 @@ class Comparison:
     challenger: FloatArray
     difference: float
     interval: tuple[float, float]
+    surely_more: BoolArray
 
     @property
     def better(self) -> bool:
         """The challenger errs less for sure, and in no joint clearly more."""
-        return self.interval[1] < 0.0 and bool(np.all(self.ratio <= WORST_JOINT))
+        return self.interval[1] < 0.0 and not bool(np.any(self.spoilt))
 
     @property
     def worse(self) -> bool:
         """The challenger errs more, by whatever: such a one is never promoted."""
-        return self.difference > 0.0 or bool(np.any(self.ratio > WORST_JOINT))
+        return self.difference > 0.0 or bool(np.any(self.spoilt))
+
+    @property
+    def spoilt(self) -> BoolArray:
+        """(n,) joints that err so much more that the others do not make up for it."""
+        return (self.ratio > WORST_JOINT) | (self.surely_more & (self.ratio > NOTICED))
 
     @property
     def ratio(self) -> FloatArray:
@@ -84,9 +95,10 @@ class Comparison:
         spread = f"{100.0 * self.difference:+.1f} % squared error ({low:+.1f} … {high:+.1f})"
         if self.better:
             return f"the challenger errs less: {spread}"
-        if bool(np.any(self.ratio > WORST_JOINT)) and self.difference <= 0.0:
-            joint = self.joint_names[int(np.argmax(self.ratio))]
-            return f"{joint} errs {np.max(self.ratio):.2f} times as much, though in all {spread}"
+        if bool(np.any(self.spoilt)) and self.difference <= 0.0:
+            j = int(np.argmax(np.where(self.spoilt, self.ratio, 0.0)))
+            told = f"{self.joint_names[j]} errs {self.ratio[j]:.2f} times as much"
+            return f"{told}, though in all {spread}"
         return f"the challenger errs {'more' if self.worse else 'no less that is sure'}: {spread}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -101,6 +113,7 @@ class Comparison:
             "challenger_rmse": self.challenger.tolist(),
             "difference": self.difference,
             "interval_95": list(self.interval),
+            "surely_more": self.surely_more.tolist(),
             "better": self.better,
             "worse": self.worse,
             "words": self.words,
@@ -122,19 +135,33 @@ def compare_sources(
 
 
 def unseen_parts(models: Sequence[RobotEstimator], sources: Sequence[Path]) -> list[Dataset]:
-    """What the models work on of each source.
+    """What of each source the models work on and none was fitted to.
+
+    Of a run that one of them comes from these are the trajectories that were held out.
 
     Raises:
-        DataError: A source cannot be read, or one of the models was fitted to it.
+        DataError: A source cannot be read, or one of the models was fitted to all of it.
         FitError: It holds nothing the first of them works on.
     """
     parts = []
     for source in sources:
         data = usable_part(load_source(source), models[0])
+        if len(fresh := fresh_part(models, data)):
+            data = fresh
         for model in models:
             require_unseen(model, source, data)
         parts.append(data)
     return parts
+
+
+def fresh_part(models: Sequence[RobotEstimator], data: Dataset) -> Dataset:
+    """The series that no model knows; whole ones, since neighbouring samples are alike."""
+    fresh = [i for i in range(len(data.conditions)) if not _knows(models, data.take([i]))]
+    return data.take(fresh)
+
+
+def _knows(models: Sequence[RobotEstimator], series: Dataset) -> bool:
+    return any(seen_share(model, series) > SAME_SHARE for model in models)
 
 
 def compare(
@@ -162,17 +189,21 @@ def compare(
     both = np.concatenate([np.stack(pair, axis=1) for pair in errors])
     old, new = np.sqrt(np.nanmean(both, axis=0))
     means = np.array(blocks)
-    share = np.mean(
-        (means[:, 1] - means[:, 0]) / np.maximum(old, np.finfo(float).tiny) ** 2, axis=1
-    )
-    centre = float(np.mean(share))
-    half = float(student.ppf(0.5 + SURE / 2, len(share) - 1) * np.std(share, ddof=1))
-    half /= float(np.sqrt(len(share)))
+    shares = (means[:, 1] - means[:, 0]) / np.maximum(old, np.finfo(float).tiny) ** 2
+    each, margin = _interval(shares, 1.0 - 2.0 * (1.0 - SURE) / shares.shape[1])
+    centre, half = (float(one[0]) for one in _interval(shares.mean(axis=1, keepdims=True), SURE))
     data = parts[0]
     return Comparison(
         data.effort_unit, data.joint_names, sources, int(np.sum(np.isfinite(both[:, 0, 0]))),
-        len(share), old, new, centre, (centre - half, centre + half),
+        len(shares), old, new, centre, (centre - half, centre + half), each - margin > 0.0,
     )  # fmt: skip
+
+
+def _interval(shares: FloatArray, sure: float) -> tuple[FloatArray, FloatArray]:
+    """Mean of the blocks (B, m), and half the width of its interval: (m,) each."""
+    count = len(shares)
+    half = student.ppf(0.5 + sure / 2, count - 1) * np.std(shares, axis=0, ddof=1) / np.sqrt(count)
+    return np.mean(shares, axis=0), np.asarray(half)
 
 
 def _squared(
