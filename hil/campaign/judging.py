@@ -21,6 +21,7 @@ from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import Accept, ExperimentSpec, Fit
+from hil.validation import EVALUATION_FILE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +156,8 @@ def _judge_one(
         "trained": trained.to_dict(),
         "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
     }
-    directory.write_json(f"fit/{fitted.folder.name}/evaluation.json", document)
+    if not (fitted.folder / EVALUATION_FILE).exists():  # else a kill before the verdict left it
+        directory.write_json(f"fit/{fitted.folder.name}/{EVALUATION_FILE}", document)
     return Judged(fit.estimator, protocol, fitted.folder, held_out, trained, verdict)
 
 

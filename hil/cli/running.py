@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli import live as live_verbs
-from hil.cli import series
+from hil.cli import reidentify, series
 from hil.cli.attended import Attended, rejected
 from hil.cli.live_view import LiveFlag, LiveHost, LivePort
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
+from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
+from hil.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.experiment import Experiment
@@ -55,6 +57,14 @@ FirstOption = Annotated[
         help="Commissioning: only the first poses or trajectories (10), or seconds (30s).",
     ),
 ]
+CampaignFlag = Annotated[
+    bool,
+    typer.Option("--campaign", help="A schedule: identify it again, whatever its probe says."),
+]
+StateOption = Annotated[
+    Path | None,
+    typer.Option("--state", help="A schedule: where its state is; by default schedules/NAME."),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -76,14 +86,22 @@ def run(
     live: LiveFlag = False,
     live_port: LivePort = None,
     live_host: LiveHost = None,
+    campaign: CampaignFlag = False,
+    registry: RegistryOption = HERE,
+    state: StateOption = None,
     json: JsonFlag = False,
 ) -> None:
-    """Run an experiment, or a series: plan, preflight, motion, recording, fit, verdict, report."""
+    """Run an experiment, a series, or once what a schedule is about: from plan to report."""
     from hil import api
     from hil.engine.signals import ignore_from_now_on
     from hil.plan.commissioning import commissioning_of
+    from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
 
+    if is_schedule(spec):
+        _refuse_attended(operator, answers, waive, wait, speed, first, live)
+        reidentify.run_schedule(spec, station, runs, registry, state, campaign=campaign, json=json)
+        return
     part = commissioning_of(speed, first)
     attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
 
@@ -99,6 +117,16 @@ def run(
     report = begin(experiment)
     ignore_from_now_on()
     _tell_report(report, json)
+
+
+def _refuse_attended(*given: object) -> None:
+    """Nobody attends a schedule: what is for attended runs would be left out without a word."""
+    if any(given):
+        raise SpecError(
+            "--operator, --answers, --waive, --wait, --speed, --first and --live are for runs that "
+            "somebody attends, not for schedules",
+            hint="run its experiments by themselves to try them",
+        )
 
 
 def resume(

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from hil.cli import series
+from hil.cli import reidentify, series
 from hil.cli.output import (
     JsonFlag,
     SpecPath,
@@ -29,12 +29,16 @@ def register(app: typer.Typer) -> None:
 
 
 def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = False) -> None:
-    """Check a spec or series and its station; all problems at once, with file, line and column."""
+    """Check a spec, series or schedule and its station; all problems at once, with their places."""
     from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.campaign.extras import missing_extras
+    from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
 
+    if is_schedule(spec):
+        reidentify.validate_schedule(spec, station, json)
+        return
     if is_series(spec):
         series.validate_series(spec, station, json)
         return

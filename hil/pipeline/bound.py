@@ -8,11 +8,18 @@ from pathlib import Path
 
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
+from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.errors import HilError, PluginError, SpecError
 from hil.identify.base import HONEST, estimator
 from hil.registry.registry import require_name
-from hil.spec.experiment import ExperimentSpec, Fit
+from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
+from hil.spec.source import Path as SourcePath
+from hil.spec.source import Problem, Source, dotted
+from hil.spec.yaml_source import read_source
+
+Finding = tuple[SourcePath, str]
+"""Where in the schedule, and what is wrong there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +46,16 @@ class Bound:
         return (self.campaign,) if self.probe is None else (self.probe, self.campaign)
 
 
-def bind(spec: ScheduleSpec, station: Path | None = None) -> Bound:
+def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = None) -> Bound:
     """Load what a schedule names, and check that it fits together.
 
     Args:
         spec: From `load_schedule_spec`.
         station: In place of the one it names.
+        file: The schedule's own, for messages.
 
     Raises:
         SpecError: With a line for every problem of the schedule and of the files it names.
-        PluginError: A driver is missing or does not load.
     """
     at = station or (Path(spec.station) if spec.station else None)
     loaded: dict[str, Experiment] = {}
@@ -62,61 +69,78 @@ def bind(spec: ScheduleSpec, station: Path | None = None) -> Bound:
             problems += error.message.splitlines()
             hint = hint or error.hint
     if "campaign" in loaded:
-        problems += _problems(spec, loaded["campaign"], loaded.get("probe"))
+        found = _problems(spec, loaded["campaign"], loaded.get("probe"))
+        source = read_source(file) if file is not None else None
+        problems += [_line(source, place, message) for place, message in found]
     if problems:
         raise SpecError("\n".join(dict.fromkeys(problems)), hint=hint)
     campaign = loaded["campaign"]
-    fit = next(fit for fit in _wanted(spec, campaign.spec))
+    fit = next(_wanted(spec, campaign.spec))
     name = spec.model or campaign.spec.robot
     return Bound(spec, name, loaded.get("probe"), campaign, fit)
 
 
-def _problems(spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None) -> Iterator[str]:
+def _line(source: Source | None, place: SourcePath, message: str) -> str:
+    if source is None:
+        return f"{dotted(place)}: {message}"
+    return str(Problem(source.mark(place), place, message))
+
+
+def _problems(
+    spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
+) -> Iterator[Finding]:
     try:
         require_name(spec.model or campaign.spec.robot)
     except HilError as error:
-        yield f"model: {error.message}; {error.hint}"
+        yield ("model",), f"{error.message}; {error.hint}"
     yield from _of_the_model(spec, campaign.spec)
     yield from _needs_somebody("campaign", campaign)
     if probe is None:
         return
     yield from _needs_somebody("probe", probe)
+    yield from _says_enough(probe.spec)
     robots = probe.spec.robot, campaign.spec.robot
     if robots[0] != robots[1] or probe.robot != campaign.robot:
         yield (
-            f"probe.spec: drives {robots[0]} ({probe.station_source}), and the campaign "
-            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot"
+            ("probe", "spec"),
+            f"drives {robots[0]} ({probe.station_source}), and the campaign "
+            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot",
         )
     if _motion(probe.spec) == _motion(campaign.spec):
         yield (
-            "probe.spec: its motion is that of the campaign, so that no model could be judged on "
-            "it: give it another excitation.seed"
+            ("probe", "spec"),
+            "its motion is that of the campaign, so that no model could be judged on "
+            "it: give it another excitation.seed",
         )
     if probe.spec.excitation.kind != campaign.spec.excitation.kind:
         yield (
-            f"probe.spec: its excitation is {probe.spec.excitation.kind}, that of the campaign "
-            f"{campaign.spec.excitation.kind}: the champion could not be compared with it"
+            ("probe", "spec"),
+            f"its excitation is {probe.spec.excitation.kind}, that of the campaign "
+            f"{campaign.spec.excitation.kind}: the champion could not be compared with it",
         )
 
 
-def _of_the_model(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[str]:
+def _of_the_model(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Finding]:
     """What keeps the campaign from having the one model that challenges."""
     names = [fit.estimator for fit in campaign.fit]
     wanted = spec.campaign.estimator
     if not names:
-        yield f"campaign.spec: {campaign.name} has no `fit`: there would be no model"
+        yield ("campaign", "spec"), f"{campaign.name} has no `fit`: there would be no model"
         return
     if wanted and wanted not in names:
-        yield f"campaign.estimator: {campaign.name} fits {', '.join(names)}, not {wanted!r}"
+        told = f"{campaign.name} fits {', '.join(names)}, not {wanted!r}"
+        yield ("campaign", "estimator"), told
         return
     fits = list(_wanted(spec, campaign))
     if len(fits) > 1:
-        yield f"campaign.spec: {campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+        told = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+        yield ("campaign", "spec"), told
     protocol = estimator(fits[0].estimator, **fits[0].parameters).protocol
     if protocol != HONEST:
         yield (
-            f"campaign.estimator: {fits[0].estimator} follows {protocol}, so its model is never "
-            "judged: name an honest one"
+            ("campaign", "estimator"),
+            f"{fits[0].estimator} follows {protocol}, so its model is never "
+            "judged: name an honest one",
         )
 
 
@@ -125,7 +149,7 @@ def _wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
     return (fit for fit in campaign.fit if fit.estimator == name)
 
 
-def _needs_somebody(part: str, experiment: Experiment) -> Iterator[str]:
+def _needs_somebody(part: str, experiment: Experiment) -> Iterator[Finding]:
     """Prompts that only a person could answer; a mock on a virtual clock mounts by itself."""
     asked = [load.prompt for load in experiment.spec.loads if load.prompt]
     if not asked:
@@ -136,8 +160,23 @@ def _needs_somebody(part: str, experiment: Experiment) -> Iterator[str]:
         return  # told where drivers are checked
     if not alone:
         yield (
-            f"{part}.spec: {experiment.spec.name} asks for something to be done "
-            f"({asked[0]!r}), and nobody attends a schedule"
+            (part, "spec"),
+            f"{experiment.spec.name} asks for something to be done "
+            f"({asked[0]!r}), and nobody attends a schedule",
+        )
+
+
+def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
+    """What keeps a probe from saying what has changed, as far as the spec tells."""
+    program = probe.excitation
+    if not isinstance(program, Fourier):
+        return
+    each_s = program.periods / program.fundamental_hz
+    if program.trajectories * max(1, round(each_s / BLOCK_S)) < FEWEST_BLOCKS:
+        yield (
+            ("probe", "spec"),
+            f"{program.trajectories} trajectories of {each_s:g} s say too little: "
+            f"make them {FEWEST_BLOCKS * BLOCK_S:g} s together, by more excitation.trajectories",
         )
 
 

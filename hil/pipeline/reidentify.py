@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.campaign.experiment import Experiment
-from hil.campaign.judging import criteria_of
 from hil.engine import Observer
 from hil.errors import FitError
 from hil.identify.model_folder import models_below
@@ -167,7 +166,7 @@ class _Due:
         if self.occasion.job == "campaign":
             why = "it is due"
         elif done["begin"]["champion"] is None:
-            why = "there is no champion"
+            why = "the first one"
         elif changed and bound.spec.campaign.on_drift:
             why = str(done["drift"]["text"])
         else:
@@ -194,7 +193,7 @@ class _Due:
         return {
             "model": str(model),
             "held_out": {key: held_out[key] for key in keys},
-            "missed": [row for row in rows if not row["passed"]],
+            "criteria": rows,
         }
 
     def register(self, done: Done) -> Document:
@@ -255,17 +254,23 @@ class _Due:
 
         bound, registry = self.work.bound, self.work.registry
         reason = f"{self.key}: {done['campaign']['why']}"
-        if missed := done["fit"]["missed"]:
+        if missed := [row for row in done["fit"]["criteria"] if not row["passed"]]:
             row = missed[0]
             told = f"{row['metric']} of {row['what']} is {row['value']}, at most {row['max']:g}"
             words = f"{reason}: {len(missed)} criteria of the campaign are missed: {told}"
             registry.keep(bound.name, number, reason=words, evidence={"criteria": missed})
             return
+        if done["begin"]["champion"] is None:
+            judged = done["fit"]["criteria"]
+            words = f"{reason}: {'it meets its criteria' if judged else 'there are no criteria'}"
+            evidence = {"criteria": judged}
+            registry.promote(bound.name, number, reason=words, evidence=evidence, instead_of=0)
+            return
+        # The campaign's criteria speak of its own held-out motions, and are met there.
         taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]
         challenge(
-            registry, bound.name, f"v{number}", [Path(run) for run in taken if run],
-            criteria=criteria_of(bound.campaign.spec.accept), reason=reason,
-        )  # fmt: skip
+            registry, bound.name, f"v{number}", [Path(run) for run in taken if run], reason=reason
+        )
 
 
 _BEFORE_SUMMARY = (

@@ -1,0 +1,133 @@
+"""Verbs given a schedule: `hil run` does what it is about once, now; `hil validate` checks it."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from hil.cli.output import print_json, print_table, print_warnings, say
+
+if TYPE_CHECKING:
+    from hil.pipeline.bound import Bound
+    from hil.schedule.occasion import Job, Occasion
+
+BY_HAND = "by-hand"
+"""Below the schedule's state: occasions that somebody asked for."""
+
+
+def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
+    """Check a schedule with everything it names; all problems at once."""
+    from hil.campaign.extras import missing_extras
+
+    bound = _bound(path, station)
+    missing = dict.fromkeys(told for one in bound.experiments for told in missing_extras(one.spec))
+    told = {
+        "schedule": str(path),
+        "name": bound.spec.name,
+        "model": bound.name,
+        "estimator": bound.fit.estimator,
+        "runs": [
+            {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
+            for each in bound.experiments
+        ],
+        "valid": True,
+        "warnings": list(missing),
+    }
+    if json:
+        print_json(told)
+        return
+    typer.echo(f"{path}: valid (models of {bound.name}, {bound.fit.estimator})")
+    for each in bound.experiments:
+        typer.echo(f"  {each.title}")
+    print_warnings(missing)
+
+
+def run_schedule(
+    path: Path,
+    station: Path | None,
+    runs: Path,
+    registry: Path,
+    state: Path | None,
+    *,
+    campaign: bool,
+    json: bool,
+) -> None:
+    """Do once and now what a schedule is about; goes on with what was cut off.
+
+    Args:
+        path: Its file.
+        station: In place of the one it names.
+        runs: Where run directories are kept.
+        registry: Where models are.
+        state: Of the schedule; by default `schedules/NAME`.
+        campaign: Whether the full program is run whatever the probe says.
+        json: Whether to print one document and nothing else.
+    """
+    from hil.campaign.extras import require_extras
+    from hil.cli.progress import ProgressLines
+    from hil.engine.signals import ignore_from_now_on
+    from hil.pipeline.reidentify import reidentification
+    from hil.registry.registry import Registry
+
+    bound = _bound(path, station)
+    for experiment in bound.experiments:
+        require_extras(experiment.spec)
+    job: Job = "campaign" if campaign or bound.probe is None else "probe"
+    home = (state or Path("schedules") / bound.spec.name) / BY_HAND
+    occasion = _left(home, job) or _now(job)
+    work = reidentification(
+        bound.spec, registry=Registry(registry), runs=runs, station=station,
+        observers=(ProgressLines(),), tell=lambda stage: typer.echo(f"stage: {stage}", err=True),
+    )  # fmt: skip
+    told = dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
+    ignore_from_now_on()
+    if json:
+        print_json(told)
+    else:
+        _tell(told)
+
+
+def _bound(path: Path, station: Path | None) -> Bound:
+    from hil.campaign.driver_check import check_driver
+    from hil.pipeline.bound import bind
+    from hil.spec.schedule import load_schedule_spec
+
+    bound = bind(load_schedule_spec(path), station, path)
+    for experiment in bound.experiments:
+        check_driver(experiment)
+    return bound
+
+
+def _now(job: Job) -> Occasion:
+    from hil.schedule.occasion import Occasion
+
+    return Occasion(datetime.now(UTC).replace(microsecond=0), job)
+
+
+def _left(home: Path, job: Job) -> Occasion | None:
+    """The newest occasion of that kind, if it was cut off."""
+    from hil.pipeline.stages import kept_document
+    from hil.schedule.ledger import occasion_of
+
+    for folder in sorted(home.glob(f"*-{job}"), reverse=True)[:1]:
+        if kept_document(folder, "summary") is None:
+            say(f"going on with {folder}")
+            return occasion_of(folder.name)
+    return None
+
+
+def _tell(told: dict[str, Any]) -> None:
+    say(f"{told['name']}: {told['text']}")
+    if errors := told["errors"]:
+        joints = [f"J{j + 1}" for j in range(len(errors["joint_names"]))]
+        rows = [
+            (label, *(f"{value:.4f}" for value in errors[key]))
+            for label, key in ((f"{told['before']} before", "before"),
+                               (f"{told['champion']} after", "after"))
+        ]  # fmt: skip
+        print_table((f"RMSE [{errors['unit']}]", *joints), rows)
+    for stage, run in told["runs"].items():
+        typer.echo(f"{stage}: {run}")
