@@ -147,6 +147,7 @@ def fit_dataset(
     out: Path,
     watch: Watch | None = None,
     checkpoints: Path | None = None,
+    serial: str | None = None,
     **params: Any,
 ) -> Fitted:
     """Fit an estimator to a dataset and store the model under `out`.
@@ -159,14 +160,16 @@ def fit_dataset(
         watch: Told every epoch of estimators that train networks.
         checkpoints: Folder to keep their training in, and to take it up from; other estimators
             keep nothing.
+        serial: Of the robot; by default what the dataset's sources say, where they are here.
         **params: The estimator's own parameters.
 
     Raises:
         FitError: The data do not allow it.
         PluginError, SpecError: No such estimator or parameter.
     """
-    sources = dict.fromkeys(condition.source for condition in dataset.conditions)
-    serial = _one_serial([Path(source) for source in sources if source and Path(source).exists()])
+    if serial is None:
+        named = dict.fromkeys(condition.source for condition in dataset.conditions)
+        serial = _one_serial([Path(one) for one in named if one and Path(one).exists()])
     model = make_estimator(estimator, **params)
     attach(model, watch, checkpoints if keeps_checkpoints(model) else None)
     return _fit(model, dataset, robot, out, serial)

@@ -19,7 +19,8 @@ FIT_FOLDER = "fit"
 def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
     """Facts of a model folder.
 
-    A model under `RUN/fit/` is of that run, whose recordings' digests are in the run.
+    A model under `RUN/fit/`, or fitted to one run alone, is of that run, whose recordings' digests
+    are in the run.
 
     Args:
         model: Its folder.
@@ -31,7 +32,10 @@ def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
     """
     document = read_json(model / MODEL_FILE)
     fitted, training = document.get("fitted", {}), document.get("training") or {}
+    sources = list(sources)
     run = model.resolve().parent.parent if model.resolve().parent.name == FIT_FOLDER else None
+    if run is None and len(sources) == 1 and (sources[0] / "start.json").is_file():
+        run = sources[0].resolve()
     return {
         "estimator": document["estimator"],
         "protocol": fitted.get("protocol", ""),

@@ -1,0 +1,175 @@
+"""Fits of a fleet: the same bits wherever, what dies is computed again, who becomes champion."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from functools import partial
+from operator import mul
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fleet_parts import FITTED, written
+from typer.testing import CliRunner
+
+from hil.campaign.run import run_experiment
+from hil.cli.app import app
+from hil.errors import DataError, FitError
+from hil.executor import one_thread
+from hil.fleet import fitting
+from hil.fleet.fit_task import FitResult, How
+from hil.fleet.fitting import RobotFit, computed, fit_runs, kept, registered
+from hil.fleet.members import experiment_for, spec_for
+from hil.registry.registry import Registry
+
+HOW = How("rigid-wls")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A run of each of two robots."""
+    folder = tmp_path_factory.mktemp("fleet")
+    spec, station = written(folder, {"a": "seed: 1", "b": "seed: 2"}, FITTED)
+    made = []
+    for name in "ab":
+        text = spec_for(FITTED, "small.yaml", name)
+        made.append(experiment_for(text, folder, station, spec))
+    with one_thread():
+        return [run_experiment(one, runs=folder / "runs").run for one in made]
+
+
+@pytest.fixture(scope="module")
+def results(runs: list[Path]) -> list[FitResult]:
+    """Of fits in processes of this computer."""
+    return fit_runs(runs, HOW, workers=2)
+
+
+class Elsewhere(Executor):
+    """A worker that gets what is sent, and sees no file of ours."""
+
+    def __init__(self, hidden: Path) -> None:
+        self.hidden, self.threads = hidden, 1
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        sent, future = pickle.dumps((fn, args)), Future[Any]()
+        away = self.hidden.rename(self.hidden.with_name("away"))
+        try:
+            task, given = pickle.loads(sent)
+            future.set_result(task(*given))
+        finally:
+            away.rename(self.hidden)
+        return future
+
+
+def once(mark: str) -> int:
+    """Takes its process along the first time."""
+    if not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 42
+
+
+def always() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_model_is_the_one_its_run_has_fitted(runs: list[Path], results: list[FitResult]) -> None:
+    for run, result in zip(runs, results, strict=True):
+        own = run / "fit" / result.folder
+        assert (own / "model.safetensors").read_bytes() == result.files["model.safetensors"]
+        assert (own / "model.json").read_bytes() == result.files["model.json"]
+
+
+def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
+    runs: list[Path], results: list[FitResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def hidden(address: str | None) -> Iterator[Executor]:
+        yield Elsewhere(runs[0].parents[1])
+
+    monkeypatch.setattr(fitting, "cluster", hidden)
+    counts: list[int] = []
+    found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", tell=counts.append)
+    assert [one.files for one in found] == [one.files for one in results]
+    assert counts[-1] == len(runs)
+
+
+def test_a_dask_cluster_finds_the_same_bits(runs: list[Path], results: list[FitResult]) -> None:
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
+    ) as made:
+        found = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
+    assert [one.files for one in found] == [one.files for one in results]
+
+
+def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> None:
+    tasks = [partial(mul, 2, 1), partial(once, str(tmp_path / "mark")), partial(mul, 2, 3)]
+    assert computed(tasks, 2, None, lambda done: None) == [2, 42, 6]
+
+
+def test_what_always_kills_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fitting, "TRIES", 1)
+    with pytest.raises(FitError, match="1 times a process died"):
+        computed([always], 1, None, lambda done: None)
+
+
+def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    broken = tmp_path / "0009-broken"
+    broken.mkdir()
+    start = json.loads((runs[0] / "start.json").read_text("utf-8")) | {"robot_name": "c"}
+    (broken / "start.json").write_text(json.dumps(start), "utf-8")
+    found = fit_runs([broken, runs[1]], HOW, workers=1)
+    assert "plan.json" in found[0].error
+    assert found[1].files == results[1].files
+    assert kept([broken], found[:1], tmp_path)[0].model is None
+    with pytest.raises(DataError, match="does not exist"):
+        fit_runs([tmp_path / "nothing"], HOW, workers=1)
+
+
+def test_a_first_model_becomes_champion_the_next_its_challenger(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    registry = Registry(tmp_path / "registry")
+    (first,) = kept(runs[:1], results[:1], tmp_path)
+    assert registered(first, registry).role == "champion"
+    assert registered(first, registry).role == "champion"
+    (entry,) = [one for one in registry.log("a") if one.event == "promoted"]
+    assert entry.evidence["evaluation"]
+    assert registry.version("a").facts["run"]["folder"] == str(runs[0])
+    other = RobotFit(
+        "a", runs[1], results[1], *[one.model for one in kept(runs[1:], results[1:], tmp_path)]
+    )
+    assert (registered(other, registry).registered, registered(other, registry).role) == (
+        "v2", "challenger",
+    )  # fmt: skip
+
+
+def test_what_misses_its_criteria_becomes_neither(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    missed = FitResult(results[0].folder, results[0].files, results[0].rmse, passed=False)
+    registry = Registry(tmp_path / "registry")
+    (fit,) = kept(runs[:1], [missed], tmp_path)
+    assert registered(fit, registry).role == ""
+    assert registry.aliases("a").champion == registry.aliases("a").challenger == 0
+
+
+def test_fits_on_the_command_line(runs: list[Path], tmp_path: Path) -> None:
+    named = [str(run) for run in runs]
+    more = ["-e", "rigid-wls", "-o", str(tmp_path), "--workers", "1", "--json"]
+    done = CliRunner().invoke(app, ["fleet", "fit", *named, *more])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)["fits"]
+    assert [one["robot"] for one in told] == ["a", "b"]
+    assert all(Path(one["model"]).is_dir() and one["passed"] is None for one in told)
+    wrong = CliRunner().invoke(app, ["fleet", "fit", *named, "-e", "rigid-wls", "--dask", "here"])
+    assert "no address of a Dask scheduler" in str(wrong.exception)
