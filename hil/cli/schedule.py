@@ -1,0 +1,270 @@
+"""`hil schedule`: probe a robot, and identify it again, when it is due."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+from zoneinfo import ZoneInfo
+
+import typer
+
+from hil.cli.output import (
+    JsonFlag,
+    RunsOption,
+    StationOption,
+    duration,
+    print_json,
+    print_table,
+    say,
+)
+from hil.cli.registry import HERE, RegistryOption
+from hil.errors import SpecError
+
+if TYPE_CHECKING:
+    from hil.schedule.forecast import Expected
+    from hil.schedule.ledger import Ledger, Line
+    from hil.spec.schedule import ScheduleSpec
+
+FileArgument = Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)]
+StateOption = Annotated[
+    Path | None,
+    typer.Option("--state", help="Folder of its ledger; by default schedules/NAME."),
+]
+STATES = Path("schedules")
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Probe a robot, and identify it again when it has changed: whenever it is due.",
+)
+
+
+def register(parent: typer.Typer) -> None:
+    """Add this group's verbs."""
+    parent.add_typer(app, name="schedule")
+
+
+@app.command()
+def run(
+    file: FileArgument,
+    once: Annotated[bool, typer.Option("--once", help="Do what is due now, and end.")] = False,
+    state: StateOption = None,
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    station: StationOption = None,
+) -> None:
+    """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
+    from hil.pipeline.bound import bind
+    from hil.pipeline.reidentify import reidentification
+    from hil.registry.registry import Registry
+    from hil.schedule.clocks import WallClock
+    from hil.schedule.curfew import curfew
+    from hil.schedule.ledger import kept
+    from hil.schedule.loop import Scheduler
+    from hil.schedule.motions import motions, require_room
+    from hil.schedule.notify import Command
+    from hil.schedule.preconditions import RobotReady
+    from hil.spec.schedule import load_schedule_spec
+
+    spec = load_schedule_spec(file)
+    bound = bind(spec, station)
+    took = motions(spec, bound.probe, bound.campaign)
+    require_room(spec, took, datetime.now(UTC))
+    work = reidentification(
+        spec, registry=Registry(registry), runs=runs, station=station, tell=_tell_stage
+    )
+    zone, wait_s = ZoneInfo(spec.timezone), spec.wait_for_robot.total_seconds()
+    with kept(_state(spec, state), spec.name) as ledger, WallClock() as clock:
+        scheduler = Scheduler(
+            spec, ledger, work, clock,
+            lasting=took.longest,
+            ready=RobotReady(bound.campaign, wait_s, _tell_stage),
+            guard=curfew,
+            tell=lambda line: say(_words(line, zone)),
+            notify=Command(spec.notify, spec.name),
+        )  # fmt: skip
+        scheduler.run_due()
+        if not once:
+            say(_next_words(scheduler.next_moment(), zone))
+            scheduler.run()
+    if once and scheduler.failure is not None:
+        raise scheduler.failure
+
+
+@app.command()
+def plan(
+    file: FileArgument,
+    weeks: Annotated[
+        float, typer.Option("--weeks", min=0, max=520, help="How far to look ahead.")
+    ] = 4.0,
+    until: Annotated[
+        datetime | None,
+        typer.Option("--until", formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M"], help="In place of weeks."),
+    ] = None,
+    state: StateOption = None,
+    station: StationOption = None,
+    json: JsonFlag = False,
+) -> None:
+    """What would happen when, if nothing is found; does nothing."""
+    from hil.pipeline.bound import bind
+    from hil.schedule.forecast import forecast
+    from hil.schedule.ledger import Ledger
+    from hil.schedule.motions import motions, require_room
+    from hil.spec.schedule import load_schedule_spec
+
+    spec, now = load_schedule_spec(file), datetime.now(UTC)
+    zone = ZoneInfo(spec.timezone)
+    end = until.replace(tzinfo=zone) if until else now + timedelta(weeks=weeks)
+    if end <= now:
+        raise SpecError(f"--until {until:%Y-%m-%dT%H:%M} is past", hint="give a later one")
+    bound = bind(spec, station)
+    took = motions(spec, bound.probe, bound.campaign)
+    require_room(spec, took, now)
+    ledger = Ledger.read(_state(spec, state))
+    ledger.require_of(spec.name)
+    expected = forecast(spec, ledger, took, now, end)
+    if json:
+        told = {"schedule": spec.name, "from": _iso(now, zone), "until": _iso(end, zone)}
+        longest = took.longest("probe" if spec.probe else "campaign").total_seconds()
+        seconds = {"probe_s": took.probe.total_seconds(),
+                   "campaign_s": took.campaign.total_seconds(), "at_most_s": longest}  # fmt: skip
+        print_json({**told, **seconds, "expected": [one.to_dict(zone) for one in expected]})
+        return
+    _print_plan(spec, expected, zone)
+    probe = f"probe {duration(took.probe.total_seconds())}, " if spec.probe else ""
+    say(f"of motion: {probe}campaign {duration(took.campaign.total_seconds())}")
+
+
+@app.command()
+def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
+    """What was done, and what was not and why; what is due next."""
+    from hil.held_file import holder_of
+    from hil.schedule.ledger import LOCK, Ledger
+    from hil.spec.schedule import load_schedule_spec
+
+    spec = load_schedule_spec(file)
+    zone, folder = ZoneInfo(spec.timezone), _state(spec, state)
+    ledger = Ledger.read(folder)
+    ledger.require_of(spec.name)
+    holder, coming = holder_of(folder / LOCK), _coming(spec, ledger)
+    if json:
+        held = ledger.standing.open
+        print_json({
+            "schedule": spec.name, "state": str(folder), "run_by": str(holder) if holder else None,
+            "open": held.id if held else None, "next": coming and _iso(coming, zone),
+            "lines": [dict(line) for line in ledger.lines],
+        })  # fmt: skip
+        return
+    if not ledger.lines:
+        say(f"{spec.name} has never been started: hil schedule run {file}")
+        return
+    rows = [(_at(line, zone), str(line["event"]), _occasion(line), _told(line))
+            for line in ledger.lines]  # fmt: skip
+    print_table(("when", "event", "occasion", "what"), rows)
+    say(_next_words(coming, zone))
+    say(f"run by {holder}" if holder else f"nobody runs it: hil schedule run {file}")
+
+
+@app.command()
+def systemd(
+    file: FileArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the units.")] = Path(),
+    user: Annotated[bool, typer.Option("--user", help="For systemctl --user.")] = False,
+    timer: Annotated[
+        bool, typer.Option("--timer", help="A timer that calls, not a service that stays.")
+    ] = False,
+    state: StateOption = None,
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    station: StationOption = None,
+    json: JsonFlag = False,
+) -> None:
+    """Write units that run it, with the paths of these options; installs nothing."""
+    from hil.pipeline.bound import bind
+    from hil.schedule.systemd import next_words, units_of, write_units
+    from hil.spec.schedule import load_schedule_spec
+
+    spec = load_schedule_spec(file)
+    bind(spec, station)
+    arguments = [str(file.resolve())]
+    given = {"--state": _state(spec, state), "--registry": registry, "--runs": runs}
+    for option, path in (given | ({"--station": station} if station else {})).items():
+        arguments += [option, str(path.resolve())]
+    units = units_of(spec.name, tuple(arguments), Path.cwd(), timer=timer, user=user)
+    files = write_units(units, out)
+    commands = next_words(units, out, user=user)
+    if json:
+        print_json(
+            {"schedule": spec.name, "files": [str(path) for path in files], "next": commands}
+        )
+        return
+    for path in files:
+        typer.echo(path)
+    typer.echo("to install them:")
+    for command in commands:
+        typer.echo(f"  {command}")
+
+
+def _state(spec: ScheduleSpec, given: Path | None) -> Path:
+    return given or STATES / spec.name
+
+
+def _coming(spec: ScheduleSpec, ledger: Ledger) -> datetime | None:
+    """When something is due next."""
+    from hil.schedule.times import occasions
+
+    now = datetime.now(UTC)
+    coming = next(occasions(spec, ledger.standing.anchor or now, now), None)
+    return coming.due if coming else None
+
+
+def _print_plan(spec: ScheduleSpec, expected: list[Expected], zone: ZoneInfo) -> None:
+    if not expected:
+        say("nothing is due until then")
+        return
+    rows = []
+    for one in expected:
+        times = f" ({one.count} times)" if one.count > 1 else ""
+        begins = "not done" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
+        motion = duration(one.motion.total_seconds()) if one.motion else ""
+        why = "gone on with" + (f", {one.why}" if one.why else "") if one.again else one.why
+        rows.append((f"{one.due.astimezone(zone):%a %Y-%m-%d %H:%M}", one.job + times, begins,
+                     motion, why))  # fmt: skip
+    print_table((f"due ({spec.timezone})", "what", "begins", "motion", "why not then"), rows)
+
+
+def _tell_stage(text: str) -> None:
+    say(f"  {text}")
+
+
+def _words(line: Line, zone: ZoneInfo) -> str:
+    """A line of the ledger, for people."""
+    parts = (_at(line, zone), str(line["event"]), _occasion(line), _told(line))
+    return "  ".join(part for part in parts if part)
+
+
+def _next_words(moment: datetime | None, zone: ZoneInfo) -> str:
+    return (
+        f"next: {moment.astimezone(zone):%a %Y-%m-%d %H:%M}" if moment else "nothing is due again"
+    )
+
+
+def _at(line: Line, zone: ZoneInfo) -> str:
+    return f"{datetime.fromisoformat(line['at']).astimezone(zone):%Y-%m-%d %H:%M:%S}"
+
+
+def _occasion(line: Line) -> str:
+    count = int(line.get("count", 1))
+    more = f" and {count - 1} before it" if count > 1 else ""
+    return str(line.get("occasion", "")) + more
+
+
+def _told(line: Line) -> str:
+    result: dict[str, Any] = line.get("result") or {}
+    if result:
+        return f"{result.get('outcome', '')}: {result.get('text', '')}"
+    return str(line.get("why", "")) or ("again" if line.get("again") else "")
+
+
+def _iso(moment: datetime, zone: ZoneInfo) -> str:
+    return moment.astimezone(zone).isoformat(timespec="seconds")

@@ -1,0 +1,250 @@
+"""The ledger of a schedule: what became of everything that was due, one JSON line per event.
+
+    STATE/ledger.jsonl          grows only; every line carries the digest of the one before
+    STATE/occasions/ID/         what the work of an occasion has done so far
+    STATE/.lock                 held by the process that keeps it
+
+`started` says from when on things are due. Everything due up to the latest `until` is settled, but
+for the occasion that is open: put off (`deferred`), or `begun` and not ended. It ends as `done`,
+`failed` or `missed`. What is left out is `missed`: one line for all that shares a reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, get_args
+
+from hil.errors import DataError, RecordingError
+from hil.held_file import hold
+from hil.holder import Holder, this_process
+from hil.record.files import json_line
+from hil.registry.log import append_line, read_lines
+from hil.schedule.occasion import Job, Occasion
+
+LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
+
+Line = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How things stand after some lines.
+
+    Attributes:
+        anchor: When the schedule was first started, None before that.
+        until: Everything due until then is settled, but for what is open.
+        open: An occasion that was begun or put off, and has not ended.
+        begun: Whether it was begun.
+        why: Why it was last put off, empty if it was not.
+        touched: Of the last line about what is open.
+    """
+
+    anchor: datetime | None = None
+    until: datetime | None = None
+    open: Occasion | None = None
+    begun: bool = False
+    why: str = ""
+    touched: datetime | None = None
+
+    def after(self, line: Line) -> Standing:
+        """How they stand after one more line. Raises `ValueError` or `KeyError` at nonsense."""
+        event, at = line["event"], datetime.fromisoformat(line["at"])
+        if event == "started":
+            anchor = datetime.fromisoformat(line["anchor"])
+            return Standing(anchor=anchor, until=anchor - timedelta(seconds=1))
+        now = self
+        if "until" in line:
+            until = datetime.fromisoformat(line["until"])
+            # A clock that was put back settles nothing twice.
+            now = replace(self, until=max(until, self.until or until))
+        if event == "deferred":
+            held = occasion_of(line["occasion"])
+            return replace(now, open=held, why=line["why"], touched=at)
+        if event == "begun":
+            held = occasion_of(line["occasion"])
+            return replace(now, open=held, begun=True, why="", touched=at)
+        if event == "missed" and "instead" in line:
+            held = occasion_of(line["instead"])
+            return now if held == now.open else replace(closed(now), open=held, touched=at)
+        if event in ("done", "failed") or (event == "missed" and self._begins(line)):
+            return closed(now)
+        return now
+
+    def _begins(self, line: Line) -> bool:
+        """Whether what is open is the first of those left out; it is due before all others."""
+        return self.open is not None and self.open.id == line["since"]
+
+
+def closed(standing: Standing) -> Standing:
+    """The same with nothing open."""
+    return replace(standing, open=None, begun=False, why="", touched=None)
+
+
+def occasion_of(text: str) -> Occasion:
+    """Inverse of `Occasion.id`. Raises `ValueError`."""
+    moment, _, job = text.partition("-")
+    if job not in get_args(Job):
+        raise ValueError(f"{text!r} is no occasion")
+    due = datetime.strptime(moment, "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+    return Occasion(due, "probe" if job == "probe" else "campaign")
+
+
+class Ledger:
+    """What became of everything that was due.
+
+    Args:
+        folder: Of the state; None keeps it in memory alone, to find out what would happen.
+        lines: What is in it already.
+    """
+
+    def __init__(self, folder: Path | None = None, lines: tuple[Line, ...] = ()) -> None:
+        self.folder = folder
+        self._hold(lines)
+
+    @classmethod
+    def read(cls, folder: Path) -> Ledger:
+        """What a folder holds; a line that a crash has torn is none.
+
+        Raises:
+            DataError: A line is damaged, or not the one that followed the line before.
+        """
+        return cls(folder, tuple(_linked(folder / LEDGER_FILE)))
+
+    def folder_of(self, occasion: Occasion) -> Path:
+        """Of this occasion alone; made when missing, unless the ledger is in memory.
+
+        Raises:
+            RecordingError: It cannot be made.
+        """
+        path = (self.folder or Path()) / OCCASIONS / occasion.id
+        if self.folder is not None:
+            _make(path)
+        return path
+
+    def add(self, event: str, at: datetime, **more: Any) -> Line:
+        """Add a line; it is there for good when this returns. The caller holds the folder.
+
+        Raises:
+            RegistryError: It cannot be written.
+        """
+        said = {"event": event, "at": time_text(at), **more, "before": self._digest()}
+        # As it will be read again: no NaN, no text that UTF-8 cannot say.
+        line: Line = json.loads(json_line(said).encode("utf-8", "replace"))
+        if self.folder is not None:
+            append_line(self.folder / LEDGER_FILE, line)
+        self._take(line)
+        return line
+
+    def start(self, name: str, now: datetime) -> None:
+        """Note that the schedule was started, if it has not been before.
+
+        Raises:
+            DataError: It is the ledger of another schedule.
+        """
+        if self.standing.anchor is None:
+            # A timer that calls at 03:00 gets here a little later, and 03:00 is due all the same.
+            anchor = now.astimezone(UTC).replace(second=0, microsecond=0)
+            self.add("started", now, name=name, anchor=time_text(anchor))
+        self.require_of(name)
+
+    def require_of(self, name: str) -> None:
+        """Refuse the ledger of another schedule; nobody's is fine.
+
+        Raises:
+            DataError: It is one.
+        """
+        if self.lines and (kept := self.lines[0].get("name")) != name:
+            raise DataError(
+                f"{self.folder} is the state of the schedule {kept!r}, not of {name!r}",
+                hint="give every schedule a folder of its own with --state",
+            )
+
+    def reload(self) -> None:
+        """Read it again: an interrupt may have come between writing a line and noting it."""
+        if self.folder is not None:
+            self._hold(tuple(_linked(self.folder / LEDGER_FILE)))
+
+    def _hold(self, lines: tuple[Line, ...]) -> None:
+        self.lines: list[Line] = []
+        self.standing = Standing()
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: Line) -> None:
+        self.standing = self.standing.after(line)
+        self.lines.append(line)
+
+    def _digest(self) -> str:
+        return _digest(self.lines[-1]) if self.lines else ""
+
+
+@contextmanager
+def kept(folder: Path, name: str) -> Iterator[Ledger]:
+    """The ledger of a folder, which no other process keeps meanwhile.
+
+    Args:
+        folder: Of the state; made when missing.
+        name: Of the schedule.
+
+    Raises:
+        DataError: Another process keeps it, it is another schedule's, or it is damaged.
+        RecordingError: It cannot be written to.
+    """
+    _make(folder)
+    try:
+        held = hold(folder / LOCK, this_process() | {"schedule": name})
+    except OSError as error:
+        raise RecordingError(
+            f"cannot lock {folder}: {error.strerror or error}", hint="name another with --state"
+        ) from error
+    if isinstance(held, Holder):
+        raise DataError(
+            f"the schedule in {folder} is run by {held}",
+            hint=f"stop that one first, or look at it: hil schedule show FILE --state {folder}",
+        )
+    with held:
+        yield Ledger.read(folder)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make {folder}: {error.strerror or error}", hint="name another with --state"
+        ) from error
+
+
+def time_text(moment: datetime) -> str:
+    """A moment as the ledger has it: UTC, whole seconds."""
+    return moment.astimezone(UTC).isoformat(timespec="seconds")
+
+
+def _digest(line: Line) -> str:
+    return hashlib.sha256(json.dumps(line, ensure_ascii=False).encode()).hexdigest()
+
+
+def _linked(path: Path) -> Iterator[Line]:
+    before, standing = "", Standing()
+    for number, raw in read_lines(path):
+        try:
+            line = json.loads(raw)
+            standing = standing.after(line)
+            linked = line["before"] == before
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise DataError(
+                f"{path}:{number}: damaged: {error!r}", hint="restore the file from a backup"
+            ) from error
+        if not linked:
+            raise DataError(
+                f"{path}:{number} does not follow the line before it: the ledger was changed",
+                hint="restore the file from a backup",
+            )
+        before = hashlib.sha256(raw).hexdigest()
+        yield line

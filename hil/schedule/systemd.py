@@ -1,0 +1,164 @@
+"""Units for labs that prefer systemd: a service that stays, or a timer that calls one."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.errors import SpecError
+from hil.holder import user_name
+from hil.record.files import write_replacing
+
+CALL_EVERY_MIN = 5
+"""The timer calls so often; what is due is the schedule's to say, and not twice."""
+
+STOP_WITHIN_S = 120
+"""Longest time that a robot is given to come to rest and a recording to be closed [s]."""
+
+HANDED_ON = ("HIL_LEASES", "HIL_STATION")
+"""What the environment says beside the options of the command."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A file for systemd.
+
+    Attributes:
+        name: Of the file.
+        text: What is in it.
+    """
+
+    name: str
+    text: str
+
+
+def units_of(
+    name: str, arguments: tuple[str, ...], folder: Path, *, timer: bool, user: bool
+) -> list[Unit]:
+    """The units of a schedule.
+
+    Args:
+        name: Of the schedule.
+        arguments: Of `hil schedule run`, paths absolute.
+        folder: Where it works.
+        timer: A timer that calls it, in place of a service that stays.
+        user: For `systemctl --user`.
+
+    Raises:
+        SpecError: A path has characters that a unit cannot have.
+    """
+    command = (sys.executable, "-m", "hil", "schedule", "run", *arguments)
+    words = " ".join(_quoted(word) for word in (*command, *(("--once",) if timer else ())))
+    wanted = "default.target" if user else "multi-user.target"
+    unit = f"hil-{name}"
+    service = _SERVICE.format(
+        name=name,
+        kind="oneshot" if timer else "exec",
+        # Leases are kept per user: the schedule must be the one who also runs things by hand.
+        owner="" if user else f"User={user_name()}\n",
+        environment="".join(
+            f"Environment={_quoted(f'{key}={os.environ[key]}')}\n"
+            for key in HANDED_ON
+            if key in os.environ
+        ),
+        folder=_path(folder),
+        command=words,
+        stop_s=STOP_WITHIN_S,
+        restart="" if timer else _RESTART,
+        limits="" if timer else _LIMITS,
+        install="" if timer else f"\n[Install]\nWantedBy={wanted}\n",
+    )
+    units = [Unit(f"{unit}.service", service)]
+    if timer:
+        units.append(Unit(f"{unit}.timer", _TIMER.format(name=name, every=CALL_EVERY_MIN)))
+    return units
+
+
+def write_units(units: list[Unit], folder: Path) -> list[Path]:
+    """Write them into a folder that exists.
+
+    Raises:
+        RecordingError: They cannot be written.
+    """
+    for unit in units:
+        write_replacing(folder / unit.name, unit.text.encode())
+    return [folder / unit.name for unit in units]
+
+
+def next_words(units: list[Unit], folder: Path, *, user: bool) -> list[str]:
+    """What to type then."""
+    flag, where = (" --user", "~/.config/systemd/user/") if user else ("", "/etc/systemd/system/")
+    files = " ".join(shlex.quote(str(folder / unit.name)) for unit in units)
+    told = [
+        f"systemd-analyze{flag} verify {files}",
+        f"install -m 644 {files} {where}",
+        f"systemctl{flag} daemon-reload",
+        f"systemctl{flag} enable --now {units[-1].name}",
+    ]
+    return told + (
+        ["loginctl enable-linger  # it is to run while nobody is logged in"] if user else []
+    )
+
+
+def _quoted(word: str) -> str:
+    """A word of ExecStart: quoted, with `%` and `$` as themselves."""
+    _require_plain(word)
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%")
+    word = word.replace("$", "$$")
+    return word if re.fullmatch(r"[\w@%+=:,./-]+", word) else f'"{word}"'
+
+
+def _path(path: Path) -> str:
+    """A path as a setting: to the end of the line, `%` as itself."""
+    _require_plain(str(path))
+    return str(path).replace("%", "%%")
+
+
+def _require_plain(text: str) -> None:
+    if not text.isprintable():
+        raise SpecError(
+            f"{text!r} has characters that a systemd unit cannot have", hint="rename the folder"
+        )
+
+
+_SERVICE = """[Unit]
+Description=hil schedule {name}
+After=network-online.target time-sync.target
+Wants=network-online.target
+{limits}
+[Service]
+Type={kind}
+{owner}WorkingDirectory={folder}
+{environment}ExecStart={command}
+# A stop by signal is an orderly one: the robot is at rest, and the run is gone on with.
+SuccessExitStatus=130
+KillSignal=SIGTERM
+KillMode=mixed
+TimeoutStopSec={stop_s}
+{restart}{install}"""
+
+_LIMITS = """StartLimitIntervalSec=1h
+StartLimitBurst=5
+"""
+
+_RESTART = """Restart=on-failure
+RestartSec=30
+# A mistake in a file does not go away by itself.
+RestartPreventExitStatus=2
+"""
+
+_TIMER = """[Unit]
+Description=hil schedule {name}: looks whether something is due
+
+[Timer]
+OnCalendar=*:0/{every}
+AccuracySec=1s
+Persistent=true
+
+[Install]
+WantedBy=timers.target
+"""
