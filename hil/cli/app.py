@@ -32,6 +32,7 @@ from hil.cli import (
     resting,
     running,
     runs,
+    schedule,
     specs,
     studies,
     system,
@@ -63,7 +64,7 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, registry, drift, fleet, resting, exports, trying, data, system, bench,
+    studies, registry, drift, fleet, schedule, resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)
