@@ -27,6 +27,10 @@ def drift(
         float,
         typer.Option(help="Probability with which an unchanged robot is called changed, a probe."),
     ] = 0.01,
+    page: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Also write all of it as a page, with plots."),
+    ] = None,
     registry: RegistryOption = HERE,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
@@ -42,6 +46,10 @@ def drift(
     else:
         home.aliases(name)
         told = probes_of(home, name)
+    if page is not None:
+        from hil.report.drift_page import write_drift_page
+
+        write_drift_page(home, name, page)
     documents = [probe.to_dict() for probe in told]
     if json:
         print_json({"name": name, "probes": documents})
