@@ -38,15 +38,11 @@ def on_mock(spec: Path, **options: Any) -> Experiment:
     """An experiment on the mock bench, its robot with other options."""
     experiment = load_experiment(spec, EXPERIMENTS / "stations" / "mock.yaml")
     named = experiment.spec.robot
-    robot = experiment.robot.model_copy(
-        update={"options": {**experiment.robot.options, **options}}
-    )
+    robot = experiment.robot.model_copy(update={"options": {**experiment.robot.options, **options}})
     station = experiment.station.model_copy(
         update={"robots": {**experiment.station.robots, named: robot}}
     )
-    return replace(
-        experiment, robot=robot, station=station, station_text=station.model_dump_json()
-    )
+    return replace(experiment, robot=robot, station=station, station_text=station.model_dump_json())
 
 
 def null_probes(seed: int, count: int, folder: Path) -> tuple[list[Features], list[float]]:

@@ -16,6 +16,7 @@ JOINTS = tuple(f"j{k + 1}" for k in range(6))
 NAMES = feature_names(JOINTS)
 SIGMA = np.full(6, 0.05)
 PER_K = {"friction": 0.006, "gain": 0.001, "offset": 0.001}
+BLOCKS = 6
 NOISE = {"friction": 0.008, "gain": 0.004, "offset": 0.003}
 
 
@@ -25,11 +26,18 @@ def robot(dice: np.random.Generator):
     slope = np.array([dice.normal(0, PER_K.get(w, 0.001)) for w in what])
     level = np.array([dice.normal(0, 3 * NOISE.get(w, 0.005)) for w in what])
     noise = np.array([NOISE.get(w, 0.005) for w in what])
+    # The model's error along the motion, the same in every probe.
+    places = 6 * noise * dice.standard_normal((BLOCKS, len(NAMES)))
+    places -= places.mean(axis=0)
 
     def probe(celsius: float) -> Features:
         values = level + slope * (celsius - 25.0) + noise * dice.standard_normal(len(NAMES))
         warm = np.full(len(NAMES), celsius)
-        return Features(NAMES, values, noise, warm, np.zeros(6), 1000, np.eye(len(NAMES)))
+        dice_of_blocks = dice.standard_normal((BLOCKS, len(NAMES)))
+        own = np.sqrt(BLOCKS) * noise * (dice_of_blocks - dice_of_blocks.mean(axis=0))
+        blocks = values + places + own
+        std = np.std(blocks, axis=0, ddof=1) / np.sqrt(BLOCKS)
+        return Features(NAMES, values, std, warm, np.zeros(6), 1000, np.eye(len(NAMES)), blocks)
 
     return probe
 
@@ -49,6 +57,7 @@ def test_a_robot_that_does_not_change_is_called_so_as_rarely_as_stated(swing: fl
             alarms += bool(charted(probes[:k], SIGMA, 0.05).alarm.any())
             count += 1
     assert count == 1200
+    assert alarms >= 6  # charts that call nothing are no charts
     assert alarms <= 60 + 3 * np.sqrt(60)  # 5 % of them, and what chance may add
 
 
@@ -111,11 +120,36 @@ def test_one_cause_that_moves_others_is_named_alone() -> None:
     assert cause.text.startswith("load at the flange: +0.4")
 
 
+def test_what_is_called_changed_always_has_a_cause() -> None:
+    """Even where the model fits so badly along the motion that the cause can hardly be told."""
+    probe = robot(np.random.default_rng(4))
+    probes = [probe(25.0) for _ in range(REFERENCE)]
+    moved = changed(probe(25.0), "j5 offset", 0.06)
+    moved = replace(moved, std=100.0 * moved.std)
+    chart = charted([*probes, moved], SIGMA)
+    assert chart.alarm.any()
+    assert causes(moved, chart, 0.01, "A")
+
+
+def test_what_repeats_along_the_motion_is_no_noise() -> None:
+    """Within each probe the model errs by six times the noise, in the same places every time."""
+    probe = robot(np.random.default_rng(2))
+    probes = [probe(25.0) for _ in range(REFERENCE + 1)]
+    chart = charted(probes, SIGMA)
+    within = np.median([one.std for one in probes], axis=0)
+    assert np.median(chart.std / within) < 0.6
+    alone = charted(probes[:2], SIGMA)
+    assert np.median(alone.std / within) > 0.9
+
+
 def test_features_come_back_from_json_as_they_were() -> None:
     one = robot(np.random.default_rng(1))(20.0)
     again = Features.from_dict(one.to_dict())
     assert np.array_equal(again.values, one.values)
+    assert np.array_equal(again.blocks, one.blocks)
     assert again.names == one.names
+    with pytest.raises(ValueError, match="blocks"):
+        Features.from_dict(one.to_dict() | {"blocks": [[1.0]]})
     with pytest.raises(ValueError, match="response"):
         Features.from_dict(one.to_dict() | {"response": [[1.0]]})
 

@@ -57,16 +57,20 @@ def causes(probe: Features, chart: Charted, false_alarm: float, effort_unit: str
     """
     if not chart.alarm.any():
         return []
-    mean = chart.p_mean < chart.p
-    left = np.where(mean, chart.mean, chart.deviation)
-    # A deviation of its own size whichever chart says so: p values made comparable as normal ones.
-    size = norm.isf(np.maximum(np.minimum(chart.p, chart.p_mean), 1e-300) / 2)
+    # What jumped says by how much itself; the mean is for what creeps.
+    jumped = bool(np.any(np.abs(chart.deviation) > chart.limit))
+    left, p = (chart.deviation, chart.p) if jumped else (chart.mean, chart.p_mean)
+    size = norm.isf(np.maximum(p, 1e-300) / 2)
     scale = np.abs(left) / np.maximum(size, np.finfo(np.float64).tiny)
+    # What a cause does to other features is known as well as the model fits along the motion.
+    scale = np.maximum(scale, probe.std)
     found: list[Cause] = []
     limit = float(norm.isf(false_alarm / len(left) / 4))
     groups = _groups(probe.names)
     while len(found) < MOST:
         over = np.abs(left) > limit * scale
+        if not found:
+            over |= chart.alarm
         if not over.any():
             break
         group = _best(left, scale, probe.response, [one for one in groups if over[one].any()])

@@ -39,7 +39,7 @@ deviations of the champion's residual; a load in kg, and in kg·m a tenth of tha
 changes by 0.2 to 1 % per kelvin, and models follow most of it."""
 
 NOISE_DOF = 4.0
-"""Probes that the prior of the noise is worth, which is what blocks within the probes say of it."""
+"""Probes that the prior of the noise is worth, which is what blocks of the probes say of it."""
 
 LEVER_M = 0.1
 
@@ -91,8 +91,7 @@ def charted(
     values, celsius = (np.array([getattr(one, name) for one in probes]) for name in _ARRAYS)
     centre = np.nan_to_num(np.nanmean(celsius, axis=0)) if np.isfinite(celsius).any() else 0.0
     warm = np.nan_to_num(celsius - centre)
-    within = np.array([one.std for one in probes[: max(count, 1)]])
-    noise = np.sqrt(np.mean(within**2, axis=0)) + np.finfo(np.float64).tiny
+    noise = _noise(probes[: max(count, 1)]) + np.finfo(np.float64).tiny
     told = [
         _feature(values[:, k], warm[:, k], _prior(name, sigma), float(noise[k]), count)
         for k, name in enumerate(probes[0].names)
@@ -103,6 +102,23 @@ def charted(
     limit = std * student.isf(share / 2, dof)
     alarm = (p < share) | (p_mean < share)
     return Charted(deviation, std, p, p_mean, mean, limit, alarm, count)
+
+
+def _noise(probes: Sequence[Features]) -> FloatArray:
+    """(K,) standard deviation of one probe, by what its blocks say.
+
+    A model's error along a motion is the same in every probe that drives it. What is common to the
+    blocks of the same place is therefore no noise, nor is what is common to the blocks of a probe.
+    """
+    shapes = {one.blocks.shape for one in probes}
+    if len(probes) < 2 or len(shapes) > 1:
+        return np.asarray(np.sqrt(np.mean([one.std**2 for one in probes], axis=0)))
+    blocks = np.array([one.blocks for one in probes])
+    count, per, _ = blocks.shape
+    rest = blocks - blocks.mean(axis=0) - blocks.mean(axis=1, keepdims=True)
+    rest += blocks.mean(axis=(0, 1))
+    variance = np.sum(rest**2, axis=(0, 1)) / ((count - 1) * (per - 1)) / per
+    return np.asarray(np.sqrt(variance))
 
 
 _ARRAYS = ("values", "temperature")

@@ -46,6 +46,7 @@ class Features:
         rms: (n,) of the residual, in effort units.
         samples: Rows used.
         response: (K, K) estimate of each feature if another alone changed by 1.
+        blocks: (B, K) what each block of time says of the values (the jackknife's pseudo-values).
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class Features:
     rms: FloatArray
     samples: int
     response: FloatArray
+    blocks: FloatArray
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form; NaN becomes null where it is written."""
@@ -66,6 +68,7 @@ class Features:
             "rms": self.rms.tolist(),
             "samples": self.samples,
             "response": self.response.tolist(),
+            "blocks": self.blocks.tolist(),
         }
 
     @staticmethod
@@ -85,9 +88,12 @@ class Features:
         response = np.array(told["response"], dtype=np.float64)
         if response.shape != (len(names), len(names)):
             raise ValueError(f"response of shape {response.shape} for {len(names)} names")
+        blocks = np.array(told["blocks"], dtype=np.float64)
+        if blocks.ndim != 2 or blocks.shape[1] != len(names):
+            raise ValueError(f"blocks of shape {blocks.shape} for {len(names)} names")
         return Features(
             names, arrays["values"], arrays["std"], arrays["temperature_c"], arrays["rms"],
-            int(told["samples"]), response,
+            int(told["samples"]), response, blocks,
         )  # fmt: skip
 
 
@@ -126,10 +132,10 @@ def features_of(model: RobotEstimator, data: Dataset) -> Features:
             hint=f"probe with trajectories of at least {FEWEST_BLOCKS * BLOCK_S:.0f} s together",
         )
     n = len(model.joint_names_)
-    values, std, response = _estimated(sums, n)
+    values, std, response, blocks = _estimated(sums, n)
     return Features(
         feature_names(model.joint_names_), values, std, _temperatures(data, n),
-        _rms(residual, valid), int(np.sum(np.any(valid, axis=1))), response,
+        _rms(residual, valid), int(np.sum(np.any(valid, axis=1))), response, blocks,
     )  # fmt: skip
 
 
@@ -179,14 +185,14 @@ def _moment(X: FloatArray, y: FloatArray) -> FloatArray:
 
 def _estimated(
     sums: Sequence[tuple[FloatArray, FloatArray]], n: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Values, their standard deviations by the jackknife over blocks, and the response."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Values, their standard deviations by the jackknife over blocks, the response, the blocks."""
     gram, moment = (np.sum([one[k] for one in sums], axis=0) for k in (0, 1))
     values, response = _alone(gram, moment, n), _alone(gram, gram, n)
     count = len(sums)
     left = np.array([_alone(gram - g, moment - m, n) for g, m in sums])
     variance = (count - 1) / count * np.sum((left - left.mean(axis=0)) ** 2, axis=0)
-    return values, np.sqrt(variance), response
+    return values, np.sqrt(variance), response, count * values - (count - 1) * left
 
 
 def _alone(gram: FloatArray, moment: FloatArray, n: int) -> FloatArray:
