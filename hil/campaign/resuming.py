@@ -83,6 +83,11 @@ def open_unfinished(path: Path) -> Unfinished:
             f"{path} is a commissioning run: its way back would be at full speed",
             hint="run the experiment again with --speed and --first",
         )
+    if directory.pruned:
+        raise DataError(
+            f"{path} lacks recordings that were deleted (pruned.json)",
+            hint="run the experiment again",
+        )
     for name in ("spec.yaml", "station.yaml", "plan.json"):
         if not (path / name).is_file():
             raise DataError(

@@ -113,15 +113,19 @@ def _bring_up_to_date(view: sqlite3.Connection, root: Path, paths: Mapping[str, 
         view.execute("DELETE FROM runs WHERE path = ?", (path,))
         view.execute("DELETE FROM fits WHERE path = ?", (path,))
     new = [path for path in paths if path not in known or path in gone]
-    passing = [path for path in new if not _add(view, path, paths[path], stamps[path])]
+    passing = [path for path in new if not _read(view, path, paths[path], stamps[path])]
     view.execute("COMMIT")
     if any(known[path] for path in gone) or len(passing) < len(new):
         _keep(view, root)
 
 
-def _add(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
-    """Read a run; False where it has to be read again the next time."""
-    facts = facts_of(run)
+def _read(view: sqlite3.Connection, path: str, run: Path, stamp: str) -> bool:
+    """Enter a run; False where it has to be read again the next time."""
+    facts = None
+    with contextlib.suppress(FileNotFoundError):
+        facts = facts_of(run)
+    if facts is None or not run.is_dir():
+        return False  # deleted meanwhile
     lasts = facts["status"] not in ("running", "interrupted", "damaged")
     stamp = stamp if lasts else ALWAYS_READ
     told = facts | {

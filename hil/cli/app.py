@@ -26,6 +26,7 @@ from hil.cli import (
     live,
     loads,
     models,
+    pruning,
     recover,
     registry,
     replaying,
@@ -63,8 +64,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 GROUPS = (
-    specs, exciting, running, listening, runs, live, recover, replaying, models, gains, loads,
-    studies, registry, drift, fleet, schedule, resting, exports, trying, data, system, bench,
+    specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
+    loads, studies, registry, drift, fleet, schedule, resting, exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

@@ -118,7 +118,8 @@ def _from_run(path: Path, kinds: Collection[SeriesKind]) -> Dataset:
     steps = steps_of_plan(plan, where, _unsettled(run), kinds)
     origin, rule = origin_of_run(start, str(path)), dwell_rule_of(plan, where)
     if not run.recordings:
-        raise DataError(f"{path} holds no recording")
+        hint = "it was deleted on purpose: see pruned.json" if run.pruned else ""
+        raise DataError(f"{path} holds no recording", hint=hint)
     found: dict[int, list[Series]] = {}
     for attempt, files in groupby(run.recordings, attempt_of):
         parts = [rows for file in files if (rows := _part(file)) is not None]

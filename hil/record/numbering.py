@@ -17,11 +17,12 @@ def number_of(run: Path) -> int:
 
 def run_folders(runs_root: Path) -> list[Path]:
     """Every folder where a run may be, `DAY/ROBOT/RUN`; what vanishes meanwhile is left out."""
-    days = _folders(Path(runs_root))
-    return [run for day in days for robot in _folders(day) for run in _folders(robot)]
+    days = folders_in(Path(runs_root))
+    return [run for day in days for robot in folders_in(day) for run in folders_in(robot)]
 
 
-def _folders(parent: Path) -> list[Path]:
+def folders_in(parent: Path) -> list[Path]:
+    """Folders in a folder, by name, without hidden ones; none where nobody can look."""
     try:
         with os.scandir(parent) as entries:
             found = [entry for entry in entries if entry.is_dir()]

@@ -11,6 +11,7 @@
       stop.json       outcome, reason, counts, SHA-256 per file; written last
       resume-01.json  preflight-01.json  stop-01.json    the same of the first resumption, …
       study/…  report.html                   views: may be made anew, and are replaced then
+      pruned.json     recordings that were deleted; only where some were
 
 An attempt without stop document means *interrupted*. No file but a view is ever rewritten.
 """
@@ -47,6 +48,9 @@ Outcome = Literal["completed", "stopped", "tripped", "failed"]
 RunStatus = Literal["completed", "stopped", "tripped", "failed", "interrupted"]
 
 _OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+PRUNED = "pruned.json"
+"""Says which recordings a policy has deleted, when and whose it was."""
+
 _EVENTS = "events.jsonl"
 _REPORT = Path("report.html")
 _STUDIES = "study"
@@ -240,7 +244,7 @@ class RunDirectory:
         """What differs from the checksums of the newest stop document, one line per file.
 
         The event log may have grown since: what it held then must be there still, and what came
-        must be events.
+        must be events. Recordings that were deleted on purpose (`pruned.json`) are not missed.
         """
         ends = (self.stop_of(attempt) for attempt in reversed(range(self.attempts)))
         stop = next((end for end in ends if end is not None), {})
@@ -248,12 +252,21 @@ class RunDirectory:
         if not isinstance(recorded, dict):
             return ["stop.json holds no checksums"]
         lengths = {_EVENTS: stop.get("events_bytes")}
+        pruned = self.pruned
         changed = [
             problem
             for name, digest in recorded.items()
-            if (problem := _changed(self.path / name, name, digest, lengths.get(name)))
+            if (name not in pruned or (self.path / name).exists())
+            and (problem := _changed(self.path / name, name, digest, lengths.get(name)))
         ]
         return changed + self.foreign_events()
+
+    @property
+    def pruned(self) -> frozenset[str]:
+        """Names of recordings that were deleted on purpose. Raises `DataError` when damaged."""
+        note = self.path / PRUNED
+        told = read_json(note).get("bytes") if note.exists() else None
+        return frozenset(told if isinstance(told, dict) else ())
 
     def foreign_events(self) -> list[str]:
         """What in the event log nobody of ours wrote, in words; nothing where all is well."""

@@ -53,18 +53,22 @@ def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
 
 
 def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
-    """Path → SHA-256 of recordings: those a finished run has noted, and those named."""
+    """Path → SHA-256 of recordings: those a finished run has noted, and those named.
+
+    Recordings of several runs have the same names: where another has it, the whole path is told.
+    """
     found: dict[str, str] = {}
-    if run is not None and (run / "stop.json").is_file():
-        noted = read_json(run / "stop.json").get("sha256", {})
+    for stop in sorted(run.glob("stop*.json")) if run is not None else ():  # one per attempt
+        noted = read_json(stop).get("sha256", {})
         found |= {name: digest for name, digest in noted.items() if name.endswith(".mcap")}
     for source in sources:
-        if source.is_dir():
-            found |= _digests(source, ())
-        elif source.is_file():
-            found[source.name] = sha256_of(source)
-        else:
+        if not source.exists():
             raise RegistryError(f"{source} is not there", hint="name the recordings as they are")
+        whole = source.is_dir()
+        noted = _digests(source, ()) if whole else {source.name: sha256_of(source)}
+        for name, digest in noted.items():
+            taken = found.get(name, digest) != digest
+            found[str((source if whole else source.parent) / name) if taken else name] = digest
     return found
 
 

@@ -1,0 +1,173 @@
+"""Which runs registered models came from: what no policy may take away.
+
+A version's facts name its run, its training sources and the digests of their recordings. Whatever
+of them fits a run keeps it; where they say too little, every run that may be meant is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hil.errors import DataError, RegistryError
+from hil.record.files import read_json, sha256_of
+from hil.record.rundir import RunDirectory
+from hil.record.writer import PARTIAL_SUFFIX
+from hil.registry.log import LOG_FILE
+from hil.registry.registry import Registry
+from hil.registry.version import ModelVersion
+
+_BELOW = 3
+"""Parts of a run's path that stay when all runs are moved together: day, robot, directory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vague:
+    """A version that was fitted to recordings of which only the name is known, or nothing."""
+
+    names: frozenset[str]
+    serial: str
+    registered: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Origins:
+    """What models and probes came from, each with the reason for keeping it.
+
+    Attributes:
+        uids: Of runs, and digests of recordings that probes were.
+        folders: Last parts of runs' paths.
+        names: Of run directories.
+        digests: SHA-256 of recordings.
+        vague: What may be any of several.
+    """
+
+    uids: dict[str, str] = field(default_factory=dict)
+    folders: dict[tuple[str, ...], str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+    vague: list[Vague] = field(default_factory=list)
+
+    def why(self, run: Path, facts: Mapping[str, Any]) -> str:
+        """Why a run has to stay; empty where no model came from it.
+
+        Args:
+            run: Its directory.
+            facts: See `hil.catalogue.facts.facts_of`.
+
+        Raises:
+            DataError: Its documents or recordings cannot be read.
+        """
+        known = self.uids.get(facts["uid"]) or self.names.get(run.name)
+        if known := known or self.folders.get(run.resolve().parts[-_BELOW:]):
+            return known
+        recordings = RunDirectory(run).recordings
+        names = {path.name.removesuffix(PARTIAL_SUFFIX) for path in recordings}
+        for one in self.vague:
+            if (names & one.names or not one.names) and _may_be(one, facts):
+                return one.why
+        digests = _digests(run, recordings) if self.digests else set()
+        return next((why for digest, why in self.digests.items() if digest in digests), "")
+
+    def add_version(self, version: ModelVersion) -> None:
+        """Keep what a version came from."""
+        facts = version.facts
+        why = f"{version.name} {version.label} was fitted to it"
+        of_run = facts.get("run") or {}
+        if uid := of_run.get("uid"):
+            self.uids[str(uid)] = why
+        if folder := of_run.get("folder"):
+            self.folders[Path(str(folder)).parts[-_BELOW:]] = why
+        trained = [str(name).removesuffix(PARTIAL_SUFFIX) for name in facts.get("trained_on") or ()]
+        files = [name for name in trained if name.endswith(".mcap")]
+        self.names.update({name: why for name in trained if name not in files})
+        digests = {str(digest) for digest in (facts.get("data_sha256") or {}).values()}
+        self.digests.update(dict.fromkeys(digests, why))
+        if len(files) > len(digests) or not (of_run or trained or digests):
+            told = files[0] if files else "it does not say what"
+            why = f"it may be what {version.name} {version.label} was fitted to ({told})"
+            serial = str(facts.get("serial") or "")
+            self.vague.append(Vague(frozenset(files), serial, version.registered, why))
+
+
+def origins(registries: Iterable[Path]) -> Origins:
+    """What the models of registries came from, and the probes of their champions.
+
+    Args:
+        registries: Folders; each must be there.
+
+    Raises:
+        RegistryError: One is not there, or anything in it cannot be read: then nobody knows.
+    """
+    found = Origins()
+    for root in registries:
+        try:
+            _collect(root, found)
+        except OSError as error:
+            raise RegistryError(
+                f"cannot read the registry {root}: {error.strerror or error}",
+                hint="nothing is deleted before all registries can be read",
+            ) from error
+    return found
+
+
+def _collect(root: Path, found: Origins) -> None:
+    from hil.drift.history import probes_of
+
+    if not root.is_dir():
+        raise RegistryError(
+            f"there is no registry {root}", hint="name the folder of the registered models"
+        )
+    registry = Registry(root)
+    names = registry.names()
+    for home in root.iterdir():
+        if (home / LOG_FILE).exists() and home.name not in names:
+            raise _lost(home)
+    for name in names:
+        versions = registry.versions(name)
+        if {entry.version for entry in registry.log(name)} - {one.number for one in versions}:
+            raise _lost(root / name)
+        for version in versions:
+            found.add_version(version)
+        champion = registry.aliases(name).champion
+        for probe in probes_of(registry, name):
+            if probe.champion == champion:
+                why = f"it is a probe of {name} v{champion}"
+                found.uids.setdefault(probe.uid, why)
+                found.digests.setdefault(probe.uid, why)
+
+
+def _lost(home: Path) -> RegistryError:
+    return RegistryError(
+        f"{home}: the log names versions that are not there: what they came from is unknown",
+        hint="restore the registry from a backup; nothing is deleted before",
+    )
+
+
+def _may_be(one: Vague, facts: Mapping[str, Any]) -> bool:
+    """Whether a run can be what a version was fitted to: of that arm, and begun before."""
+    if one.serial and facts["serial"] and one.serial != facts["serial"]:
+        return False
+    try:
+        begun, registered = (datetime.fromisoformat(x) for x in (facts["started"], one.registered))
+        return begun <= registered
+    except (ValueError, TypeError):
+        return True
+
+
+def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
+    """SHA-256 of a run's recordings: as its stop documents have them, else of the files."""
+    noted: dict[str, str] = {}
+    for document in run.glob("stop*.json"):
+        told = read_json(document).get("sha256")
+        noted |= told if isinstance(told, dict) else {}
+    found = {digest for name, digest in noted.items() if name.endswith(".mcap")}
+    try:
+        missing = [path for path in recordings if path.relative_to(run).as_posix() not in noted]
+        return found | {sha256_of(path) for path in missing}
+    except OSError as error:
+        raise DataError(f"cannot read {error.filename}: {error.strerror or error}") from error

@@ -1,0 +1,138 @@
+"""Deleting runs so that a kill leaves none that looks whole: renamed first, removed then."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from datetime import date, timedelta
+from pathlib import Path
+from typing import Any
+
+from hil.catalogue.facts import facts_of
+from hil.catalogue.origins import origins
+from hil.catalogue.retention import Decision, Policy, guard
+from hil.errors import DataError, RecordingError
+from hil.record.files import fsync_directory
+from hil.record.lock import hold_run
+from hil.record.numbering import folders_in, run_folders
+from hil.record.provenance import operator, utc_now
+from hil.record.rundir import PRUNED, RunDirectory
+
+TRASH = ".trash-"
+"""Beginning of what was renamed and is on its way out; no run begins with a dot."""
+
+_TIDY_AFTER = timedelta(days=7)
+"""Folders of a day in which a run may begin yet are left alone."""
+
+
+def remove(
+    decisions: Iterable[Decision],
+    runs: Path,
+    policy: Policy,
+    registries: Iterable[Path],
+    tell: Callable[[Decision], None] = lambda _: None,
+) -> list[Decision]:
+    """Delete what goes, looking once more at each run just before.
+
+    Args:
+        decisions: From `hil.catalogue.retention.decide`.
+        runs: The folder of runs.
+        policy: As it was decided by.
+        registries: Folders of models, read again for every run.
+        tell: Told about every run that is gone.
+
+    Returns:
+        What became of each; a run that was taken in hand meanwhile stays.
+
+    Raises:
+        RegistryError: A registry cannot be read.
+        RecordingError: The disk refuses.
+    """
+    for left in leftovers(runs):
+        shutil.rmtree(left, ignore_errors=True)
+    registries, done = list(registries), []
+    for one in decisions:
+        why = _remove(one.run, policy, registries) if one.goes else one.why
+        done.append(Decision(one.run, why, guarded=one.guarded, size=one.size))
+        if one.goes and not why:
+            tell(one)
+    return done
+
+
+def leftovers(runs: Path) -> list[Path]:
+    """What a deletion that was killed has left."""
+    robots = [robot for day in folders_in(runs) for robot in folders_in(day)]
+    places = [*robots, *run_folders(runs)]
+    return [path for place in places for path in _trash_in(place)]
+
+
+def _trash_in(folder: Path) -> list[Path]:
+    try:
+        return [path for path in folder.iterdir() if path.name.startswith(TRASH)]
+    except OSError:
+        return []
+
+
+def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
+    """Delete a run; or why it stays after all."""
+    with _refused(run):
+        try:
+            with hold_run(run):
+                # Held by us it counts as live; whoever held it before has let it go.
+                facts = facts_of(run) | {"status": RunDirectory.open(run).status}
+                if why := guard(run, facts, origins(registries), policy):
+                    return why
+                gone = _take_recordings(run, policy) if policy.recordings_only else _take(run)
+        except DataError as error:
+            return error.message
+        shutil.rmtree(gone)
+        if not policy.recordings_only:
+            _tidy(run)
+    return ""
+
+
+def _take(folder: Path) -> Path:
+    """Rename a folder to what no longer counts; in one step, and for good."""
+    gone = folder.with_name(f"{TRASH}{uuid.uuid4().hex[:8]}-{folder.name}")
+    folder.rename(gone)
+    fsync_directory(folder.parent)
+    return gone
+
+
+def _take_recordings(run: Path, policy: Policy) -> Path:
+    """Note in the run what is taken from it, and take it."""
+    directory = RunDirectory(run)
+    if not (run / PRUNED).exists():  # a deletion that was killed has noted it
+        directory.write_json(PRUNED, _note(directory, policy))
+    return _take(run / "recording")
+
+
+def _note(directory: RunDirectory, policy: Policy) -> dict[str, Any]:
+    sizes = {
+        path.relative_to(directory.path).as_posix(): path.stat().st_size
+        for path in sorted((directory.path / "recording").rglob("*"))
+        if path.is_file()
+    }
+    told = {"at": utc_now(), "by": operator(), "policy": policy.to_dict(), "bytes": sizes}
+    return {"hil_pruned": 1, **told}
+
+
+def _tidy(run: Path) -> None:
+    """Remove the folders of the robot and the day once they are empty and long past."""
+    with contextlib.suppress(OSError, ValueError):
+        if date.fromisoformat(run.parents[1].name) < date.today() - _TIDY_AFTER:
+            run.parent.rmdir()
+            run.parents[1].rmdir()
+
+
+@contextlib.contextmanager
+def _refused(run: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(
+            f"cannot delete {run}: {error.strerror or error}",
+            hint="see whether the folder may be written to; nothing is half deleted",
+        ) from error

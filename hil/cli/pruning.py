@@ -1,0 +1,117 @@
+"""`hil prune`: runs let go by a policy; those that registered models came from never."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, size
+from hil.errors import SpecError
+
+if TYPE_CHECKING:
+    from hil.catalogue.retention import Decision
+
+HERE = Path("registry")
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verb."""
+    app.command()(prune)
+
+
+def prune(
+    query: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[QUERY]...", help="Only runs that meet it, as of `hil runs`."),
+    ] = None,
+    older_than: Annotated[
+        str, typer.Option("--older-than", metavar="AGE", help="Started longer ago, such as 180d.")
+    ] = "",
+    keep: Annotated[
+        int | None,
+        typer.Option(
+            "--keep", min=1, help="All but the newest so many of each robot and experiment."
+        ),
+    ] = None,
+    recordings_only: Annotated[
+        bool, typer.Option("--recordings-only", help="Documents, models and reports stay.")
+    ] = False,
+    interrupted: Annotated[
+        bool, typer.Option("--interrupted", help="Also runs that were interrupted.")
+    ] = False,
+    registry: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--registry",
+            help="Folder of registered models beside $HIL_REGISTRY, `registry` here and beside the "
+            "runs. Repeatable.",
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Delete; otherwise it is only said.")] = False,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Delete old runs, none that a registered model came from; says only which without --yes."""
+    from hil.catalogue.removal import leftovers, remove
+    from hil.catalogue.retention import Policy, decide
+
+    policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only)
+    registries = known_registries(runs, registry or ())
+    decisions = decide(runs, policy, registries)
+    left = leftovers(runs)
+    if yes:
+        decisions = remove(decisions, runs, policy, registries)
+    told = {
+        "deleted": yes,
+        "policy": policy.to_dict(),
+        "registries": [str(one) for one in registries],
+        "bytes": sum(one.size for one in decisions if one.goes),
+        "runs": [one.to_dict() for one in decisions],
+    }
+    if json:
+        print_json(told)
+    else:
+        _print(told, decisions, len(left))
+
+
+def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[Path]:
+    """Those that are named, which must be there, and those at the usual places that are."""
+    given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
+    usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]
+    return list({one.resolve(): one for one in (*usual, *given)}.values())
+
+
+def _age(text: str) -> timedelta | None:
+    from hil.spec.durations import duration_of
+
+    try:
+        return duration_of(text) if text else None
+    except ValueError as error:
+        raise SpecError(f"--older-than {error}", hint="for example: --older-than 180d") from None
+
+
+def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
+    what = "recordings of runs" if told["policy"]["recordings_only"] else "runs"
+    gone = [one for one in decisions if one.goes]
+    if gone:
+        print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in gone])
+    guarded = [one for one in decisions if one.guarded]
+    if guarded:
+        print_table(("stays", "because"), [(str(one.run), one.why) for one in guarded])
+    others = Counter(one.why for one in decisions if one.why and not one.guarded)
+    for why, count in others.items():
+        say(f"{count} more stay{'s' if count == 1 else ''}: {why}")
+    if not told["registries"]:
+        say("no registry is known: no run is kept for the sake of a model")
+    total = f"{len(gone)} {what}, {size(told['bytes'])}"
+    if told["deleted"]:
+        say(f"deleted: {total}")
+        return
+    say(f"would be deleted: {total}; nothing was, --yes does it")
+    if left:
+        say(f"{left} that an earlier deletion has left half done would go, too")
