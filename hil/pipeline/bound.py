@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +10,8 @@ from pathlib import Path
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
-from hil.errors import HilError, PluginError, SpecError
+from hil.errors import PluginError, SpecError
 from hil.identify.base import HONEST, estimator
-from hil.registry.registry import require_name
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.source import Path as SourcePath
@@ -89,10 +89,6 @@ def _line(source: Source | None, place: SourcePath, message: str) -> str:
 def _problems(
     spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
 ) -> Iterator[Finding]:
-    try:
-        require_name(spec.model or campaign.spec.robot)
-    except HilError as error:
-        yield ("model",), f"{error.message}; {error.hint}"
     yield from _of_the_model(spec, campaign.spec)
     yield from _needs_somebody("campaign", campaign)
     if probe is None:
@@ -135,13 +131,15 @@ def _of_the_model(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Find
     if len(fits) > 1:
         told = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
         yield ("campaign", "spec"), told
-    protocol = estimator(fits[0].estimator, **fits[0].parameters).protocol
-    if protocol != HONEST:
-        yield (
-            ("campaign", "estimator"),
-            f"{fits[0].estimator} follows {protocol}, so its model is never "
-            "judged: name an honest one",
-        )
+    with contextlib.suppress(AttributeError):  # some know it only when they are fitted
+        protocol = estimator(fits[0].estimator, **fits[0].parameters).protocol
+        if protocol != HONEST:
+            yield ("campaign", "estimator"), not_honest(fits[0].estimator, protocol)
+
+
+def not_honest(name: str, protocol: str) -> str:
+    """What is wrong with a model that is never judged."""
+    return f"the model of {name} is not honest and never judged ({protocol}): name another"
 
 
 def _wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:

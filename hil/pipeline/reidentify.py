@@ -16,8 +16,9 @@ from pathlib import Path
 from hil.campaign.experiment import Experiment
 from hil.engine import Observer
 from hil.errors import FitError
+from hil.identify.base import HONEST
 from hil.identify.model_folder import models_below
-from hil.pipeline.bound import Bound, bind
+from hil.pipeline.bound import Bound, bind, not_honest
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage, run_stages
@@ -187,7 +188,10 @@ class _Due:
                 hint=f"hil show {run}",
             )
         model = max(found, key=lambda folder: (folder / "evaluation.json").stat().st_mtime_ns)
-        held_out = read_json(model / "evaluation.json")["held_out"]
+        judged = read_json(model / "evaluation.json")
+        if judged["protocol"] != HONEST:
+            raise FitError(not_honest(name, judged["protocol"]), hint=f"hil show {run}")
+        held_out = judged["held_out"]
         keys = ("what", "unit", "joint_names", "total")
         rows = [row for row in verdict["rows"] if row["estimator"] in (name, "")]
         return {

@@ -1,0 +1,16 @@
+"""Killed at random points, the pipeline repeats nothing and loses nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pipeline_deaths import died, require_once
+
+
+@pytest.mark.timeout(240)
+def test_a_pipeline_that_is_killed_again_and_again_does_everything_once(tmp_path: Path) -> None:
+    lives = died(tmp_path, seed=4, lives=6)
+    told = require_once(tmp_path)
+    assert lives > 2
+    assert told["outcome"] == "promoted", told["text"]
