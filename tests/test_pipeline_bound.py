@@ -55,8 +55,11 @@ def test_a_campaign_needs_one_model(tmp_path: Path) -> None:
 
 def test_a_model_of_a_papers_protocol_is_never_champion(tmp_path: Path) -> None:
     leaky = {"estimator": "static-wls", "form": "paper", "current_term": True}
-    paper = CAMPAIGN | {"fit": [leaky]}
-    (told,) = problems(tmp_path, campaign=paper)
+    dwell = {"kind": "dwell", "waypoints": 40}
+    parts = {"validate": {"hold_out": {"poses_percent": 20}}, "fit": [leaky]}
+    paper = CAMPAIGN | parts | {"excitation": dwell | {"seed": 7}}
+    probe = PROBE | {"excitation": dwell | {"seed": 21}}
+    (told,) = problems(tmp_path, campaign=paper, probe=probe)
     assert told.startswith("campaign.estimator: the model of static-wls is not honest")
 
 

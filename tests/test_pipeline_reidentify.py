@@ -1,0 +1,268 @@
+"""What is done when something is due, and what never is.
+
+Four runs are made once, of one mock: a campaign, a probe, and both again when a joint has worn.
+Occasions here take them as they are instead of moving.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
+
+from hil.campaign.experiment import Experiment
+from hil.drift import history
+from hil.errors import FitError, HilError
+from hil.pipeline.adapted import with_options
+from hil.pipeline.bound import bind
+from hil.pipeline.measuring import Measuring
+from hil.pipeline.reidentify import Reidentification, as_it_is, reidentification
+from hil.pipeline.stages import FOLDER
+from hil.registry.registry import Registry
+from hil.schedule.occasion import Job
+from hil.spec.schedule import ScheduleSpec, load_schedule_spec
+
+WORN = {"wear": [1.0, 1.6, 1.0, 1.0, 1.0, 1.0]}
+Run = Callable[[str], Path]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """`campaign`, `probe`, `worn campaign`, `worn probe`, and a `short campaign` fitted to 5 s."""
+    home = tmp_path_factory.mktemp("recorded")
+    bound = bind(load_schedule_spec(write_schedule(home)))
+    assert bound.probe is not None
+    measuring = Measuring(home / "runs")
+    short = CAMPAIGN | {
+        "excitation": CAMPAIGN["excitation"] | {"trajectories": 2, "seed": 9},
+        "validate": {"hold_out": {"trajectories": 1}},
+    }
+    few = bind(load_schedule_spec(write_schedule(home / "short", campaign=short))).campaign
+    wanted = {
+        "campaign": with_options(bound.campaign, {"day": 1}),
+        "probe": with_options(bound.probe, {"day": 2}),
+        "worn campaign": with_options(bound.campaign, {"day": 3} | WORN),
+        "worn probe": with_options(bound.probe, {"day": 4} | WORN),
+        "short campaign": with_options(few, {"day": 5}),
+    }
+    return {name: measuring.measure(one, f"weekly/{name}") for name, one in wanted.items()}
+
+
+@dataclass(slots=True)
+class Taken:
+    """In place of `Measuring`: runs that were made before."""
+
+    runs: dict[str, Path]
+    asked: list[str] = field(default_factory=list)
+
+    def measure(self, experiment: Experiment, named: str) -> Path:
+        """The run that stands for this stage."""
+        stage = named.rpartition("/")[2]
+        self.asked.append(stage)
+        return self.runs[stage]
+
+
+@dataclass(slots=True)
+class Robot:
+    """A robot whose runs are taken from what was recorded, with a registry of its own."""
+
+    home: Path
+    recorded: dict[str, Path]
+    registry: Registry
+    campaign: dict[str, Any] = field(default_factory=lambda: dict(CAMPAIGN))
+    schedule: dict[str, Any] = field(default_factory=dict)
+    taken: Taken = field(default_factory=lambda: Taken({}))
+
+    def due(self, week: int, job: Job = "probe", **runs: str) -> dict[str, Any]:
+        """An occasion with these runs; probes and campaigns are as good as new by default."""
+        named = {"probe": "probe", "campaign": "campaign", "check": "probe"} | runs
+        self.taken = Taken({stage: self.recorded[name] for stage, name in named.items()})
+        told = {"hil_schedule": 1, "name": "weekly", "probe": {"spec": "probe.yaml", "every": "7d"},
+                "campaign": {"spec": "campaign.yaml"}} | self.schedule  # fmt: skip
+        file = write_schedule(self.home, PROBE, self.campaign, told)
+        bound = bind(load_schedule_spec(file))
+        measuring: Any = self.taken
+        work = Reidentification(bound, self.registry, measuring, as_it_is, lambda stage: None)
+        due = occasion(week, job)
+        return work(due, self.home / due.id)
+
+
+@pytest.fixture
+def robot(tmp_path: Path, recorded) -> Robot:
+    return Robot(tmp_path, recorded, Registry(tmp_path / "registry"))
+
+
+@pytest.fixture
+def drifted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every probe is called changed, as after weeks of quiet ones."""
+
+    class Changed:
+        def to_dict(self) -> dict[str, Any]:
+            return {"changed": True, "text": "friction up on J2", "causes": [], "features": {}}
+
+    monkeypatch.setattr(history, "assess", lambda *given, **named: Changed())
+
+
+def events(robot: Robot) -> list[tuple[str, int]]:
+    return [(entry.event, entry.version) for entry in robot.registry.log("ur5")]
+
+
+def test_the_first_model_is_champion_without_a_probe(robot: Robot) -> None:
+    told = robot.due(0)
+    assert robot.taken.asked == ["campaign"]
+    assert (told["outcome"], told["before"], told["champion"]) == ("promoted", None, "v1")
+    assert told["text"] == "v1 is champion: the first one: there are no criteria"
+    assert told["errors"] is None
+    assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
+
+
+def test_a_quiet_probe_starts_nothing(robot: Robot) -> None:
+    robot.due(0)
+    told = robot.due(1)
+    assert robot.taken.asked == ["probe"]
+    assert (told["outcome"], told["champion"], told["decision"]) == ("quiet", "v1", None)
+    assert told["errors"]["before"] == told["errors"]["after"]
+    assert len(events(robot)) == 3
+
+
+@pytest.mark.usefixtures("drifted")
+def test_a_change_is_identified_and_the_challenger_promoted(robot: Robot) -> None:
+    robot.due(0)
+    told = robot.due(1, probe="worn probe", campaign="worn campaign", check="worn probe")
+    assert robot.taken.asked == ["probe", "campaign", "check"]
+    assert (told["outcome"], told["before"], told["champion"]) == ("promoted", "v1", "v2")
+    assert told["text"].startswith("v2 is champion: friction up on J2: the challenger errs less")
+    assert told["errors"]["after"][1] < 0.7 * told["errors"]["before"][1]
+    compared = told["decision"]["evidence"]["comparison"]
+    assert len(compared["sources"]) == 3
+    assert set(told["runs"]) == {"probe", "campaign", "check"}
+    assert robot.registry.aliases("ur5").champion == 2
+
+
+@pytest.mark.usefixtures("drifted")
+def test_a_change_is_only_told_where_it_shall_not_start_a_campaign(robot: Robot) -> None:
+    robot.due(0)
+    robot.schedule = {"campaign": {"spec": "campaign.yaml", "on_drift": False}}
+    told = robot.due(1)
+    assert robot.taken.asked == ["probe"]
+    assert (told["outcome"], told["text"]) == ("drift", "friction up on J2")
+
+
+def test_a_campaign_that_is_due_needs_no_change(robot: Robot) -> None:
+    robot.due(0)
+    told = robot.due(1, "campaign", campaign="worn campaign")
+    assert robot.taken.asked == ["probe", "campaign", "check"]
+    assert told["drift"]["changed"] is False
+    assert told["challenger"] == "v2"
+
+
+@pytest.mark.usefixtures("drifted")
+def test_a_challenger_that_errs_more_on_held_out_data_is_never_promoted(robot: Robot) -> None:
+    """Fitted to a single trajectory of five seconds."""
+    robot.due(0)
+    told = robot.due(1, campaign="short campaign")
+    assert (told["outcome"], told["champion"], told["challenger"]) == ("kept", "v1", "v2")
+    assert told["text"].startswith("v2 is not promoted, v1 stays: friction up on J2: ")
+    assert told["decision"]["evidence"]["comparison"]["worse"] is True
+    assert events(robot)[-1] == ("kept", 2)
+    assert robot.registry.aliases("ur5").to_dict() == {
+        "champion": 1, "challenger": None, "before": [],
+    }  # fmt: skip
+    assert told["errors"]["after"] == told["errors"]["before"]
+
+
+def test_the_first_model_has_to_meet_the_criteria(robot: Robot, missed: Run) -> None:
+    robot.recorded = robot.recorded | {"campaign": missed("campaign")}
+    told = robot.due(0)
+    assert (told["outcome"], told["champion"]) == ("kept", None)
+    assert (
+        "1 criteria of the campaign are missed: nrmse of mean is 0.4, at most 0.3" in told["text"]
+    )
+    assert robot.registry.aliases("ur5").champion == 0
+
+
+def test_a_challenger_that_misses_the_criteria_is_not_compared(robot: Robot, missed: Run) -> None:
+    robot.due(0)
+    robot.recorded = robot.recorded | {"worn campaign": missed("worn campaign")}
+    told = robot.due(1, "campaign", probe="worn probe", campaign="worn campaign")
+    assert (told["outcome"], told["champion"]) == ("kept", "v1")
+    assert "criteria" in told["text"]
+
+
+def test_without_its_model_a_campaign_says_why(robot: Robot, tmp_path: Path, recorded) -> None:
+    import shutil
+
+    run = shutil.copytree(recorded["campaign"], tmp_path / "broken")
+    shutil.rmtree(run / "fit")
+    robot.recorded = robot.recorded | {"campaign": run}
+    with pytest.raises(FitError, match="has no rigid-wls: it was removed"):
+        robot.due(0)
+
+
+def test_the_champion_does_not_challenge_itself(robot: Robot) -> None:
+    robot.due(0)
+    told = robot.due(1, "campaign")
+    assert (told["outcome"], told["champion"]) == ("kept", "v1")
+    assert "it is the champion itself" in told["text"]
+    assert events(robot) == [("registered", 1), ("challenger", 1), ("promoted", 1)]
+
+
+@pytest.mark.parametrize("lost", ["register", "challenge", "summary"])
+def test_what_a_crash_has_not_noted_is_not_done_twice(robot: Robot, lost: str) -> None:
+    robot.due(0)
+    runs = {"probe": "worn probe", "campaign": "worn campaign", "check": "worn probe"}
+    told = robot.due(1, "campaign", **runs)
+    before = events(robot)
+    assert before[-1] == ("promoted", 2)
+    (robot.home / occasion(1, "campaign").id / FOLDER / f"{lost}.json").unlink()
+    assert robot.due(1, "campaign", **runs) == told
+    assert robot.taken.asked == []
+    assert events(robot) == before
+
+
+def test_another_occasion_decides_for_itself(robot: Robot) -> None:
+    """The same model again, kept once: the log has a decision of each occasion."""
+    robot.due(0)
+    for week in (1, 2):
+        robot.due(week, "campaign", campaign="short campaign")
+    assert [one for one in events(robot) if one[0] == "kept"] == [("kept", 2)] * 2
+
+
+def test_an_experiment_may_differ_by_occasion_and_stage(tmp_path: Path) -> None:
+    class Seen(HilError):
+        """Instead of a motion."""
+
+    told = []
+
+    def adapt(experiment: Experiment, due: Any, stage: str) -> Experiment:
+        told.append((experiment.spec.name, due.id, stage))
+        raise Seen("")
+
+    spec: ScheduleSpec = load_schedule_spec(write_schedule(tmp_path))
+    registry = Registry(tmp_path / "registry")
+    work = reidentification(spec, registry=registry, runs=tmp_path / "runs", adapt=adapt)
+    with pytest.raises(Seen):
+        work(occasion(0), tmp_path / "state")
+    assert told == [("campaign", "20270102T030000Z-probe", "campaign")]
+
+
+@pytest.fixture
+def missed(tmp_path: Path, recorded) -> Run:
+    """A copy of a recorded run whose model has missed a criterion."""
+    import json
+    import shutil
+
+    def made(name: str) -> Path:
+        run = Path(shutil.copytree(recorded[name], tmp_path / f"missed {name}"))
+        verdict = json.loads((run / "verdict.json").read_bytes())
+        verdict["rows"] = [{"estimator": "rigid-wls", "metric": "nrmse", "per": "mean",
+                            "what": "mean", "value": 0.4, "max": 0.3, "unit": "1",
+                            "passed": False}]  # fmt: skip
+        (run / "verdict.json").write_text(json.dumps(verdict), "utf-8")
+        return run
+
+    return made
