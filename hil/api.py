@@ -39,6 +39,7 @@ __all__ = [
     "describe_run",
     "estimate_payload",
     "evaluate",
+    "export_data",
     "export_model",
     "figures",
     "find_runs",
@@ -265,6 +266,26 @@ def estimate_payload(
         Path(model), _paths(sources), cast("Any", friction),
         bare=_paths(bare), gain_share=gain_share,
     )  # fmt: skip
+
+
+def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
+    """Write the samples of a run for other programs: one row each, nothing rounded.
+
+    Args:
+        source: Run directory or MCAP file.
+        out: `….parquet`, `….csv` or `….npz`.
+
+    Returns:
+        `files`, `samples`, `series`, `columns`, `notes`.
+
+    Raises:
+        DataError: The source cannot be read, or no format is called so.
+        PluginError: Parquet without pyarrow.
+        RecordingError: A file is there already, or cannot be written.
+    """
+    from hil.data.exporting import export_data as exported
+
+    return exported(Path(source), Path(out)).to_dict()
 
 
 def export_model(

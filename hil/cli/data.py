@@ -1,4 +1,4 @@
-"""`hil import`: recordings of other tools, turned into our MCAP."""
+"""`hil import`, `hil export-data`: recordings from other tools and for them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json
+from hil.cli.output import JsonFlag, RunsOption, print_json
 from hil.errors import DataError
 
 
 def register(app: typer.Typer) -> None:
     """Add this group's verbs."""
     app.command("import")(import_)
+    app.command("export-data")(export_data)
 
 
 def import_(
@@ -58,6 +59,36 @@ def import_(
     typer.echo(f"{out}: {report['samples']} samples, {report['dropped']} rows dropped")
     for note in report["notes"]:
         typer.echo(f"  {note}")
+
+
+def export_data(
+    source: Annotated[
+        str,
+        typer.Argument(help="Run (directory, name or number) or MCAP file.", show_default=False),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", help="File to make: .parquet, .csv or .npz.", show_default=False
+        ),
+    ],
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Write the samples of a run for other programs, one row each, nothing rounded."""
+    from hil import api
+    from hil.cli.models import found
+
+    (path,) = found([source], runs)
+    told = api.export_data(path, out)
+    if json:
+        print_json({"source": str(path), **told})
+        return
+    typer.echo(f"{out}: {told['samples']} samples of {told['series']} series")
+    for file in told["files"][1:]:
+        typer.echo(f"  {file}")
+    for note in told["notes"]:
+        typer.echo(f"  note: {note}")
 
 
 def _window(text: str) -> tuple[int, int] | None:

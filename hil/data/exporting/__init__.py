@@ -1,0 +1,95 @@
+"""Samples of a run for other programs: Parquet, CSV and numpy files, with where they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.data.exporting.files import csv_file, npz_file, parquet_file
+from hil.data.exporting.import_map import import_map, why_no_map
+from hil.data.exporting.table import Table, table_of
+from hil.data.load import load_source
+from hil.errors import DataError, RecordingError
+from hil.record.files import json_document, write_once
+from hil.suggest import did_you_mean
+
+__all__ = ["Exported", "export_data"]
+
+WRITERS: dict[str, Callable[[Path, Table], None]] = {
+    ".parquet": parquet_file,
+    ".csv": csv_file,
+    ".npz": npz_file,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        files: The first holds the samples.
+        samples: Rows.
+        series: Trajectories, dwells and moves they are of.
+        columns: Names, as in the file.
+        notes: For people.
+    """
+
+    files: tuple[Path, ...]
+    samples: int
+    series: int
+    columns: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "files": [str(file) for file in self.files],
+            "samples": self.samples,
+            "series": self.series,
+            "columns": list(self.columns),
+            "notes": list(self.notes),
+        }
+
+
+def export_data(source: Path, out: Path) -> Exported:
+    """Write the samples of a run or a recording: one row each, with what the robot did then.
+
+    The rows are those that `hil.data.load.load_source` gives: usable ones, each step as it was
+    recorded last. Nothing is rounded.
+
+    Args:
+        source: Run directory or MCAP file.
+        out: `….parquet`, `….csv` or `….npz`; a CSV file gets `….json`, where it comes from, and
+            `….map.yaml`, with which `hil import` reads it, beside it.
+
+    Raises:
+        DataError: The source cannot be read, or no format is called so.
+        PluginError: Parquet without pyarrow.
+        RecordingError: A file is there already, or cannot be written.
+    """
+    write = WRITERS.get(out.suffix.lower())
+    if write is None:
+        raise DataError(
+            f"{out} does not say in which format: {did_you_mean(out.suffix, WRITERS)}",
+            hint=f"end its name with {', '.join(WRITERS)}",
+        )
+    files = [out]
+    if write is csv_file:
+        files += [out.with_suffix(".json"), out.with_suffix(".map.yaml")]
+    for file in files:
+        if file.exists():
+            raise RecordingError(f"{file} exists already", hint="choose another name")
+    dataset = load_source(source)
+    table = table_of(dataset, source)
+    write(out, table)
+    notes: tuple[str, ...] = ()
+    if write is csv_file:
+        write_once(files[1], json_document(table.about))
+        if why := why_no_map(dataset):
+            notes, files = (f"no map for hil import: {why}",), files[:2]
+        else:
+            write_once(files[2], import_map(dataset, table).encode())
+    names = tuple(name for name, _, _ in table.flat())
+    return Exported(tuple(files), len(dataset), len(dataset.conditions), names, notes)
