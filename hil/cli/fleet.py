@@ -136,6 +136,60 @@ def fit(
         fail(FitError(f"{len(failed)} of {len(fits)} robots have no model; {first}"), json)
 
 
+@app.command()
+def drift(
+    folder: FolderArgument,
+    false_alarm: Annotated[
+        float,
+        typer.Option(
+            help="Probability with which any of the robots is called changed, if none is."
+        ),
+    ] = 0.01,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Judge the runs of a fleet as probes, each against its robot's champion."""
+    from hil.fleet.survey import probe_fleet
+    from hil.registry.registry import Registry
+
+    told = probe_fleet(folder, Registry(registry), false_alarm)
+    if json:
+        print_json({"probes": [{"robot": robot, **probe.to_dict()} for robot, probe in told]})
+        return
+    rows = [(robot, "yes" if one.changed else "no", one.text) for robot, one in told]
+    print_table(("robot", "changed", "what"), rows)
+
+
+@app.command()
+def report(
+    folder: FolderArgument,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; by default in the folder.")
+    ] = None,
+    workers: WorkersOption = 0,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Which robots have drifted or stand out; friction over age and temperature."""
+    from hil.executor import cores
+    from hil.fleet.folder import PAGE
+    from hil.fleet.survey import survey_fleet
+    from hil.registry.registry import Registry
+    from hil.report.fleet_page import render_fleet, standing_out
+
+    survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
+    page = render_fleet(survey, out or folder / PAGE)
+    if json:
+        print_json({**survey.to_dict(), "page": str(page)})
+        return
+    rows = [(one.robot, f"{one.age:.1f}", why) for one, why in standing_out(survey)]
+    if rows:
+        print_table(("robot", "years", "why"), rows)
+    else:
+        typer.echo(f"nobody of {len(survey.robots)} robots has drifted or stands out")
+    typer.echo(f"page: {page}")
+
+
 def _fit_row(fit: RobotFit) -> tuple[str, ...]:
     rmse = fit.result.rmse
     mean = f"{sum(rmse) / len(rmse):.4f}" if rmse else ""

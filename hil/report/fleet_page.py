@@ -1,0 +1,237 @@
+"""The page of a fleet: who has changed, who stands out, and friction over age and temperature."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from hil.fleet.outliers import FAMILY_WISE, FEWEST, Standing
+from hil.fleet.survey import Survey, Surveyed
+from hil.report import colours
+from hil.report.blocks import (
+    Badge,
+    Cell,
+    Column,
+    KeyFigure,
+    Page,
+    Panel,
+    Plots,
+    Section,
+    Table,
+    cells,
+)
+from hil.report.figures import Figure
+from hil.report.render import write_page
+from hil.report.traces import axes, line, markers
+from hil.report.words import UNKNOWN, joint_title, number
+from hil.typing import BoolArray, FloatArray
+
+AXES = {"age": "years in service", "temperature": "joint temperature [°C]"}
+UNITS = {"age": "a year", "temperature": "a °C"}
+
+
+def render_fleet(survey: Survey, path: Path) -> Path:
+    """Write the page.
+
+    Raises:
+        RecordingError: It cannot be written.
+    """
+    return write_page(fleet_page(survey), path)
+
+
+def fleet_page(survey: Survey) -> Page:
+    """The page as blocks."""
+    out = standing_out(survey)
+    drifted = len(survey.drifted)
+    probed = sum(one.probe is not None for one in survey.robots)
+    return Page(
+        title=survey.name,
+        subtitle=f"Fleet of {len(survey.robots) + len(survey.missing)} robots",
+        badge=Badge(f"{len(out)} of {len(survey.robots)} to look at", "warn" if out else "pass"),
+        summary=_summary(survey),
+        key_figures=(
+            KeyFigure("measured", str(len(survey.robots)), _missing(survey)),
+            KeyFigure("drifted", str(drifted) if probed else UNKNOWN, f"of {probed} probed"),
+            KeyFigure("stand out", str(len(_outliers(survey))), "in friction, or its change"),
+        ),
+        warnings=tuple(f"{one.robot}: {one.problem}" for one in survey.robots if one.problem),
+        sections=(
+            Section("look", "Robots to look at", "", (_table(survey, out),) if out else ()),
+            *_sections(survey),
+            Section("all", "All robots", "", (_all(survey),), folded=True),
+        ),
+        footer=f"Made by hil {version('hil')} from {survey.folder.name}, its runs and what probes "
+        "said; it can be made again at any time: hil fleet report.",
+    )
+
+
+def standing_out(survey: Survey) -> list[tuple[Surveyed, str]]:
+    """Robots to look at and why, in the fleet's order."""
+    told: dict[str, list[str]] = {}
+    for one in survey.drifted:
+        assert one.probe is not None
+        told.setdefault(one.robot, []).append(one.probe.text)
+    for robot, text in _outliers(survey):
+        told.setdefault(robot, []).append(text)
+    return [(one, "; ".join(told[one.robot])) for one in survey.robots if one.robot in told]
+
+
+def _outliers(survey: Survey) -> list[tuple[str, str]]:
+    """Robot and words of everything that stands out."""
+    found = []
+    for which, what, values in (
+        (survey.friction, "friction", [one.friction for one in survey.robots]),
+        (survey.change, "change of friction", [one.change for one in survey.robots]),
+    ):
+        for i, j in survey.outlying(which):
+            assert which is not None
+            share = values[i][j] / which.expected[i, j] - 1.0
+            one = survey.robots[i]
+            text = (
+                f"{what} of {one.joint_names[j]} {100 * share:+.0f} % off (z {which.z[i, j]:.1f})"
+            )
+            found.append((one.robot, text))
+    return found
+
+
+def _summary(survey: Survey) -> str:
+    if survey.friction is None:
+        return f"With fewer than {FEWEST} robots nothing can be said of who stands out."
+    after = " and ".join(survey.friction.names) or "nothing"
+    return (
+        f"Robots are compared joint by joint, after {after} has been taken out. In a fleet of "
+        f"equals anybody stands out with a probability of {100 * FAMILY_WISE:g} %, all robots and "
+        "joints together, in friction and in its change each."
+    )
+
+
+def _missing(survey: Survey) -> str:
+    return f"{len(survey.missing)} are not" if survey.missing else "all"
+
+
+def _table(survey: Survey, out: list[tuple[Surveyed, str]]) -> Table:
+    columns = tuple(Column(title, number=False) for title in ("robot", "age", "why"))
+    rows = tuple((Cell(one.robot, "warn"), Cell(_years(one)), Cell(why)) for one, why in out)
+    return Table("Changed since its champion, or unlike the others", columns, rows)
+
+
+def _sections(survey: Survey) -> list[Section]:
+    found = []
+    for key, which, title, y in (
+        ("friction", survey.friction, "Friction", "friction, RMS [N·m]"),
+        ("change", survey.change, "Change of friction", "of the champion's"),
+    ):
+        values = [one.friction if key == "friction" else one.change for one in survey.robots]
+        shown = [k for k, one in enumerate(values) if len(one) and np.isfinite(one).any()]
+        if not shown:
+            continue
+        blocks = [_plots(survey, key, which, np.array([values[k] for k in shown]), shown, over, y)
+                  for over in AXES]  # fmt: skip
+        tables = [_trends(survey, which)] if which is not None and which.names else []
+        lead = {
+            "friction": "What each robot's model says is friction, along the fleet's trajectories.",
+            "change": "Friction as a share of the champion's, by each robot's last probe.",
+        }[key]
+        found.append(Section(key, title, lead, (*tables, *(one for one in blocks if one))))
+    return found
+
+
+def _plots(
+    survey: Survey, key: str, which: Standing | None, y: FloatArray, shown: list[int], over: str,
+    y_title: str,
+) -> Plots | None:  # fmt: skip
+    robots = [survey.robots[k] for k in shown]
+    names = robots[0].joint_names
+    if over == "age":
+        x = np.repeat(np.array([one.age for one in robots])[:, None], len(names), axis=1)
+    else:
+        x = np.array([one.temperature for one in robots])
+    if not np.isfinite(x).any():
+        return None
+    out = np.zeros(y.shape, dtype=bool) if which is None else which.outlying[shown]
+    panels = tuple(
+        Panel(
+            joint_title(j, name),
+            _figure(x[:, j], y[:, j], out[:, j], [one.robot for one in robots], over, y_title,
+                    _line(which, over, j, x[:, j], y[:, j])),
+            f"{y_title} of {name} over {AXES[over]}, a mark per robot",
+        )
+        for j, name in enumerate(names)
+    )  # fmt: skip
+    legend = (
+        ("robot", colours.MEASURED, "●"),
+        ("stands out", colours.PREDICTED, "◆"),
+        ("what is expected", colours.NEUTRAL, "dash"),
+    )
+    title = {"friction": "Friction", "change": "Change of friction"}[key]
+    return Plots(f"{title} over {over}", "", panels, legend)
+
+
+def _line(
+    which: Standing | None, over: str, j: int, x: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """The trend over one quantity through the middle of the fleet, the others at their mean."""
+    if which is None or over not in which.names or not np.isfinite(x).all():
+        return None
+    slope = which.slopes[which.names.index(over), j]
+    middle = np.nanmedian(np.log(y) - slope * (x - x.mean()))
+    ends = np.linspace(x.min(), x.max(), 20)
+    return ends, np.exp(middle + slope * (ends - x.mean()))
+
+
+def _figure(
+    x: FloatArray, y: FloatArray, out: BoolArray, names: list[str], over: str, y_title: str,
+    trend: tuple[FloatArray, FloatArray] | None,
+) -> Figure:  # fmt: skip
+    traces = []
+    for rows, name, colour, symbol, size in (
+        (np.flatnonzero(~out), "robot", colours.MEASURED, "circle", 5.0),
+        (np.flatnonzero(out), "stands out", colours.PREDICTED, "diamond", 9.0),
+    ):
+        if len(rows):
+            text = [names[i] for i in rows]
+            traces.append(
+                markers(x[rows], y[rows], name, colour, symbol=symbol, size=size, text=text)
+            )
+    if trend is not None:
+        traces.append(line(*trend, "what is expected", colours.NEUTRAL, dash="dash"))
+    return {"data": traces, "layout": axes(AXES[over], y_title)}
+
+
+def _trends(survey: Survey, which: Standing | None) -> Table:
+    assert which is not None
+    columns = [Column("joint", number=False)]
+    for name in which.names:
+        columns += [Column(f"% {UNITS[name]}", name), Column("±", name)]
+    rows = []
+    for j, joint in enumerate(survey.robots[0].joint_names):
+        told = [
+            text
+            for k in range(len(which.names))
+            for text in (f"{100 * which.slopes[k, j]:+.2f}", number(100 * which.errors[k, j], 2))
+        ]
+        rows.append(cells(joint, *told))
+    note = "± is one standard error of a robust regression of the logarithm."
+    return Table("What age and temperature explain", tuple(columns), tuple(rows), note)
+
+
+def _all(survey: Survey) -> Table:
+    names = survey.robots[0].joint_names
+    columns = [Column("robot", number=False), Column("age")]
+    columns += [Column(f"J{j + 1}", "friction, RMS [N·m]") for j in range(len(names))]
+    columns += [Column(f"J{j + 1}", "temperature [°C]") for j in range(len(names))]
+    columns += [Column("last probe", number=False)]
+    rows = []
+    for one in survey.robots:
+        friction = [number(v) for v in one.friction] or [UNKNOWN] * len(names)
+        celsius = [f"{v:.1f}" if np.isfinite(v) else UNKNOWN for v in one.temperature]
+        probe = one.probe.text if one.probe else UNKNOWN
+        told = (one.robot, _years(one), *friction, *(celsius or [UNKNOWN] * len(names)), probe)
+        rows.append(cells(*told))
+    return Table("As it was measured", tuple(columns), tuple(rows))
+
+
+def _years(one: Surveyed) -> str:
+    return f"{one.age:.1f}" if np.isfinite(one.age) else UNKNOWN

@@ -1,0 +1,78 @@
+"""Who stands out of a fleet: at the stated rate among equals, and who is really different."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hil.fleet.outliers import FAMILY_WISE, FEWEST, huber, standing
+
+YEARS, JOINTS = np.linspace(1.0, 10.0, 40), 6
+TREND = np.array([0.02, 0.03, 0.0, 0.01, 0.02, 0.02])
+
+
+def fleet(seed: int, spread: float = 0.03) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(0.0, spread, (len(YEARS), JOINTS))
+    return np.exp(np.log(5.0) + YEARS[:, None] * TREND + noise)
+
+
+def test_a_trend_with_age_is_found_and_explains_itself() -> None:
+    found = standing(fleet(1), {"age": YEARS})
+    assert found is not None
+    assert np.all(np.abs(found.slopes[0] - TREND) < 4 * found.errors[0])
+    assert np.all(found.errors[0] < 0.005)
+    assert not found.outlying.any()
+
+
+def test_one_joint_with_more_friction_stands_out_and_nobody_else() -> None:
+    values = fleet(2)
+    values[17, 2] *= 1.3
+    found = standing(values, {"age": YEARS})
+    assert found is not None
+    assert [tuple(at) for at in np.argwhere(found.outlying)] == [(17, 2)]
+    assert found.expected[17, 2] == pytest.approx(5.0, rel=0.05)
+
+
+def test_equals_stand_out_in_as_many_fleets_as_is_said() -> None:
+    alarms = 0
+    for seed in range(200):
+        found = standing(fleet(1000 + seed)[:12], {"age": YEARS[:12]})
+        assert found is not None
+        alarms += bool(found.outlying.any())
+    # 200 fleets at 1 %: 2 are expected, 8 or more in one of 900 such tests
+    assert 200 * FAMILY_WISE == 2
+    assert alarms < 8
+
+
+def test_three_wrong_robots_of_twelve_do_not_hide_one_another() -> None:
+    values = fleet(3)[:12] / np.exp(YEARS[:12, None] * TREND)
+    values[:3, 0] *= 2.0
+    found = standing(values, {})
+    assert found is not None
+    assert set(np.flatnonzero(found.outlying[:, 0])) == {0, 1, 2}
+
+
+def test_of_few_robots_nothing_is_said() -> None:
+    assert standing(fleet(4)[: FEWEST - 1], {"age": YEARS[: FEWEST - 1]}) is None
+
+
+def test_what_is_not_known_of_all_explains_nothing_and_missing_values_stay_missing() -> None:
+    values, age = fleet(5), YEARS.copy()
+    age[3] = np.nan
+    values[7, 1] = np.nan
+    found = standing(values, {"age": age, "same": np.ones(len(age))})
+    assert found is not None
+    assert found.names == ()
+    assert np.isnan(found.z[7]).all()
+    assert np.isfinite(np.delete(found.z, 7, axis=0)).all()
+
+
+def test_robust_regression_is_that_of_statsmodels() -> None:
+    statsmodels = pytest.importorskip("statsmodels.api")
+    y = np.log(fleet(6)[:, 0])
+    y[5] += 1.0
+    X = np.column_stack([np.ones(len(y)), YEARS])
+    beta, scale = huber(X, y[:, None])
+    peer = statsmodels.RLM(y, X, M=statsmodels.robust.norms.HuberT(1.345)).fit(maxiter=200)
+    assert beta[:, 0] == pytest.approx(peer.params, rel=1e-3, abs=1e-4)
+    assert scale[0] == pytest.approx(peer.scale, rel=0.05)

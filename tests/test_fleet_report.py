@@ -1,0 +1,147 @@
+"""The report of a fleet: who has drifted, who stands out, how old everybody is; page and JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fleet_parts import FITTED, written
+from report_html import Page
+from typer.testing import CliRunner
+
+from hil.campaign.run import run_experiment
+from hil.cli.app import app
+from hil.drift.features import Features, feature_names
+from hil.drift.history import Probe
+from hil.errors import DataError, RegistryError
+from hil.executor import one_thread
+from hil.fleet.fit_task import FitResult
+from hil.fleet.fitting import RobotFit, registered
+from hil.fleet.folder import FleetFolder
+from hil.fleet.members import experiment_for, spec_for
+from hil.fleet.outliers import standing
+from hil.fleet.survey import Survey, Surveyed, probe_fleet, survey_fleet
+from hil.registry.registry import Registry
+from hil.report.fleet_page import fleet_page, standing_out
+from hil.report.render import page_html
+
+JOINTS = tuple(f"J{j}" for j in range(6))
+WORN = 11
+PROBE = FITTED.replace("trajectories: 3", "trajectories: 4")
+
+
+def probed(change: np.ndarray, changed: bool) -> Probe:
+    names = feature_names(JOINTS)
+    values = np.zeros(len(names))
+    values[: 3 * len(JOINTS) : 3] = change - 1.0
+    nothing = np.zeros(len(names))
+    features = Features(
+        names, values, nothing, nothing, np.zeros(6), 1, np.eye(len(names)), values[None]
+    )
+    return Probe("u", "2026-11-22", "run", 1, 0.01, features, changed, (), 0.5, 5)
+
+
+@pytest.fixture(scope="module")
+def survey() -> Survey:
+    """Thirty robots; one has 30 % more friction in J2, another has drifted."""
+    dice = np.random.default_rng(7)
+    age, celsius = np.linspace(1, 9, 30), dice.uniform(25, 35, (30, 6))
+    change = np.exp(0.02 * age[:, None] + dice.normal(0, 0.01, (30, 6)))
+    change[WORN, 2] *= 1.3
+    level = 5.0 * dice.uniform(0.85, 1.15, (30, 6)) * change
+    robots = tuple(
+        Surveyed(
+            f"ur5-{k:03d}", Path(f"run-{k}"), Path("model"), age[k], JOINTS, level[k], celsius[k],
+            probed(change[k], changed=k == 4),
+        )
+        for k in range(30)
+    )  # fmt: skip
+    given = {"age": age, "temperature": celsius}
+    return Survey(
+        "simulated", Path("fleet-simulated"), robots, ("ur5-030",), standing(level, given),
+        standing(change, given),
+    )  # fmt: skip
+
+
+def test_a_worn_joint_stands_out_by_its_change_though_not_by_its_friction(survey: Survey) -> None:
+    assert survey.outlying(survey.change) == [(WORN, 2)]
+    assert survey.outlying(survey.friction) == []
+    out = {one.robot: why for one, why in standing_out(survey)}
+    assert set(out) == {"ur5-004", "ur5-011"}
+    assert "change of friction of J2 +3" in out["ur5-011"] or "+2" in out["ur5-011"]
+
+
+def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) -> None:
+    page = Page(page_html(fleet_page(survey)))
+    assert not [url for url in page.loads if url.startswith(("http", "//"))]
+    looked = page.tables["Changed since its champion, or unlike the others"]
+    assert [row[0].split()[-1] for row in looked if "ur5" in row[0]] == ["ur5-004", "ur5-011"]
+    assert len(page.figures) == 4 * len(JOINTS)
+    assert "probability of 1 %" in page.text
+    assert "1 are not" in page.text
+
+
+def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
+    none = np.empty(0)
+    bare = replace(
+        survey.robots[0], joint_names=(), friction=none, temperature=none, problem="it has no model"
+    )
+    told = replace(survey, robots=(*survey.robots[1:], bare))
+    assert "ur5-000: it has no model" in Page(page_html(fleet_page(told))).text
+    json.dumps(told.to_dict(), default=str)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fleet of two robots that were measured and one that was not."""
+    folder = tmp_path_factory.mktemp("fleet")
+    spec, station = written(folder, {"a": "seed: 1", "b": "seed: 2", "c": "seed: 3"}, PROBE)
+    specs = {name: spec_for(PROBE, "small.yaml", name) for name in "abc"}
+    made = FleetFolder.create(folder / "runs", "small", specs, spec, str(station))
+    entries: list[dict[str, Any]] = []
+    with one_thread():
+        for name in "ab":
+            one = experiment_for(specs[name], folder, station, made.spec_of(name))
+            entries.append({"robot": name, **run_experiment(one, runs=made.runs).to_dict()})
+    made.write([*entries, {"robot": "c"}])
+    return made.path
+
+
+def test_a_small_fleet_is_reported_with_ages_and_without_judgement(
+    fleet: Path, tmp_path: Path
+) -> None:
+    done = CliRunner().invoke(
+        app,
+        ["fleet", "report", str(fleet), "--registry", str(tmp_path), "--workers", "1", "--json"],
+    )
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["missing"] == ["c"]
+    assert told["friction"] is None
+    assert [one["age_years"] for one in told["robots"]] == pytest.approx([10.7, 9.7], abs=1.1)
+    assert np.all(np.array([one["friction_nm"] for one in told["robots"]]) > 0.5)
+    assert Path(told["page"]).is_file()
+
+
+def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "registry")
+    with pytest.raises(RegistryError, match="no models of a"):
+        probe_fleet(fleet, registry, 0.01)
+    _, members = FleetFolder.open(fleet)
+    # each the model of the other: the same arm, and none was fitted to its own run
+    for one, other in zip(members[:2], reversed(members[:2]), strict=True):
+        model = Path(other["models"][0])
+        model = model if model.is_absolute() else fleet / model
+        fit = RobotFit(one["robot"], Path(one["run"]), FitResult(model.name), model)
+        assert registered(fit, registry).role == "champion"
+    told = probe_fleet(fleet, registry, 0.01)
+    assert [robot for robot, _ in told] == ["a", "b"]
+    assert told[0][1].false_alarm == pytest.approx(0.005, rel=0.01)
+    found = survey_fleet(fleet, registry, workers=1)
+    assert all(np.isfinite(one.change).all() for one in found.robots)
+    with pytest.raises(DataError, match=r"fleet\.json"):
+        survey_fleet(tmp_path, registry, workers=1)
