@@ -23,6 +23,7 @@ FILES = (
     "tests/test_proof_loads.py",
     "tests/test_proof_networks.py",
     "tests/test_proof_recording.py",
+    "tests/test_proof_schedule.py",
     "tests/test_proof_separation.py",
     "tests/test_proof_ur.py",
     "tests/test_proof_static.py",

@@ -123,69 +123,73 @@ class Scheduler:
             why = late_words(self.spec, standing, choice.late)
             self._leave_out(choice.late, why, choice.late[-1].due)
         if choice.chosen is None:
-            return False
+            return bool(choice.late)
+        # What was begun was chosen before: others that became due since are still to be looked at.
+        until = (standing.until if choice.again else None) or now
         if choice.instead:
             why = f"{choice.chosen.id} stands for it"
-            self._leave_out(choice.instead, why, now, instead=choice.chosen.id)
+            self._leave_out(choice.instead, why, until, instead=choice.chosen.id)
         if (window := self._in_the_way(choice.chosen)) is not None:
-            return self._wait_for_its_end(choice.chosen, window, again=choice.again)
+            return self._wait_for_its_end(choice.chosen, window, until, again=choice.again)
         if why := self.ready():
-            self._put_off(choice.chosen, why)
+            self._put_off(choice.chosen, why, until)
             return False
         # The robot may have been waited for.
         if self._in_the_way(choice.chosen) is not None:
             return True
-        return self._do(choice.chosen, again=choice.again)
+        return self._do(choice.chosen, until, again=choice.again)
 
     def _in_the_way(self, occasion: Occasion) -> Window | None:
         """The blackout that keeps it from beginning now."""
         return next_free(self.spec, self.clock.now(), self.lasting(occasion.job))[1]
 
-    def _wait_for_its_end(self, occasion: Occasion, window: Window, *, again: bool) -> bool:
+    def _wait_for_its_end(
+        self, occasion: Occasion, window: Window, until: datetime, *, again: bool
+    ) -> bool:
         """Put it off until it fits, or leave it out where that is too late."""
         now = self.clock.now()
         free, _ = next_free(self.spec, now, self.lasting(occasion.job))
         begins_by = now + self.spec.missed_within if again else occasion.due + lateness(self.spec)
         if free is not None and free <= begins_by:
-            self._put_off(occasion, window.why)
+            self._put_off(occasion, window.why, until)
             return False
-        self._leave_out((occasion,), window.why, now)
+        self._leave_out((occasion,), window.why, until)
         return True
 
-    def _put_off(self, occasion: Occasion, why: str) -> None:
-        standing, now = self.ledger.standing, self.clock.now()
+    def _put_off(self, occasion: Occasion, why: str, until: datetime) -> None:
+        """Note it, once for each reason; everything else due until then is settled."""
+        standing = self.ledger.standing
         if (standing.open, standing.why) != (occasion, why):
-            self._note("deferred", occasion=occasion.id, why=why, until=time_text(now))
+            self._note("deferred", occasion=occasion.id, why=why, until=time_text(until))
 
     def _leave_out(self, left: Sequence[Occasion], why: str, until: datetime, **more: str) -> None:
         told = {"since": left[0].id, "occasion": left[-1].id, "count": len(left), "why": why}
         self._announce(self._note("missed", **told, until=time_text(until), **more))
 
-    def _do(self, occasion: Occasion, *, again: bool) -> bool:
+    def _do(self, occasion: Occasion, until: datetime, *, again: bool) -> bool:
         """Work; returns whether something else may be due."""
-        now = self.clock.now()
         more = {"again": True} if again else {}
-        self._note("begun", occasion=occasion.id, until=time_text(now), **more)
+        self._note("begun", occasion=occasion.id, until=time_text(until), **more)
         self.failure = None
         try:
-            with self.guard(self._next_blackout(now)):
+            with self.guard(self._next_blackout()):
                 document = self.work(occasion, self.ledger.folder_of(occasion))
         except Interruption:
             self.ledger.reload()
         except KeyboardInterrupt:
             raise Stopped(f"stopped in the middle of {occasion.id}", by_signal=True) from None
         except Exception as error:
-            return self._ended_badly(occasion, error)
+            return self._ended_badly(occasion, error, until)
         else:
             self._announce(self._note("done", occasion=occasion.id, result=dict(document)))
         return True
 
-    def _ended_badly(self, occasion: Occasion, error: Exception) -> bool:
+    def _ended_badly(self, occasion: Occasion, error: Exception, until: datetime) -> bool:
         if isinstance(error, Stopped) and error.by_signal:
             raise error
         # Not there, or somebody else's, which `ready` came too early to see.
         if isinstance(error, RobotConnectionError) and (why := self.ready()):
-            self._put_off(occasion, why)
+            self._put_off(occasion, why, until)
             return False
         known = error if isinstance(error, HilError) else HilError(f"{error!r}")
         self.failure = known
@@ -193,7 +197,8 @@ class Scheduler:
         self._announce(self._note("failed", occasion=occasion.id, **told))
         return True
 
-    def _next_blackout(self, now: datetime) -> datetime | None:
+    def _next_blackout(self) -> datetime | None:
+        now = self.clock.now()
         window = window_in(self.spec, now, now + WEEK)
         return window.begin if window else None
 

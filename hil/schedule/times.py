@@ -72,12 +72,15 @@ def dues(trigger: Trigger, timezone: str, start: datetime, after: datetime) -> I
 
 
 def _intervals(every: timedelta, start: datetime, after: datetime) -> Iterator[datetime]:
-    count = max(0, (after - start) // every + 1)
+    count = max(0, (after - start) // every)
     while True:
         try:
-            yield start + count * every
+            # In whole seconds, as the ledger has them.
+            due = (start + count * every).replace(microsecond=0)
         except OverflowError:
             return
+        if due > after:
+            yield due
         count += 1
 
 
