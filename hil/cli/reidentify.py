@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hil.cli.output import print_json, print_table, print_warnings, say
+from hil.cli.schedule import STATES
 
 if TYPE_CHECKING:
     from hil.pipeline.bound import Bound
@@ -76,7 +77,7 @@ def run_schedule(
     for experiment in bound.experiments:
         require_extras(experiment.spec)
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
-    home = (state or Path("schedules") / bound.spec.name) / BY_HAND
+    home = (state or STATES / bound.spec.name) / BY_HAND
     occasion = _left(home, job) or _now(job)
     work = reidentification(
         bound.spec, registry=Registry(registry), runs=runs, station=station,

@@ -1,0 +1,52 @@
+"""`hil run SCHEDULE`: what a schedule is about, once and now."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from pipeline_parts import CAMPAIGN, SCHEDULE, write_schedule
+from typer.testing import CliRunner
+
+from hil.cli.app import app
+
+
+def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_schedule(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(app, ["run", "weekly.yaml", "--json"])
+    assert told.exit_code == 0, told.output
+    first = json.loads(told.stdout)
+    assert (first["outcome"], first["champion"], first["name"]) == ("promoted", "v1", "ur5")
+    folder = Path(first["folder"])
+    assert folder.parent == Path("schedules/weekly/by-hand")
+
+    for stage in ("register", "summary"):
+        (folder / "stages" / f"{stage}.json").unlink()
+    again = CliRunner().invoke(app, ["run", "weekly.yaml"])
+    assert f"going on with {folder}" in again.output
+    assert "ur5: v1 is champion: the first one: there are no criteria" in again.stdout
+    assert f"campaign: {first['runs']['campaign']}" in again.stdout
+    assert len(list(tmp_path.glob("runs/*/*/*/start.json"))) == 1
+    assert len(list(folder.parent.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "option", ["--operator=Ada", "--wait=3", "--speed=10%", "--first=1", "--live", "--waive=a=b"]
+)
+def test_options_for_somebody_who_attends_are_refused(tmp_path: Path, option: str) -> None:
+    file = write_schedule(tmp_path)
+    told = CliRunner().invoke(app, ["run", str(file), option])
+    assert "are for runs that somebody attends" in str(told.exception)
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_schedule_that_cannot_be_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    file = write_schedule(tmp_path, schedule=SCHEDULE | {"probe": None}, campaign=CAMPAIGN)
+    runs = tmp_path / "runs"
+    told = CliRunner().invoke(app, ["run", str(file), "--runs", str(runs)])
+    assert "weekly.yaml" in str(told.exception)
+    assert not runs.exists()
