@@ -32,7 +32,7 @@ _NUMBERS = ("number", "started", "duration", "samples", "gaps", "load")
 _WORDS = ("name", "description", "operator")
 _COLUMNS = ("path", "stamp", "entry", "words", "run", *_TEXTS, *_NUMBERS)
 _TABLES = (
-    f"CREATE TABLE runs ({', '.join(_COLUMNS)}, PRIMARY KEY (path)) WITHOUT ROWID",
+    f"CREATE TABLE runs ({', '.join(_COLUMNS)}, PRIMARY KEY (path))",
     "CREATE TABLE fits (path, estimator, rmse)",
     "CREATE INDEX fits_of ON fits (path)",
     f"PRAGMA user_version = {VERSION}",
