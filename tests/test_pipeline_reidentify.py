@@ -212,12 +212,16 @@ def test_the_champion_does_not_challenge_itself(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("lost", ["register", "challenge", "summary"])
-def test_what_a_crash_has_not_noted_is_not_done_twice(robot: Robot, lost: str) -> None:
+@pytest.mark.parametrize(("campaign", "event"), [("worn", "promoted"), ("short", "kept")])
+def test_what_a_crash_has_not_noted_is_not_done_twice(
+    robot: Robot, lost: str, campaign: str, event: str
+) -> None:
     robot.due(0)
-    runs = {"probe": "worn probe", "campaign": "worn campaign", "check": "worn probe"}
+    probe = "worn probe" if campaign == "worn" else "probe"
+    runs = {"probe": probe, "campaign": f"{campaign} campaign", "check": probe}
     told = robot.due(1, "campaign", **runs)
     before = events(robot)
-    assert before[-1] == ("promoted", 2)
+    assert before[-1] == (event, 2)
     (robot.home / occasion(1, "campaign").id / FOLDER / f"{lost}.json").unlink()
     assert robot.due(1, "campaign", **runs) == told
     assert robot.taken.asked == []

@@ -207,7 +207,10 @@ class _Due:
         if SKIPPED in done["fit"]:
             return done["fit"]
         model, name = Path(done["fit"]["model"]), self.work.bound.name
-        version = self.work.registry.register(name, model, facts_of(model), challenger=True)
+        facts, registry = facts_of(model), self.work.registry
+        version = registry.register(name, model, facts)
+        if self._decided(version.number) is None:
+            registry.register(name, model, facts, challenger=True)
         return {"version": version.number, "digest": version.digest}
 
     def check(self, done: Done) -> Document:
