@@ -29,8 +29,8 @@ class Motions:
         on_drift: Whether a probe may lead to a campaign.
     """
 
-    probe: timedelta
-    campaign: timedelta
+    probe: timedelta = timedelta()
+    campaign: timedelta = timedelta()
     on_drift: bool = True
 
     def expected(self, job: Job) -> timedelta:
