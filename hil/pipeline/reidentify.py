@@ -1,40 +1,20 @@
-"""What is done when a schedule is due: probe, and identify the robot again if it has changed.
-
-    begin → probe → drift → campaign → fit → register → check → challenge → summary
-
-Every stage is kept (`hil.pipeline.stages`), so that whoever goes on after a crash repeats none of
-them. What a stage does outside its folder is looked for first: runs by the occasion in their start
-document, versions by the model's digest, decisions by the occasion in the log's reason.
-"""
+"""What is done when a schedule is due: probe, and identify the robot again if it has changed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hil.campaign.experiment import Experiment
 from hil.engine import Observer
-from hil.errors import FitError
-from hil.identify.base import HONEST
-from hil.identify.model_folder import models_below
-from hil.pipeline.bound import Bound, bind, not_honest
+from hil.pipeline.bound import Bound, bind
+from hil.pipeline.due import Adapt, Due
 from hil.pipeline.measuring import Measuring
-from hil.pipeline.outcome import errors_on, summary
-from hil.pipeline.stages import Document, Stage, run_stages
-from hil.record.files import read_json
-from hil.record.provenance import utc_now
-from hil.registry.log import Entry
+from hil.pipeline.stages import Document, run_stages
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion, Work
-from hil.spec.hashing import spec_hash
 from hil.spec.schedule import ScheduleSpec
-
-Adapt = Callable[[Experiment, Occasion, str], Experiment]
-"""The experiment as it is done at an occasion, for its stage `probe`, `campaign` or `check`."""
-
-Done = Mapping[str, Document]
-SKIPPED = "skipped"
 
 
 def as_it_is(experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:
@@ -96,194 +76,5 @@ class Reidentification:
 
     def __call__(self, occasion: Occasion, folder: Path) -> Document:
         """Do what is due, or what is left of it; see `hil.schedule.occasion.Work`."""
-        return run_stages(_Due(self, occasion).stages(), folder, self.tell)["summary"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Due:
-    """The stages of one occasion."""
-
-    work: Reidentification
-    occasion: Occasion
-
-    def stages(self) -> list[Stage]:
-        """In order; every one needs those whose documents it looks at."""
-        bound = self.work.bound
-        campaign = {"spec": spec_hash(bound.campaign.spec)}
-        probe = {"spec": bound.probe and spec_hash(bound.probe.spec)}
-        fit = {"estimator": bound.fit.estimator, "parameters": bound.fit.parameters}
-        return [
-            Stage("begin", self.begin, (), {"occasion": self.key}),
-            Stage("probe", self.probe, ("begin",), probe),
-            Stage("drift", self.drift, ("probe",), {"false_alarm": bound.spec.false_alarm}),
-            Stage(
-                "campaign", self.campaign, ("begin", "drift"),
-                campaign | {"on_drift": bound.spec.campaign.on_drift},
-            ),
-            Stage("fit", self.fit, ("campaign",), fit),
-            Stage("register", self.register, ("fit",), {"name": bound.name}),
-            Stage("check", self.check, ("begin", "fit"), probe),
-            Stage(
-                "challenge", self.challenge,
-                ("begin", "probe", "drift", "campaign", "fit", "register", "check"),
-            ),
-            Stage("summary", self.summary, _BEFORE_SUMMARY),
-        ]  # fmt: skip
-
-    @property
-    def key(self) -> str:
-        """Names the occasion in runs and in the registry's log."""
-        return f"{self.work.bound.spec.name}/{self.occasion.id}"
-
-    def begin(self, done: Done) -> Document:
-        """Who is champion now: what is compared with it must not depend on what comes of it."""
-        registry, name = self.work.registry, self.work.bound.name
-        champion = registry.aliases(name).champion if name in registry.names() else 0
-        return {"begun": utc_now(), "champion": champion or None}
-
-    def probe(self, done: Done) -> Document:
-        """The short program."""
-        if self.work.bound.probe is None:
-            return {SKIPPED: "the schedule has no probe"}
-        if done["begin"]["champion"] is None:
-            return {SKIPPED: "there is no champion to compare with"}
-        return {"run": self._measured(self.work.bound.probe, "probe")}
-
-    def drift(self, done: Done) -> Document:
-        """Whether the probe shows a change, and which."""
-        from hil.drift.history import assess
-
-        if SKIPPED in done["probe"]:
-            return done["probe"]
-        bound = self.work.bound
-        run, alarm = Path(done["probe"]["run"]), bound.spec.false_alarm
-        told = assess(self.work.registry, bound.name, run, false_alarm=alarm).to_dict()
-        del told["features"]
-        return told
-
-    def campaign(self, done: Done) -> Document:
-        """The full program, if it is called for."""
-        bound, changed = self.work.bound, bool(done["drift"].get("changed"))
-        if self.occasion.job == "campaign":
-            why = "it is due"
-        elif done["begin"]["champion"] is None:
-            why = "the first one"
-        elif changed and bound.spec.campaign.on_drift:
-            why = str(done["drift"]["text"])
-        else:
-            return {SKIPPED: "only told, as on_drift is false" if changed else "nothing changed"}
-        return {"why": why, "run": self._measured(bound.campaign, "campaign")}
-
-    def fit(self, done: Done) -> Document:
-        """The model that the run has fitted."""
-        if SKIPPED in done["campaign"]:
-            return done["campaign"]
-        run, name = Path(done["campaign"]["run"]), self.work.bound.fit.estimator
-        found = [folder for folder in models_below(run) if _is_of(folder, name)]
-        verdict = read_json(run / "verdict.json")
-        if not found:
-            told = [one["error"] for one in verdict["problems"] if one["estimator"] in (name, "")]
-            raise FitError(
-                f"{run} has no {name}: {'; '.join(told) or 'it was removed'}",
-                hint=f"hil show {run}",
-            )
-        model = max(found, key=lambda folder: (folder / "evaluation.json").stat().st_mtime_ns)
-        judged = read_json(model / "evaluation.json")
-        if judged["protocol"] != HONEST:
-            raise FitError(not_honest(name, judged["protocol"]), hint=f"hil show {run}")
-        held_out = judged["held_out"]
-        keys = ("what", "unit", "joint_names", "total")
-        rows = [row for row in verdict["rows"] if row["estimator"] in (name, "")]
-        return {
-            "model": str(model),
-            "held_out": {key: held_out[key] for key in keys},
-            "criteria": rows,
-        }
-
-    def register(self, done: Done) -> Document:
-        """The model as a version, to be compared with the champion."""
-        from hil.registry.facts import facts_of
-
-        if SKIPPED in done["fit"]:
-            return done["fit"]
-        model, name = Path(done["fit"]["model"]), self.work.bound.name
-        facts, registry = facts_of(model), self.work.registry
-        version = registry.register(name, model, facts)
-        if self._decided(version.number) is None:
-            registry.register(name, model, facts, challenger=True)
-        return {"version": version.number, "digest": version.digest}
-
-    def check(self, done: Done) -> Document:
-        """The short program again: what both are compared on was taken before and after."""
-        if SKIPPED in done["fit"]:
-            return done["fit"]
-        if self.work.bound.probe is None or done["begin"]["champion"] is None:
-            return {SKIPPED: "there is no champion to compare with, or no probe"}
-        return {"run": self._measured(self.work.bound.probe, "check")}
-
-    def challenge(self, done: Done) -> Document:
-        """Promoted, or kept out, by the registry's rules; once."""
-        if SKIPPED in done["register"]:
-            return done["register"]
-        number, champion = done["register"]["version"], done["begin"]["champion"]
-        if number == champion:
-            return {"promoted": False, "reason": "it is the champion itself", "evidence": {}}
-        entry = self._decided(number)
-        if entry is None:
-            self._decide(number, done)
-            entry = self._decided(number)
-        if entry is None:
-            return {"promoted": False, "reason": "it became champion meanwhile", "evidence": {}}
-        said = entry.reason.removeprefix(self.key).lstrip(" :")
-        promoted = entry.event == "promoted"
-        return {"promoted": promoted, "reason": said, "evidence": dict(entry.evidence)}
-
-    def summary(self, done: Done) -> Document:
-        """What the ledger, notifications and people are told."""
-        errors = errors_on(self.work.registry, self.work.bound.name, done)
-        return summary(self.work.bound.name, done, errors)
-
-    def _measured(self, experiment: Experiment, stage: str) -> str:
-        adapted = self.work.adapt(experiment, self.occasion, stage)
-        return str(self.work.measuring.measure(adapted, f"{self.key}/{stage}").resolve())
-
-    def _decided(self, number: int) -> Entry | None:
-        """What this occasion has decided already, by the log."""
-        entries = self.work.registry.log(self.work.bound.name)
-        mine = (one for one in reversed(entries) if one.event in ("promoted", "kept"))
-        return next(
-            (one for one in mine if one.version == number and one.reason.startswith(self.key)),
-            None,
-        )
-
-    def _decide(self, number: int, done: Done) -> None:
-        from hil.registry.promotion import challenge
-
-        bound, registry = self.work.bound, self.work.registry
-        reason = f"{self.key}: {done['campaign']['why']}"
-        if missed := [row for row in done["fit"]["criteria"] if not row["passed"]]:
-            row = missed[0]
-            told = f"{row['metric']} of {row['what']} is {row['value']}, at most {row['max']:g}"
-            words = f"{reason}: {len(missed)} criteria of the campaign are missed: {told}"
-            registry.keep(bound.name, number, reason=words, evidence={"criteria": missed})
-            return
-        if done["begin"]["champion"] is None:
-            judged = done["fit"]["criteria"]
-            words = f"{reason}: {'it meets its criteria' if judged else 'there are no criteria'}"
-            evidence = {"criteria": judged}
-            registry.promote(bound.name, number, reason=words, evidence=evidence, instead_of=0)
-            return
-        # The campaign's criteria speak of its own held-out motions, and are met there.
-        taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]
-        challenge(
-            registry, bound.name, f"v{number}", [Path(run) for run in taken if run], reason=reason
-        )
-
-
-_BEFORE_SUMMARY = (
-    "begin", "probe", "drift", "campaign", "fit", "register", "check", "challenge",
-)  # fmt: skip
-
-
-def _is_of(folder: Path, estimator: str) -> bool:
-    return folder.name.rpartition("-")[0] == estimator
+        due = Due(self.bound, self.registry, self.measuring, self.adapt, occasion)
+        return run_stages(due.stages(), folder, self.tell)["summary"]
