@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from hil.campaign.resuming import open_unfinished
 from hil.catalogue.removal import leftovers, remove
 from hil.catalogue.retention import Policy, decide
 from hil.catalogue.view import find_runs
@@ -272,6 +273,8 @@ def test_recordings_go_and_documents_stay(runs: Path) -> None:
     assert not list(run.path.glob(".trash*"))
     assert gone(runs, policy) == []
     assert why(runs, 2, policy=policy) == "it has no recording"
+    with pytest.raises(DataError, match="were deleted"):
+        open_unfinished(run.path)
     (run.path / "recording").mkdir()
     (run.path / "recording" / "00.mcap").write_bytes(b"another")
     assert run.verify() == ["recording/00.mcap has changed since the run ended"]
@@ -284,6 +287,32 @@ def test_what_a_killed_deletion_left_is_no_run_and_goes_with_the_next(runs: Path
     assert len(leftovers(runs)) == 1
     remove([], runs, ALL, ())
     assert leftovers(runs) == []
+
+
+@pytest.mark.parametrize("recordings_only", [False, True])
+def test_what_is_half_deleted_is_no_run_and_no_recording(
+    recordings_only: bool, runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(folder: Path, **_: object) -> None:
+        next(path for path in Path(folder).rglob("*") if path.is_file()).unlink()
+        raise KeyboardInterrupt
+
+    policy = Policy(older=timedelta(days=1), recordings_only=recordings_only)
+    before = {Path(one["run"]): tree(Path(one["run"])) for one in find_runs(runs=runs)}
+    decisions = decide(runs, policy, (), NOW)
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", killed)
+        with pytest.raises(KeyboardInterrupt):
+            remove(decisions, runs, policy, ())
+    first = runs / "2026-11-11" / "ur5" / "0001-fourier"
+    assert first.exists() == recordings_only
+    assert not (first / "recording").exists()
+    assert len(leftovers(runs)) == 1
+    whole = {run: content for run, content in before.items() if run != first}
+    assert {run: tree(run) for run in whole} == whole
+    remove(decide(runs, policy, (), NOW), runs, policy, ())
+    assert leftovers(runs) == []
+    assert gone(runs, policy) == []
 
 
 def test_a_deletion_killed_anywhere_leaves_whole_runs(runs: Path) -> None:

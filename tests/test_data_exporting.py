@@ -88,6 +88,7 @@ def test_csv_comes_back_bit_for_bit(run: Path, data: Dataset, tmp_path: Path) ->
     assert header == list(told.columns)
     found = {name: [line[i] for line in lines] for i, name in enumerate(header)}
     by_joint(data, found, lambda cells: np.array([float(x) if x else np.nan for x in cells]))
+    assert found["temperature_1_c"].count("") == np.isnan(data["temperature"][:, 0]).sum() > 0
     labelled(found, data)
     explained(json.loads((tmp_path / "a.json").read_text()), run, data)
 

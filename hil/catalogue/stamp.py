@@ -22,16 +22,15 @@ _PARTS = ("evaluation.json", "model.json", "study.json")
 def stamp_of(run: Path) -> str:
     """A text that changes whenever what the catalogue says of a run may have changed.
 
-    `ALWAYS_READ` where that cannot be told: of a run that a process holds, one that was changed a
-    moment ago, and one that cannot be looked into.
+    `ALWAYS_READ` where that cannot be told: of a run that was changed a moment ago (as one that a
+    process holds: it touches its lock), and of one that cannot be looked into.
     """
     try:
         seen = sorted(_seen(run))
     except OSError:
         return ALWAYS_READ
     newest = max((changed for _, changed, _ in seen), default=0)
-    young = newest > time.time_ns() - int(SETTLED_S * 1e9)
-    if young or any(name == LOCK for name, _, _ in seen):
+    if newest > time.time_ns() - int(SETTLED_S * 1e9):
         return ALWAYS_READ
     return ";".join(f"{name}:{changed}:{size}" for name, changed, size in seen)
 
