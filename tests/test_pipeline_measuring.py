@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 from pipeline_parts import CAMPAIGN, PROBE, write_schedule
+from synthetic_motion import moving, nominal
 
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.errors import PreflightFailed, RobotError
+from hil.identify import estimator
 from hil.pipeline.measuring import Measuring, run_of
 from hil.record.rundir import RunDirectory
+from hil.registry.facts import facts_of
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ def test_a_run_that_was_cut_off_is_gone_on_with(place: Place, how: str) -> None:
     assert place.count() == 1
 
 
-def test_what_is_missing_of_a_run_is_measured(place: Place) -> None:
+def test_what_is_missing_of_a_run_is_measured(place: Place, tmp_path: Path) -> None:
     place.end()
     (place.run / "stop.json").unlink()
     (recording,) = (place.run / "recording").iterdir()
@@ -104,6 +107,9 @@ def test_what_is_missing_of_a_run_is_measured(place: Place) -> None:
     assert place.measure() == place.run
     assert RunDirectory.open(place.run).attempts == 2
     assert (place.run / "verdict.json").is_file()
+    model = estimator("rigid-wls").fit(moving(1, 2, 3), nominal()).save(tmp_path / "model")
+    learned_from = facts_of(model, [place.run])["data_sha256"]
+    assert sorted(learned_from) == ["recording/00.mcap.partial", "recording/01.mcap"]
 
 
 @pytest.mark.parametrize(("outcome", "exit_code"), [("tripped", 5), ("failed", 4), ("stopped", 6)])

@@ -11,6 +11,7 @@ from hil.errors import DataError, RegistryError
 from hil.identify.model_folder import MODEL_FILE
 from hil.record.files import read_json, sha256_of
 from hil.record.provenance import package_versions, source_revision
+from hil.record.writer import PARTIAL_SUFFIX
 from hil.validation import EVALUATION_FILE
 
 FIT_FOLDER = "fit"
@@ -60,7 +61,7 @@ def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
     found: dict[str, str] = {}
     for stop in sorted(run.glob("stop*.json")) if run is not None else ():  # one per attempt
         noted = read_json(stop).get("sha256", {})
-        found |= {name: digest for name, digest in noted.items() if name.endswith(".mcap")}
+        found |= {name: digest for name, digest in noted.items() if _is_recording(name)}
     for source in sources:
         if not source.exists():
             raise RegistryError(f"{source} is not there", hint="name the recordings as they are")
@@ -70,6 +71,11 @@ def _digests(run: Path | None, sources: Iterable[Path]) -> dict[str, str]:
             taken = found.get(name, digest) != digest
             found[str((source if whole else source.parent) / name) if taken else name] = digest
     return found
+
+
+def _is_recording(name: str) -> bool:
+    """Also one that a crash has cut off: what is whole in it is learned from."""
+    return name.removesuffix(PARTIAL_SUFFIX).endswith(".mcap")
 
 
 def _run(run: Path | None) -> dict[str, Any] | None:
