@@ -32,6 +32,7 @@ from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, write_version
+from hil.report import render_report
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))
@@ -264,6 +265,7 @@ def test_nothing_is_deleted_unasked(runs: Path) -> None:
 
 def test_recordings_go_and_documents_stay(runs: Path) -> None:
     policy = Policy(older=timedelta(days=1), recordings_only=True)
+    (run_number(runs, 2) / "report.html").write_text("with plots")
     remove(decide(runs, policy, (), NOW), runs, policy, ())
     run = RunDirectory.open(run_number(runs, 2))
     assert run.recordings == ()
@@ -273,8 +275,10 @@ def test_recordings_go_and_documents_stay(runs: Path) -> None:
     assert not list(run.path.glob(".trash*"))
     assert gone(runs, policy) == []
     assert why(runs, 2, policy=policy) == "it has no recording"
-    with pytest.raises(DataError, match="were deleted"):
-        open_unfinished(run.path)
+    for refused in (open_unfinished, render_report):
+        with pytest.raises(DataError, match="were deleted"):
+            refused(run.path)
+    assert (run.path / "report.html").read_text() == "with plots"
     (run.path / "recording").mkdir()
     (run.path / "recording" / "00.mcap").write_bytes(b"another")
     assert run.verify() == ["recording/00.mcap has changed since the run ended"]

@@ -96,7 +96,6 @@ def _age(text: str) -> timedelta | None:
 
 
 def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
-    what = "recordings of runs" if told["policy"]["recordings_only"] else "runs"
     gone = [one for one in decisions if one.goes]
     if gone:
         print_table(("goes", "size"), [(str(one.run), size(one.size)) for one in gone])
@@ -108,7 +107,8 @@ def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
         say(f"{count} more stay{'s' if count == 1 else ''}: {why}")
     if not told["registries"]:
         say("no registry is known: no run is kept for the sake of a model")
-    total = f"{len(gone)} {what}, {size(told['bytes'])}"
+    what = "the recordings of " if told["policy"]["recordings_only"] else ""
+    total = f"{what}{len(gone)} run{'s'[: len(gone) != 1]}, {size(told['bytes'])}"
     if told["deleted"]:
         say(f"deleted: {total}")
         return

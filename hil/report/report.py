@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hil.data.dataset import Dataset
 from hil.errors import DataError, HilError
+from hil.record.rundir import RunDirectory
 from hil.report.background import preflight, provenance, timeline
 from hil.report.blocks import Page, Section
 from hil.report.excitation import excitation
@@ -48,9 +49,16 @@ def render_report(run: Path) -> Path:
         The path of the page.
 
     Raises:
-        DataError: It is not a run directory, or was written by a newer hil.
+        DataError: It is not a run directory, was written by a newer hil, or its recordings were
+            deleted: the page that is there shows them yet.
     """
-    return write_page(run_page(Path(run)), Path(run) / REPORT_FILE)
+    page = Path(run) / REPORT_FILE
+    if page.exists() and RunDirectory(Path(run)).pruned:
+        raise DataError(
+            f"{run} lacks recordings that were deleted (pruned.json)",
+            hint=f"{page} was made when they were there, and stays",
+        )
+    return write_page(run_page(Path(run)), page)
 
 
 def render_fit_report(
