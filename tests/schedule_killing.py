@@ -58,7 +58,7 @@ def _look(ledger: Ledger, journal: list[str], kills: int) -> None:
             assert which not in begun
             begun.append(which)
     gone_on = [line for line in ledger.lines if line.get("again")]
-    assert len(gone_on) <= kills
+    assert 1 <= len(gone_on) <= kills
     assert {line["event"] for line in ledger.lines} >= {"started", "begun", "done", "missed"}
     left = [line for line in ledger.lines if line["event"] == "missed"]
     assert set(begun) - set(done) <= {line["occasion"] for line in left}

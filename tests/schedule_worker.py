@@ -29,7 +29,7 @@ SPEC = schedule(
     probe={"spec": "p", "every": "2min"},
     campaign={"spec": "c", "every": "7min"},
     blackout=[{"begin": "06:00", "end": "06:05"}],
-    missed_within="30min",
+    missed_within="12h",
 )
 
 
@@ -61,7 +61,7 @@ def main() -> None:
         say(f"begin {occasion.id}")
         for stage in range(3):
             if not (folder / str(stage)).exists():
-                time.sleep(random.uniform(0.0, 0.02))
+                time.sleep(random.uniform(0.0, 0.05))
                 (folder / str(stage)).write_text("")
         say(f"end {occasion.id}")
         return {"outcome": "quiet", "text": "done"}

@@ -173,7 +173,9 @@ def test_what_fits_nowhere_is_told() -> None:
 
 def test_a_long_holiday_ends() -> None:
     spec = schedule(blackout=[{"first": "2026-12-01", "last": "2028-01-31"}])
-    free, _ = next_free(spec, datetime(2026, 12, 1, tzinfo=UTC), HOUR)
+    free, window = next_free(spec, datetime(2026, 12, 1, tzinfo=UTC), HOUR)
+    assert window is not None
+    assert window.why == "blackout 2026-12-01 to 2028-01-31"
     assert free == datetime(2028, 2, 1, tzinfo=UTC)
 
 

@@ -22,6 +22,7 @@ from hil.cli.registry import HERE, RegistryOption
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
+    from hil.pipeline.bound import Bound
     from hil.schedule.forecast import Expected
     from hil.schedule.ledger import Ledger, Line
     from hil.spec.schedule import ScheduleSpec
@@ -54,7 +55,7 @@ def run(
     station: StationOption = None,
 ) -> None:
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
-    from hil.pipeline.bound import bind
+    from hil.campaign.extras import require_extras
     from hil.pipeline.reidentify import reidentification
     from hil.registry.registry import Registry
     from hil.schedule.clocks import WallClock
@@ -64,11 +65,11 @@ def run(
     from hil.schedule.motions import Motions, motions, require_room
     from hil.schedule.notify import Command
     from hil.schedule.preconditions import RobotReady
-    from hil.spec.schedule import load_schedule_spec
 
-    spec = load_schedule_spec(file)
-    bound = bind(spec, station)
-    took = Motions()
+    bound = _bound(file, station)
+    for experiment in bound.experiments:
+        require_extras(experiment.spec)
+    spec, took = bound.spec, Motions()
     if spec.blackout:  # nothing else asks, and planning takes seconds
         took = motions(spec, bound.probe, bound.campaign)
         require_room(spec, took, datetime.now(UTC))
@@ -108,18 +109,16 @@ def plan(
     json: JsonFlag = False,
 ) -> None:
     """What would happen when, if nothing is found; does nothing."""
-    from hil.pipeline.bound import bind
     from hil.schedule.forecast import forecast
     from hil.schedule.ledger import Ledger
     from hil.schedule.motions import motions, require_room
-    from hil.spec.schedule import load_schedule_spec
 
-    spec, now = load_schedule_spec(file), datetime.now(UTC)
+    bound, now = _bound(file, station), datetime.now(UTC)
+    spec = bound.spec
     zone = ZoneInfo(spec.timezone)
     end = until.replace(tzinfo=zone) if until else now + timedelta(weeks=weeks)
     if end <= now:
         raise SpecError(f"--until {until:%Y-%m-%dT%H:%M} is past", hint="give a later one")
-    bound = bind(spec, station)
     took = motions(spec, bound.probe, bound.campaign)
     require_room(spec, took, now)
     ledger = Ledger.read(_state(spec, state))
@@ -182,12 +181,9 @@ def systemd(
     json: JsonFlag = False,
 ) -> None:
     """Write units that run it, with the paths of these options; installs nothing."""
-    from hil.pipeline.bound import bind
     from hil.schedule.systemd import next_words, units_of, write_units
-    from hil.spec.schedule import load_schedule_spec
 
-    spec = load_schedule_spec(file)
-    bind(spec, station)
+    spec = _bound(file, station).spec
     arguments = [str(file.resolve())]
     given = {"--state": _state(spec, state), "--registry": registry, "--runs": runs}
     for option, path in (given | ({"--station": station} if station else {})).items():
@@ -205,6 +201,18 @@ def systemd(
     typer.echo("to install them:")
     for command in commands:
         typer.echo(f"  {command}")
+
+
+def _bound(file: Path, station: Path | None) -> Bound:
+    """The schedule with all that it names, checked."""
+    from hil.campaign.driver_check import check_driver
+    from hil.pipeline.bound import bind
+    from hil.spec.schedule import load_schedule_spec
+
+    bound = bind(load_schedule_spec(file), station, file)
+    for experiment in bound.experiments:
+        check_driver(experiment)
+    return bound
 
 
 def _state(spec: ScheduleSpec, given: Path | None) -> Path:

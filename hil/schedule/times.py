@@ -191,6 +191,8 @@ def _window(blackout: Blackout, day: date, zone: ZoneInfo) -> Window:
     begin, end = _time_of_day(blackout.begin), _time_of_day(blackout.end)
     end += _DAY if end <= begin else timedelta()
     span = f"{blackout.begin} to {blackout.end}"
+    if (blackout.begin, blackout.end) == ("00:00", "24:00") and blackout.first and blackout.last:
+        span = f"{blackout.first} to {blackout.last}"
     return Window(
         moment_of(midnight + begin, zone),
         moment_of(midnight + end, zone, last=True),
