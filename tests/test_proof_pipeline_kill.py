@@ -29,7 +29,7 @@ def test_everything_is_done_once_and_comes_to_the_same(tmp_path: Path) -> None:
             assert np.array_equal(found, expected)
             untouched += 1
         else:  # the rest of the motion was measured by an arm that was switched on again
-            assert np.max(np.abs(found - expected)) < 0.2 * np.std(expected)
+            assert np.max(np.abs(found - expected)) < 0.05 * np.std(expected)
     print(f"{lives} lives for {len(SEEDS)} occasions, {untouched} campaigns of one attempt")  # noqa: T201
     assert lives > 4 * len(SEEDS)
     assert untouched
