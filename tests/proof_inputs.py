@@ -26,6 +26,7 @@ FILES = (
     "tests/test_proof_recording.py",
     "tests/test_proof_schedule.py",
     "tests/test_proof_separation.py",
+    "tests/test_proof_simulation.py",
     "tests/test_proof_ur.py",
     "tests/test_proof_static.py",
     "tests/test_proof_stick_friction.py",

@@ -23,6 +23,9 @@ def test_robots_and_stations_are_those_of_the_specs() -> None:
         named = re.findall(rf"run experiments/{name}\.yaml +--station \S+/(\w+)\.yaml", text)
         if "robot" in spec:
             assert (robot, station) == (spec["robot"], named[0] if named else "built-in"), name
+        elif "campaign" in spec:
+            campaign = yaml.safe_load((FOLDER / spec["campaign"]["spec"]).read_text("utf-8"))
+            assert (robot, station) == (campaign["robot"], "built-in"), name
         else:
             assert station == Path(spec["station"]).stem, name
 

@@ -15,6 +15,7 @@ from hil.cli.live_view import LiveFlag, LiveHost, LivePort
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
+from hil.cli.simulating import SimulateOption, simulate_schedule
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ def run(
     campaign: CampaignFlag = False,
     registry: RegistryOption = HERE,
     state: StateOption = None,
+    simulate: SimulateOption = "",
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment, a series, or once what a schedule is about: from plan to report."""
@@ -100,8 +102,14 @@ def run(
 
     if is_schedule(spec):
         _refuse_attended(operator, answers, waive, wait, speed, first, live)
+        if simulate:
+            _refuse_kept(campaign, state, registry != HERE)
+            simulate_schedule(spec, station, runs, simulate, json=json)
+            return
         reidentify.run_schedule(spec, station, runs, registry, state, campaign=campaign, json=json)
         return
+    if simulate:
+        raise SpecError(f"{spec} is no schedule: there are no weeks to --simulate")
     part = commissioning_of(speed, first)
     attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
 
@@ -126,6 +134,15 @@ def _refuse_attended(*given: object) -> None:
             "--operator, --answers, --waive, --wait, --speed, --first and --live are for runs that "
             "somebody attends, not for schedules",
             hint="run its experiments by themselves to try them",
+        )
+
+
+def _refuse_kept(*given: object) -> None:
+    """A simulation touches no registry or state but its own, and does what is due."""
+    if any(given):
+        raise SpecError(
+            "--campaign, --registry and --state do not go with --simulate",
+            hint="a simulation has a registry and a state of its own, in its folder",
         )
 
 

@@ -30,6 +30,10 @@ FEWEST = 3
 """Limits that fewer probes have told are wider than the picture."""
 
 
+WHOLE = 20
+"""Up to so many probes each has a number on the axis."""
+
+
 @dataclass(frozen=True, slots=True)
 class Along:
     """What the probes stand along: time, weeks, or their number.
@@ -51,6 +55,8 @@ class Along:
         layout = axes(self.title, y_title, **more)
         if any(isinstance(x, str) for x in self.x):
             layout["xaxis"] |= {"type": "date", "nticks": 4}
+        elif len(self.x) <= WHOLE:
+            layout["xaxis"] |= {"dtick": 1}
         dots = {"color": colours.NEUTRAL, "width": 1.5, "dash": "dot"}
         mark = {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "line": dots}
         word = {"yref": "paper", "y": 1, "yanchor": "top", "xanchor": "left", "showarrow": False}

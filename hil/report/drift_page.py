@@ -73,7 +73,7 @@ def drift_page(registry: Registry, name: str) -> Page:
         badge=badge(newest),
         summary=_sentence(newest.probe.text),
         key_figures=key_figures(told),
-        sections=(*drift_sections(told, along, unit), champions_section(log)),
+        sections=(*drift_sections(told, along, unit), champion_changes(log)),
         footer=f"Made by hil {version('hil')} from the registry's files; it can be made again at "
         f"any time: hil drift {name} --page FILE.",
     )
@@ -141,12 +141,18 @@ def drift_sections(told: Sequence[Banded], along: Along, unit: str) -> list[Sect
     ]
 
 
-def champions_section(log: Sequence[Entry]) -> Section:
+def champion_changes(log: Sequence[Entry]) -> Section:
     """What was done to the models, and why."""
     titles = ("when", "version", "what was done", "why", "by")
     columns = tuple(Column(title, number=False) for title in titles)
     rows = tuple(
-        cells(when(e.at), f"v{e.version}", EVENTS.get(e.event, e.event), e.reason or UNKNOWN, e.by)
+        cells(
+            when(e.at) or UNKNOWN,
+            f"v{e.version}",
+            EVENTS.get(e.event, e.event),
+            e.reason or UNKNOWN,
+            e.by,
+        )
         for e in log
     )
     lead = (
@@ -191,8 +197,9 @@ def _probes_section(told: Sequence[Banded], along: Along, unit: str) -> Section:
 
 def _probes_table(told: Sequence[Banded], along: Along) -> Table:
     columns = (
-        Column("taken", number=False), Column("what it says", number=False), Column("chance"),
-        Column("champion", number=False), Column("probe", number=False),
+        Column("taken", number=False), Column("what it says", number=False),
+        Column("chance", number=False), Column("champion", number=False),
+        Column("probe", number=False),
     )  # fmt: skip
     rows = tuple(
         (

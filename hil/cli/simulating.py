@@ -1,0 +1,87 @@
+"""`hil run SCHEDULE --simulate 12w`: weeks of a schedule on the embedded mock, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hil.cli.output import print_json, print_table
+from hil.cli.runs import fail
+from hil.errors import HilError, SpecError
+
+SimulateOption = Annotated[
+    str,
+    typer.Option(
+        "--simulate",
+        metavar="DURATION",
+        help="A schedule: live through so much time at once on the embedded mock, such as 12w.",
+    ),
+]
+
+
+def simulate_schedule(
+    path: Path, station: Path | None, runs: Path, lasting: str, *, json: bool
+) -> None:
+    """Live through a schedule, and tell what came of it.
+
+    Args:
+        path: Its file.
+        station: In place of the one it names.
+        runs: A folder for everything is made below it.
+        lasting: How long, as people write it.
+        json: Whether to print one document and nothing else.
+    """
+    from hil.campaign.extras import require_extras
+    from hil.campaign.series_folder import new_folder
+    from hil.engine.signals import ignore_from_now_on
+    from hil.pipeline.bound import bind
+    from hil.pipeline.simulation import require_mock, simulate
+    from hil.record.numbering import name_for_path
+    from hil.report.simulation_page import render_simulation
+    from hil.spec.schedule import load_schedule_spec
+
+    spec, duration = load_schedule_spec(path), _duration(lasting)
+    bound = bind(spec, station, path)
+    require_mock(bound)
+    for experiment in bound.experiments:
+        require_extras(experiment.spec)
+    above = runs / datetime.now().astimezone().date().isoformat() / "simulations"
+    folder = new_folder(above, f"simulation-{name_for_path(spec.name)}")
+    told = simulate(spec, duration, folder, station=station, tell=_said)
+    page = render_simulation(folder)
+    ignore_from_now_on()
+    failed = [each for each in told["occasions"] if each["event"] == "failed"]
+    if json:
+        print_json(told | {"folder": str(folder), "report": str(page)})
+    else:
+        columns = ("week", "room [°C]", "champion", "what came of it")
+        print_table(columns, [_row(each) for each in told["occasions"]])
+        typer.echo(f"report: {page}")
+    if failed:
+        told_why = f"{len(failed)} of {len(told['occasions'])} occasions failed: {failed[0]['why']}"
+        fail(HilError(told_why, hint=f"see {folder}"), json)
+
+
+def _duration(text: str) -> timedelta:
+    from hil.spec.durations import duration_of
+
+    try:
+        return duration_of(text)
+    except ValueError as error:
+        raise SpecError(f"--simulate {error}") from None
+
+
+def _said(line: Mapping[str, Any]) -> None:
+    if line["event"] in ("done", "failed", "missed", "deferred"):
+        text = line.get("why") or line["result"]["text"]
+        typer.echo(f"{line['at'][:16]} {line['occasion']}: {text}", err=True)
+
+
+def _row(each: Mapping[str, Any]) -> tuple[str, ...]:
+    result = each["result"] or {}
+    text = str(result.get("text") or f"{each['event']}: {each['why']}")
+    return f"{each['week']:g}", f"{each['room_c']:g}", str(result.get("champion") or ""), text

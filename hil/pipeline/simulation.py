@@ -1,0 +1,255 @@
+"""A schedule on the embedded mock, weeks of it at once: the real loop and work, another clock.
+
+    FOLDER/runs/ registry/     what the work makes, as ever
+    FOLDER/state/              the loop's ledger and occasions
+    FOLDER/simulation.json     every occasion: the conditions it met, and what came of it
+    FOLDER/report.html
+
+The clock shows when something is due, and goes on by what motions take. Everything else is as on a
+real robot, but for the room, the wear and the noise, which are other ones on every occasion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.campaign.experiment import Experiment
+from hil.campaign.robots import opened
+from hil.data.load import load_source
+from hil.drift.warmth import friction_change
+from hil.errors import SpecError
+from hil.fitting import usable_part
+from hil.pipeline.adapted import with_options
+from hil.pipeline.bound import Bound, bind
+from hil.pipeline.measuring import run_of
+from hil.pipeline.reidentify import reidentification
+from hil.record.files import json_document, write_replacing
+from hil.registry.registry import Registry
+from hil.schedule.clocks import VirtualClock
+from hil.schedule.ledger import kept, occasion_of
+from hil.schedule.loop import Line, Scheduler
+from hil.schedule.motions import Motions, motions, require_room
+from hil.schedule.occasion import Occasion, Work
+from hil.schedule.times import begin_of
+from hil.spec.schedule import ScheduleSpec
+from hil.typing import FloatArray
+
+DOCUMENT, PAGE = "simulation.json", "report.html"
+FORMAT = 1
+
+STAGES = ("probe", "campaign", "check")
+"""Runs of an occasion; each has a noise of its own."""
+
+LITTLE = timedelta(minutes=1)
+"""What is due at the very end is done."""
+
+WEEK = timedelta(weeks=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What an occasion meets.
+
+    Attributes:
+        day: Since the simulation's begin.
+        room_c: Temperature of the room [°C].
+        wear: Factor on the friction of each joint; empty for a robot as good as new.
+    """
+
+    day: int
+    room_c: float
+    wear: tuple[float, ...]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Of the mock."""
+        return {"room_c": self.room_c} | ({"wear": list(self.wear)} if self.wear else {})
+
+
+def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Conditions:
+    """What an occasion meets; the same whenever it is asked for."""
+    since = occasion.due - begin
+    dice = np.random.default_rng([spec.simulate.seed, int(since.total_seconds())])
+    room = round(float(dice.uniform(*spec.simulate.room_c)), 1)
+    come = [wear.factors for wear in spec.simulate.wear if wear.after <= since]
+    return Conditions(since.days, room, come[-1] if come else ())
+
+
+def simulate(
+    spec: ScheduleSpec,
+    lasting: timedelta,
+    folder: Path,
+    *,
+    station: Path | None = None,
+    tell: Callable[[Line], object] = lambda line: None,
+) -> dict[str, Any]:
+    """Live through a schedule; see the module.
+
+    Args:
+        spec: From `load_schedule_spec`.
+        lasting: How long, from its `start`; what is due at the very end is done.
+        folder: Empty; everything goes there.
+        station: In place of the one the schedule names.
+        tell: Is told every line of the ledger.
+
+    Returns:
+        What is in `simulation.json`.
+
+    Raises:
+        SpecError: A robot is not the embedded mock, or it cannot meet these conditions.
+        HilError: Something failed; what is done until then is in the folder.
+    """
+    bound = bind(spec, station)
+    require_mock(bound)
+    begin = begin_of(spec, datetime.now(UTC))
+    moving = motions(spec, bound.probe, bound.campaign)
+    require_room(spec, moving, begin)
+    clock = VirtualClock(begin)
+    work = reidentification(
+        spec, registry=Registry(folder / "registry"), runs=folder / "runs", station=station,
+        adapt=_Adapted(bound, begin, folder / "runs"),
+    )  # fmt: skip
+    with kept(folder / "state", spec.name) as ledger:
+        lived = _Timed(work, clock, moving)
+        loop = Scheduler(spec, ledger, lived, clock, lasting=moving.longest, tell=tell)
+        loop.run(begin + lasting + LITTLE)
+    document = _document(bound, begin, lasting, moving, ledger.lines)
+    document["warmth"] = _warmth(folder, bound.name, document["occasions"])
+    write_replacing(folder / DOCUMENT, json_document(document))
+    return document
+
+
+def require_mock(bound: Bound) -> None:
+    """Refuse to play with time on anything but the embedded mock, under conditions it can meet.
+
+    Raises:
+        SpecError: A robot is another one, or does not know such conditions.
+    """
+    for experiment in bound.experiments:
+        robot, name = experiment.robot, experiment.spec.robot
+        if robot.driver != "mock" or robot.options.get("clock", "virtual") != "virtual":
+            clock = " in wall time" if robot.driver == "mock" else ""
+            raise SpecError(
+                f"{name} ({experiment.station_source}) has the driver {robot.driver}{clock}: only "
+                "the embedded mock lives through weeks at once",
+                hint="leave --simulate out, or name another station with --station",
+            )
+    simulated = bound.spec.simulate
+    for room in simulated.room_c:
+        for wear in ((), *(each.factors for each in simulated.wear)):
+            met = Conditions(0, room, wear)
+            with opened(bound.campaign.spec.robot, with_options(bound.campaign, met.options).robot):
+                pass
+
+
+@dataclass(frozen=True, slots=True)
+class _Adapted:
+    """Experiments under the conditions of their occasion."""
+
+    bound: Bound
+    begin: datetime
+    runs: Path
+
+    def __call__(self, experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:
+        met = conditions(self.bound.spec, self.begin, occasion)
+        noise = {"day": len(STAGES) * met.day + STAGES.index(stage)}
+        warm = self._after_the_campaign(occasion) if stage == "check" else {}
+        return with_options(experiment, met.options | noise | warm)
+
+    def _after_the_campaign(self, occasion: Occasion) -> dict[str, float]:
+        """The arm does not cool down between two programs."""
+        key = f"{self.bound.spec.name}/{occasion.id}/campaign"
+        run = run_of(self.runs, self.bound.campaign, key)
+        if run is None:
+            return {}
+        return {"temperature_c": float(np.mean(load_source(run)["temperature"][-1]))}
+
+
+@dataclass(frozen=True, slots=True)
+class _Timed:
+    """Work that takes the time of its motions."""
+
+    work: Work
+    clock: VirtualClock
+    moving: Motions
+
+    def __call__(self, occasion: Occasion, folder: Path) -> Mapping[str, Any]:
+        document = self.work(occasion, folder)
+        short, full = self.moving.probe, self.moving.campaign
+        for stage in document["runs"]:
+            self.clock.advance(full if stage == "campaign" else short)
+        return document
+
+
+def _document(
+    bound: Bound, begin: datetime, lasting: timedelta, moving: Motions, ledger: Sequence[Line]
+) -> dict[str, Any]:
+    spec = bound.spec
+    lines = [line for line in ledger if line["event"] in ("done", "failed", "missed")]
+    return {
+        "hil_simulation": FORMAT,
+        "name": spec.name,
+        "description": spec.description,
+        "model": bound.name,
+        "begin": begin.isoformat(),
+        "weeks": lasting / WEEK,
+        "false_alarm": spec.false_alarm,
+        "probe_s": moving.probe.total_seconds(),
+        "warm_up_s": bound.probe.spec.warm_up.duration_s if bound.probe else 0.0,
+        "campaign_s": moving.campaign.total_seconds(),
+        "simulate": spec.simulate.model_dump(mode="json"),
+        "wear_weeks": [each.after / WEEK for each in spec.simulate.wear],
+        "occasions": [_lived(spec, begin, line) for line in lines],
+    }
+
+
+def _lived(spec: ScheduleSpec, begin: datetime, line: Line) -> dict[str, Any]:
+    occasion = occasion_of(line["occasion"])
+    met = conditions(spec, begin, occasion)
+    told = {"id": occasion.id, "job": occasion.job, "week": (occasion.due - begin) / WEEK}
+    told |= {"day": met.day, "room_c": met.room_c, "wear": list(met.wear), "event": line["event"]}
+    return told | {"why": line.get("why", ""), "result": line.get("result")}
+
+
+def _warmth(folder: Path, name: str, occasions: Sequence[Mapping[str, Any]]) -> Any:
+    """What warmth does to friction over the probe's motion, by the first champion's law.
+
+    Once from the beginning to the end of the first campaign, once from the coldest moment of all
+    runs to the warmest; None where that is not known.
+    """
+    runs = [each["result"]["runs"] for each in occasions if each["result"]]
+    probe = next((each["probe"] for each in runs if "probe" in each), None)
+    campaign = next((each["campaign"] for each in runs if "campaign" in each), None)
+    celsius = [_temperatures(Path(run)) for each in runs for run in each.values()]
+    if probe is None or campaign is None or any(each is None for each in celsius):
+        return None
+    first = next(each["result"]["champion"] for each in occasions if each["result"])
+    model = Registry(folder / "registry").load(name, first)
+    data = usable_part(load_source(Path(probe)), model)
+    whole = np.concatenate([each for each in celsius if each is not None])
+    warming = _temperatures(Path(campaign))
+    assert warming is not None
+    spans = {"campaign": (warming[0], warming[-1]), "all": (whole.min(axis=0), whole.max(axis=0))}
+    return {
+        "joint_names": list(model.joint_names_),
+        **{
+            key: {
+                "from_c": cold.tolist(),
+                "to_c": warm.tolist(),
+                "friction_change": friction_change(model, data, cold, warm).tolist(),
+            }
+            for key, (cold, warm) in spans.items()
+        },
+    }
+
+
+def _temperatures(run: Path) -> FloatArray | None:
+    """(N, n) of the joints; None where they were not recorded."""
+    data = load_source(run)
+    return data["temperature"] if "temperature" in data.columns else None

@@ -1,0 +1,264 @@
+"""The page of `hil run SCHEDULE --simulate`: weeks of a mock, what changed, and what was done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.drift.bands import Banded, banded
+from hil.drift.chart import REFERENCE
+from hil.record.files import read_json, require_known_version
+from hil.registry.log import Entry
+from hil.registry.registry import Registry
+from hil.report import colours
+from hil.report import drift_figures as figures
+from hil.report.blocks import (
+    Badge,
+    Block,
+    Cell,
+    Column,
+    KeyFigure,
+    Notes,
+    Page,
+    Panel,
+    Plots,
+    Section,
+    Table,
+    cells,
+)  # fmt: skip
+from hil.report.drift_figures import Along
+from hil.report.drift_page import champion_changes, drift_sections, effort_unit
+from hil.report.render import write_page
+from hil.report.simulation_found import Found, found, worn
+from hil.report.traces import line
+from hil.report.words import UNKNOWN, duration, joint_title, listed, number
+
+Document = Mapping[str, Any]
+
+SHORTLY = 0.12
+"""Weeks after its probe at which a new champion is drawn."""
+
+
+def render_simulation(folder: Path, name: str = "report.html") -> Path:
+    """Write the page of a simulation into its folder.
+
+    Raises:
+        DataError, RecordingError: The document cannot be read, or the page not be written.
+        RegistryError: The registry of the simulation was changed.
+    """
+    return write_page(simulation_page(folder), folder / name)
+
+
+def simulation_page(folder: Path) -> Page:
+    """The page as blocks.
+
+    Raises:
+        DataError, RegistryError: See `render_simulation`.
+    """
+    told = read_json(folder / "simulation.json")
+    require_known_version(folder / "simulation.json", told, "hil_simulation", 1)
+    registry, model = Registry(folder / "registry"), str(told["model"])
+    probes, along = _in_weeks(banded(registry, model), told)
+    unit = effort_unit(registry, model)
+    what = found(told)
+    return Page(
+        title=str(told["name"]),
+        subtitle=f"{told['weeks']:g} weeks of a mock, lived through at once",
+        badge=_badge(what),
+        summary=" ".join(what.sentences),
+        key_figures=tuple(_key_figures(told, what)),
+        sections=(
+            Section("shown", "What it shows", "", tuple(_shown(told, what))),
+            _timeline(told, what, along, unit),
+            _warmth(told, unit),
+            *(drift_sections(probes, along, unit) if probes else ()),
+            _champions(registry.log(model), told),
+        ),
+        footer=f"Made by hil {version('hil')} from the simulation's folder. The robot is the "
+        "embedded mock: the loop, the work and the registry are those of a real one, the clock and "
+        "the weather are not.",
+    )
+
+
+def _in_weeks(told: Sequence[Banded], document: Document) -> tuple[list[Banded], Along]:
+    """Probes with the week they were due in."""
+    weeks = {
+        each["result"]["drift"]["uid"]: float(each["week"])
+        for each in document["occasions"]
+        if each["result"] and each["result"]["drift"]
+    }
+    kept = [one for one in told if one.probe.uid in weeks]
+    changes = [
+        (float(each["week"]) + SHORTLY, str(each["result"]["champion"]))
+        for each in document["occasions"]
+        if each["result"] and each["result"]["champion"] != each["result"]["before"]
+    ]
+    x = tuple(weeks[one.probe.uid] for one in kept)
+    return kept, Along(x, "week [1]", "week", tuple(changes))
+
+
+def _badge(what: Found) -> Badge:
+    missed = [one for one in what.criteria if not one.met]
+    if not missed:
+        return Badge(f"all {len(what.criteria)} as it should be", "pass")
+    return Badge(f"{len(missed)} of {len(what.criteria)} not as it should be", "fail")
+
+
+def _key_figures(told: Document, what: Found) -> list[KeyFigure]:
+    promoted = [f"week {week:g}" for week in what.promoted]
+    figures_ = [
+        KeyFigure(
+            "probe", duration(told["probe_s"]),
+            f"of motion, {duration(told['warm_up_s'])} of it to warm up",
+        ),
+        KeyFigure(
+            "false alarms", f"{100 * told['false_alarm']:g} %",
+            "of probes of an unchanged robot, all joints and causes together",
+        ),
+        KeyFigure("promoted", listed(promoted) or UNKNOWN, "the first champion counts"),
+    ]  # fmt: skip
+    if np.isfinite(what.after):
+        label = f"of the error of week {what.first_week:g}, mean over joints and weeks"
+        figures_.append(
+            KeyFigure("error after the last promotion", f"{100 * what.after:.0f} %", label)
+        )
+    return figures_
+
+
+def _shown(told: Document, what: Found) -> list[Block]:
+    columns = tuple(Column(title, number=False) for title in ("what", "met", "found"))
+    rows = tuple(
+        (Cell(one.asked), Cell("yes", "pass") if one.met else Cell("no", "fail"), Cell(one.found))
+        for one in what.criteria
+    )
+    low, high = told["simulate"]["room_c"]
+    notes = (
+        f"A probe moves the robot for {duration(told['probe_s'])}, "
+        f"{duration(told['warm_up_s'])} of that to warm up; the full program for "
+        f"{duration(told['campaign_s'])}.",
+        f"A probe of an unchanged robot is called changed with a probability of "
+        f"{100 * told['false_alarm']:g} %, over all joints and causes together.",
+        f"Every occasion finds the room between {low:g} and {high:g} °C, and measures with noise "
+        "of its own.",
+        f"With every new champion the comparison begins anew: its first {REFERENCE} probes tell "
+        "what the robot is like under it, and limits are wide until then.",
+    )
+    return [Table("What the weeks show", columns, rows), Notes(notes)]
+
+
+def _timeline(told: Document, what: Found, along: Along, unit: str) -> Section:
+    joints = what.joints
+    weeks, errors = what.weeks, what.errors
+    at = Along(tuple(weeks), "week [1]", "week", along.changes)
+    panel = figures.joints_over(
+        "The champion's error on each week's probe", errors, at, joints, f"RMSE [{unit}]", log=True
+    )
+    overall = np.mean(errors / what.level, axis=1) if len(errors) else np.empty(0)
+    mean = line(np.array(weeks), 100 * overall, "mean", colours.MEASURED) | {
+        "mode": "lines+markers"
+    }
+    share = f"share of week {what.first_week:g} [%]"
+    layout = at.layout(share) | {"showlegend": False}
+    layout["yaxis"] |= {"rangemode": "tozero"}
+    all_joints = Panel(
+        "The same, mean over the joints", {"data": [mean], "layout": layout},
+        f"error as a {share}: {number(float(100 * overall.min()))} to "
+        f"{number(float(100 * overall.max()))}" if len(overall) else "no probes", True,
+    )  # fmt: skip
+    blocks: tuple[Block, ...] = (
+        Plots(
+            "Error", "Before what a week brings, and after it where a challenger was promoted. "
+            "The dotted lines are new champions.",
+            (panel, all_joints), figures.joint_legend(joints),
+        ),
+        _weeks_table(told, what),
+    )  # fmt: skip
+    return Section("weeks", "Week by week", "", blocks)
+
+
+def _weeks_table(told: Document, what: Found) -> Table:
+    columns = (
+        Column("week", number=False), Column("what came of it", number=False),
+        Column("champion", number=False), Column("error [%]", number=False),
+        Column("room [°C]", number=False),
+        Column("friction", number=False),
+    )  # fmt: skip
+    rows = tuple(
+        (
+            Cell(f"{each['week']:g}"),
+            Cell(*_came_of(each)),
+            Cell(str((each["result"] or {}).get("champion") or UNKNOWN)),
+            Cell(what.share_of(each)),
+            Cell(f"{each['room_c']:g}"),
+            Cell(worn(each["wear"], "{joint} × {factor:g}")),
+        )
+        for each in told["occasions"]
+    )
+    note = (
+        "Error: of the champion on the probe, before anything is done about it; mean over the "
+        f"joints, as a share of week {what.first_week:g}."
+    )
+    return Table("Every occasion", columns, rows, note)
+
+
+def _came_of(each: Document) -> tuple[str, Any]:
+    if each["result"] is None:
+        return f"{each['event']}: {each['why']}", "fail" if each["event"] == "failed" else "warn"
+    marks = {"promoted": "pass", "kept": "warn", "drift": "warn"}
+    drift, text = each["result"]["drift"], str(each["result"]["text"])
+    # A decision says why the campaign was run, which is what the probe has told.
+    said = f"{drift['text']}. " if drift and drift["text"] not in text else ""
+    return f"{said}{text}", marks.get(each["result"]["outcome"], "")
+
+
+def _warmth(told: Document, unit: str) -> Section:
+    """The room, and what warmth alone does to friction."""
+    occasions = told["occasions"]
+    weeks = np.array([float(each["week"]) for each in occasions])
+    room = np.array([float(each["room_c"]) for each in occasions])
+    at = Along(tuple(weeks), "week [1]", "week")
+    trace = line(weeks, room, "room", colours.NEUTRAL) | {"mode": "lines+markers"}
+    panel = Panel(
+        "The room", {"data": [trace], "layout": at.layout("temperature [°C]")},
+        f"room from {room.min():g} to {room.max():g} °C", True,
+    )  # fmt: skip
+    plots = Plots("Temperature of the room", "Drawn anew for every occasion.", (panel,))
+    return Section("warmth", "Warmth", "", (*_warmth_table(told), plots))
+
+
+def _warmth_table(told: Document) -> list[Block]:
+    warmth = told.get("warmth")
+    if warmth is None:
+        return []
+    columns = [Column("joint", number=False)]
+    for group in ("first campaign, begin to end", "coldest to warmest moment of all"):
+        columns += [Column("temperature [°C]", group, False), Column("friction [%]", group)]
+    rows = []
+    for j, name in enumerate(warmth["joint_names"]):
+        row = [joint_title(j, name)]
+        for part in (warmth["campaign"], warmth["all"]):
+            row += [f"{part['from_c'][j]:.1f} → {part['to_c'][j]:.1f}"]
+            row += [f"{100 * part['friction_change'][j]:+.1f}"]
+        rows.append(cells(*row))
+    note = (
+        "Over the probe's motion, by the law of the first champion; no probe may call it a change, "
+        "and no challenger may win or lose by it."
+    )
+    return [Table("What warmth alone does to friction", tuple(columns), tuple(rows), note)]
+
+
+def _champions(log: Sequence[Entry], told: Document) -> Section:
+    """The registry's log, in weeks."""
+    week = {
+        each["result"]["challenger"]: f"week {each['week']:g}"
+        for each in told["occasions"]
+        if each["result"] and each["result"]["challenger"]
+    }
+    return champion_changes(
+        [replace(entry, at=week.get(f"v{entry.version}", entry.at)) for entry in log]
+    )
