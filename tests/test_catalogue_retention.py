@@ -152,8 +152,8 @@ def test_probes_of_the_champion_stay_and_others_may_go(
 ) -> None:
     from hil.drift import history
 
-    version(tmp_path / "models", {"trained_on": ["another"]})
-    version(tmp_path / "models", {"trained_on": ["another"]})
+    version(tmp_path / "models", {"run": {"uid": "another"}})
+    version(tmp_path / "models", {"run": {"uid": "another"}})
     home = Registry(tmp_path / "models")
     home.promote("ur5", 2, reason="", evidence={}, instead_of=0)
 
@@ -416,3 +416,29 @@ def test_recordings_of_one_name_are_told_apart_when_a_model_is_registered(
     version(tmp_path / "models", facts)
     assert len(set(facts["data_sha256"].values())) == 4
     assert gone(runs, ALL, tmp_path / "models") == [2]
+
+
+def test_a_renamed_run_stays_by_the_rows_that_the_model_remembers(tmp_path: Path) -> None:
+    from report_runs import fourier_plan, robot_facts, rows_of_plan
+    from report_runs import write_run as recorded
+
+    from hil import api
+    from hil.registry.facts import facts_of
+
+    robot = robot_facts()
+    first, second = rows_of_plan(fourier_plan()), rows_of_plan(fourier_plan())
+    second["effort"] += 0.003
+    made = [
+        recorded(tmp_path / "runs", fourier_plan(), rows=rows, robot=robot).path
+        for rows in (first, second)
+    ]
+    told = api.fit(made[0], estimator="rigid-wls", out=tmp_path / "fitted").to_dict()
+    model = Path(told["model"])
+    Registry(tmp_path / "models").register("ur5", model, facts_of(model))
+    made[0].rename(made[0].with_name("0001-of-another-name"))
+    in_a_while = time.time() + 10 * 86_400.0
+    decisions = decide(tmp_path / "runs", ALL, [tmp_path / "models"], in_a_while)
+    assert [one.why for one in decisions] == ["ur5 v1 was fitted to it", ""]
+    next((tmp_path / "models").rglob("model.json")).unlink()
+    with pytest.raises(RegistryError, match="does not say what it was fitted to"):
+        decide(tmp_path / "runs", ALL, [tmp_path / "models"], in_a_while)

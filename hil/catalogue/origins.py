@@ -35,6 +35,15 @@ class Vague:
 
 
 @dataclass(frozen=True, slots=True)
+class Lost:
+    """A version that was fitted to a run of this name, which may be called otherwise by now."""
+
+    name: str
+    model: Path
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Origins:
     """What models and probes came from, each with the reason for keeping it.
 
@@ -44,6 +53,7 @@ class Origins:
         names: Of run directories.
         digests: SHA-256 of recordings.
         vague: What may be any of several.
+        by_name: Versions of which nothing but names of runs is known.
     """
 
     uids: dict[str, str] = field(default_factory=dict)
@@ -51,6 +61,7 @@ class Origins:
     names: dict[str, str] = field(default_factory=dict)
     digests: dict[str, str] = field(default_factory=dict)
     vague: list[Vague] = field(default_factory=list)
+    by_name: list[Lost] = field(default_factory=list)
 
     def why(self, run: Path, facts: Mapping[str, Any]) -> str:
         """Why a run has to stay; empty where no model came from it.
@@ -84,7 +95,10 @@ class Origins:
             self.folders[Path(str(folder)).parts[-_BELOW:]] = why
         trained = [str(name).removesuffix(PARTIAL_SUFFIX) for name in facts.get("trained_on") or ()]
         files = [name for name in trained if name.endswith(".mcap")]
-        self.names.update({name: why for name in trained if name not in files})
+        named = [name for name in trained if name not in files]
+        self.names.update(dict.fromkeys(named, why))
+        if not of_run:
+            self.by_name.extend(Lost(name, version.folder, why) for name in named)
         digests = {str(digest) for digest in (facts.get("data_sha256") or {}).values()}
         self.digests.update(dict.fromkeys(digests, why))
         if len(files) > len(digests) or not (of_run or trained or digests):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
@@ -12,10 +12,11 @@ from typing import Any
 
 from hil.campaign.series_folder import SeriesFolder, is_series_folder
 from hil.catalogue.facts import started_s
-from hil.catalogue.origins import Origins, origins
+from hil.catalogue.origins import Lost, Origins, origins
+from hil.catalogue.trained_rows import why_by_rows
 from hil.catalogue.view import find_runs
 from hil.errors import DataError, SpecError
-from hil.record.numbering import folders_in
+from hil.record.numbering import folders_in, run_folders
 from hil.record.rundir import RunDirectory
 from hil.spec.durations import duration_text
 
@@ -106,6 +107,8 @@ def decide(
         or _by_policy(Path(run["run"]), run, policy, newer[run["run"]], at)
         for run in entries
     ]
+    known_by_rows = why_by_rows(_lost(known, runs))
+    found = [_unless(one, known_by_rows) if one.goes else one for one in found]
     together = _with_their_series(found, _series(runs))
     return [one for one in together if str(one.run) in asked]
 
@@ -145,6 +148,17 @@ def _by_policy(
     if policy.recordings_only and not RunDirectory(run).recordings:
         return Decision(run, "it has no recording")
     return Decision(run, size=size_of(run, policy))
+
+
+def _lost(known: Origins, runs: Path) -> list[Lost]:
+    """Versions that were fitted to a run which is not there by that name."""
+    there = {path.name for path in run_folders(runs)}
+    return [one for one in known.by_name if one.name not in there]
+
+
+def _unless(decision: Decision, why: Callable[[Path], str]) -> Decision:
+    told = why(decision.run)
+    return Decision(decision.run, told, guarded=True) if told else decision
 
 
 def size_of(run: Path, policy: Policy) -> int:
