@@ -23,7 +23,7 @@ from hil.cli.app import app
 from hil.errors import DataError, FitError
 from hil.executor import one_thread
 from hil.fleet import fitting
-from hil.fleet.fit_task import FitResult, How
+from hil.fleet.fit_task import FitResult, How, fit_at
 from hil.fleet.fitting import RobotFit, computed, fit_runs, kept, registered
 from hil.fleet.members import experiment_for, spec_for
 from hil.registry.registry import Registry
@@ -98,6 +98,11 @@ def test_a_worker_that_sees_no_run_is_sent_the_samples_and_finds_the_same_bits(
     found = fit_runs(runs, HOW, workers=1, dask="tcp://127.0.0.1:8786", tell=counts.append)
     assert [one.files for one in found] == [one.files for one in results]
     assert counts[-1] == len(runs)
+
+
+def test_another_run_at_the_same_path_is_not_taken_for_it(runs: list[Path]) -> None:
+    assert fit_at(runs[0], "another", HOW) is None
+    assert fit_at(runs[0].with_name("gone"), "another", HOW) is None
 
 
 def test_a_dask_cluster_finds_the_same_bits(runs: list[Path], results: list[FitResult]) -> None:
