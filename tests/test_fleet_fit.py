@@ -105,13 +105,19 @@ def test_another_run_at_the_same_path_is_not_taken_for_it(runs: list[Path]) -> N
     assert fit_at(runs[0].with_name("gone"), "another", HOW) is None
 
 
-def test_a_dask_cluster_finds_the_same_bits(runs: list[Path], results: list[FitResult]) -> None:
+def test_a_dask_cluster_finds_the_same_bits_by_path_and_by_samples(
+    runs: list[Path], results: list[FitResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
     distributed = pytest.importorskip("distributed", reason="distributed is not installed")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as made:
-        found = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
-    assert [one.files for one in found] == [one.files for one in results]
+        seen = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
+        # workers find another run there than the one they are asked for
+        monkeypatch.setattr(fitting, "identity", lambda run: ("another", ""))
+        sent = fit_runs(runs, HOW, workers=1, dask=made.scheduler_address)
+    for found in (seen, sent):
+        assert [one.files for one in found] == [one.files for one in results]
 
 
 def test_what_a_dead_process_took_along_is_computed_again(tmp_path: Path) -> None:
