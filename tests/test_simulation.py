@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.errors import SpecError
-from hil.pipeline.simulation import conditions, simulate
+from hil.pipeline.simulation import conditions
 from hil.registry.registry import Registry
 from hil.report.simulation_page import simulation_page
 from hil.schedule.ledger import Ledger
@@ -51,9 +51,13 @@ def written(folder: Path, robot: Any = OWN, **simulated: Any) -> Path:
 def lived(tmp_path_factory: pytest.TempPathFactory) -> Lived:
     """A first champion, a quiet week, and one in which a joint has nearly twice the friction."""
     folder = tmp_path_factory.mktemp("simulation")
-    spec = load_schedule_spec(written(folder))
-    told = simulate(spec, timedelta(weeks=2), folder / "lived")
-    return Lived(spec, folder / "lived", told)
+    path = written(folder)
+    done = CliRunner().invoke(
+        app, ["run", str(path), "--simulate", "2w", "--runs", str(folder / "runs"), "--json"]
+    )
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    return Lived(load_schedule_spec(path), Path(told["folder"]), told)
 
 
 def test_what_changes_is_seen_and_the_robot_identified_again(lived: Lived) -> None:
@@ -68,7 +72,10 @@ def test_what_changes_is_seen_and_the_robot_identified_again(lived: Lived) -> No
 
 def test_everything_is_in_one_folder_and_the_clock_is_that_of_the_weeks(lived: Lived) -> None:
     names = sorted(path.name for path in lived.folder.iterdir())
-    assert names == ["registry", "runs", "simulation.json", "state"]
+    assert names == ["registry", "report.html", "runs", "simulation.json", "state"]
+    kept = json.loads((lived.folder / "simulation.json").read_text("utf-8"))
+    assert lived.told == kept | {key: lived.told[key] for key in ("folder", "report")}
+    assert Path(lived.told["report"]).is_file()
     lines = Ledger.read(lived.folder / "state").lines
     done = [datetime.fromisoformat(line["at"]) for line in lines if line["event"] == "done"]
     assert [moment.date() for moment in done] == [
@@ -99,6 +106,12 @@ def test_conditions_are_drawn_for_the_occasion_and_not_in_passing(lived: Lived) 
     assert len({each.room_c for each in met.values()}) == 3
     assert all(20 <= each.room_c <= 22 for each in met.values())
     assert [met[each].wear for each in weeks[1:]] == [(), ()]
+
+
+@pytest.mark.parametrize(("days", "wear"), [(7, ()), (8, (1.0, 1.8, 1.0, 1.0, 1.0, 1.0))])
+def test_wear_holds_from_its_moment_on(lived: Lived, days: int, wear: tuple[float, ...]) -> None:
+    at = Occasion(BEGIN + timedelta(days=days), "probe")
+    assert conditions(lived.spec, BEGIN, at).wear == wear
 
 
 def test_an_arm_that_does_not_warm_up_has_no_friction_by_warmth(lived: Lived) -> None:

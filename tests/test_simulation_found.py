@@ -86,6 +86,14 @@ def test_an_error_that_stays_is_told() -> None:
     assert missed(worse) == ["the error is back at that of the first probe, within 10 %"]
 
 
+def test_without_probes_there_are_no_errors_to_compare() -> None:
+    weeks = [FIRST, {**SEEN, "result": SEEN["result"] | {"errors": None, "drift": None}}]
+    what = found({**told(weeks), "wear_weeks": [], "simulate": {"wear": []}})
+    assert what.weeks == ()
+    assert np.isnan(what.after)
+    assert what.sentences == ("0 probes; no wear.",)
+
+
 def test_occasions_that_failed_have_no_numbers() -> None:
     failed = {"week": 3.0, "event": "failed", "why": "the robot is gone", "result": None}
     what = found(told([*GOOD[:3], failed]))

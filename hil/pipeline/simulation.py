@@ -103,7 +103,7 @@ def simulate(
 
     Raises:
         SpecError: A robot is not the embedded mock, or it cannot meet these conditions.
-        HilError: Something failed; what is done until then is in the folder.
+        HilError: Nothing could be done, for this reason.
     """
     bound = bind(spec, station)
     require_mock(bound)
@@ -119,6 +119,8 @@ def simulate(
         lived = _Timed(work, clock, moving)
         loop = Scheduler(spec, ledger, lived, clock, lasting=moving.longest, tell=tell)
         loop.run(begin + lasting + LITTLE)
+        if loop.failure is not None and not any(line["event"] == "done" for line in ledger.lines):
+            raise loop.failure
     document = _document(bound, begin, lasting, moving, ledger.lines)
     document["warmth"] = _warmth(folder, bound.name, document["occasions"])
     write_replacing(folder / DOCUMENT, json_document(document))

@@ -110,7 +110,9 @@ def _after(
     promoted: Sequence[float],
 ) -> float:  # fmt: skip
     """Mean error after the promotion that followed the last change."""
-    began = max(told["wear_weeks"], default=0.0)
+    if not weeks or not told["wear_weeks"]:
+        return float("nan")
+    began = max(told["wear_weeks"])
     last = next((week for week in promoted if week >= began and week > weeks[0]), None)
     if last is None:
         return float("nan")

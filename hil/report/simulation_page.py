@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -137,7 +137,7 @@ def _shown(told: Document, what: Found) -> list[Block]:
         for one in what.criteria
     )
     low, high = told["simulate"]["room_c"]
-    notes = (
+    notes = [
         f"A probe moves the robot for {duration(told['probe_s'])}, "
         f"{duration(told['warm_up_s'])} of that to warm up; the full program for "
         f"{duration(told['campaign_s'])}.",
@@ -147,38 +147,55 @@ def _shown(told: Document, what: Found) -> list[Block]:
         "of its own.",
         f"With every new champion the comparison begins anew: its first {REFERENCE} probes tell "
         "what the robot is like under it, and limits are wide until then.",
-    )
-    return [Table("What the weeks show", columns, rows), Notes(notes)]
+        *_warmth_beside_wear(told),
+    ]
+    return [Table("What the weeks show", columns, rows), Notes(tuple(notes))]
+
+
+def _warmth_beside_wear(told: Document) -> Iterator[str]:
+    """How much friction changes without any wear, of the joints that wear."""
+    if told["warmth"] is None:
+        return
+    part = told["warmth"]["all"]
+    worn_ones = {
+        j for one in told["simulate"]["wear"] for j, x in enumerate(one["factors"]) if x != 1
+    }
+    for j in sorted(worn_ones):
+        cold, warm = part["from_c"][j], part["to_c"][j]
+        yield (
+            f"Warmth alone changes the friction of J{j + 1} by "
+            f"{100 * part['friction_change'][j]:+.0f} % between the coldest moment of all runs "
+            f"({cold:.0f} °C) and the warmest ({warm:.0f} °C)."
+        )
 
 
 def _timeline(told: Document, what: Found, along: Along, unit: str) -> Section:
-    joints = what.joints
-    weeks, errors = what.weeks, what.errors
-    at = Along(tuple(weeks), "week [1]", "week", along.changes)
-    panel = figures.joints_over(
+    plots = (_errors(what, along, unit),) if what.weeks else ()
+    return Section("weeks", "Week by week", "", (*plots, _weeks_table(told, what)))
+
+
+def _errors(what: Found, along: Along, unit: str) -> Plots:
+    joints, errors = what.joints, what.errors
+    at = Along(what.weeks, "week [1]", "week", along.changes)
+    each = figures.joints_over(
         "The champion's error on each week's probe", errors, at, joints, f"RMSE [{unit}]", log=True
     )
-    overall = np.mean(errors / what.level, axis=1) if len(errors) else np.empty(0)
-    mean = line(np.array(weeks), 100 * overall, "mean", colours.MEASURED) | {
-        "mode": "lines+markers"
-    }
+    overall = 100 * np.mean(errors / what.level, axis=1)
+    mean = line(np.array(what.weeks), overall, "mean", colours.MEASURED)
     share = f"share of week {what.first_week:g} [%]"
-    layout = at.layout(share) | {"showlegend": False}
+    layout = at.layout(share)
     layout["yaxis"] |= {"rangemode": "tozero"}
-    all_joints = Panel(
-        "The same, mean over the joints", {"data": [mean], "layout": layout},
-        f"error as a {share}: {number(float(100 * overall.min()))} to "
-        f"{number(float(100 * overall.max()))}" if len(overall) else "no probes", True,
-    )  # fmt: skip
-    blocks: tuple[Block, ...] = (
-        Plots(
-            "Error", "Before what a week brings, and after it where a challenger was promoted. "
-            "The dotted lines are new champions.",
-            (panel, all_joints), figures.joint_legend(joints),
-        ),
-        _weeks_table(told, what),
-    )  # fmt: skip
-    return Section("weeks", "Week by week", "", blocks)
+    together = Panel(
+        "The same, mean over the joints",
+        {"data": [mean | {"mode": "lines+markers"}], "layout": layout},
+        f"mean error, {share}: {number(float(overall.min()))} to {number(float(overall.max()))}",
+        True,
+    )
+    lead = (
+        "Before what a week brings, and after it where a challenger was promoted. The dotted lines "
+        "are new champions."
+    )
+    return Plots("Error", lead, (each, together), figures.joint_legend(joints))
 
 
 def _weeks_table(told: Document, what: Found) -> Table:
@@ -203,7 +220,7 @@ def _weeks_table(told: Document, what: Found) -> Table:
         "Error: of the champion on the probe, before anything is done about it; mean over the "
         f"joints, as a share of week {what.first_week:g}."
     )
-    return Table("Every occasion", columns, rows, note)
+    return Table("Every occasion", columns, rows, note if what.weeks else "")
 
 
 def _came_of(each: Document) -> tuple[str, Any]:
