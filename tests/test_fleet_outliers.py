@@ -52,8 +52,9 @@ def test_three_wrong_robots_of_twelve_do_not_hide_one_another() -> None:
     assert set(np.flatnonzero(found.outlying[:, 0])) == {0, 1, 2}
 
 
-def test_of_few_robots_nothing_is_said() -> None:
+def test_of_few_robots_or_none_with_a_model_nothing_is_said() -> None:
     assert standing(fleet(4)[: FEWEST - 1], {"age": YEARS[: FEWEST - 1]}) is None
+    assert standing(np.empty((40, 0)), {"age": YEARS}) is None
 
 
 def test_what_is_not_known_of_all_explains_nothing_and_missing_values_stay_missing() -> None:

@@ -24,7 +24,8 @@ from hil.fleet.fitting import RobotFit, registered
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import experiment_for, spec_for
 from hil.fleet.outliers import standing
-from hil.fleet.survey import Survey, Surveyed, probe_fleet, survey_fleet
+from hil.fleet.survey import Survey, probe_fleet, survey_fleet
+from hil.fleet.surveyed import Surveyed
 from hil.registry.registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.render import page_html
@@ -90,7 +91,7 @@ def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
     bare = replace(
         survey.robots[0], joint_names=(), friction=none, temperature=none, problem="it has no model"
     )
-    told = replace(survey, robots=(*survey.robots[1:], bare))
+    told = replace(survey, robots=(bare, *survey.robots[1:]))
     assert "ur5-000: it has no model" in Page(page_html(fleet_page(told))).text
     json.dumps(told.to_dict(), default=str)
 

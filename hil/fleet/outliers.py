@@ -69,7 +69,7 @@ def standing(values: FloatArray, given: Mapping[str, FloatArray]) -> Standing | 
             or the same for all.
     """
     known = np.all(np.isfinite(values) & (values > 0), axis=1)
-    if known.sum() < FEWEST:
+    if known.sum() < FEWEST or not values.shape[1]:
         return None
     y = np.log(values[known])
     n = y.shape[1]

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.fleet.outliers import FAMILY_WISE, FEWEST, Standing
-from hil.fleet.survey import Survey, Surveyed
+from hil.fleet.survey import Survey
+from hil.fleet.surveyed import Surveyed
 from hil.report import colours
 from hil.report.blocks import (
     Badge,
@@ -101,7 +102,7 @@ def _summary(survey: Survey) -> str:
         return f"With fewer than {FEWEST} robots nothing can be said of who stands out."
     after = " and ".join(survey.friction.names) or "nothing"
     return (
-        f"Robots are compared joint by joint, after {after} has been taken out. In a fleet of "
+        f"Robots are compared joint by joint, without what {after} explain. In a fleet of "
         f"equals anybody stands out with a probability of {100 * FAMILY_WISE:g} %, all robots and "
         "joints together, in friction and in its change each."
     )
@@ -206,7 +207,7 @@ def _trends(survey: Survey, which: Standing | None) -> Table:
     for name in which.names:
         columns += [Column(f"% {UNITS[name]}", name), Column("±", name)]
     rows = []
-    for j, joint in enumerate(survey.robots[0].joint_names):
+    for j, joint in enumerate(survey.joint_names):
         told = [
             text
             for k in range(len(which.names))
@@ -218,7 +219,7 @@ def _trends(survey: Survey, which: Standing | None) -> Table:
 
 
 def _all(survey: Survey) -> Table:
-    names = survey.robots[0].joint_names
+    names = survey.joint_names
     columns = [Column("robot", number=False), Column("age")]
     columns += [Column(f"J{j + 1}", "friction, RMS [N·m]") for j in range(len(names))]
     columns += [Column(f"J{j + 1}", "temperature [°C]") for j in range(len(names))]

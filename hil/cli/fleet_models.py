@@ -1,0 +1,174 @@
+"""`hil fleet fit`, `drift`, `report`: functions of what a fleet has measured."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.registry import HERE, RegistryOption
+
+if TYPE_CHECKING:
+    from hil.fleet.fitting import RobotFit
+
+FolderArgument = Annotated[
+    Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
+]
+WorkersOption = Annotated[
+    int, typer.Option("--workers", min=0, help="At a time; 0: one per core of this computer.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(fit)
+    app.command()(drift)
+    app.command()(report)
+
+
+def fit(
+    what: Annotated[
+        list[str],
+        typer.Argument(metavar="FOLDER|RUN...", help="A fleet, or runs.", show_default=False),
+    ],
+    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name of the estimator.")],
+    options: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Estimator parameter as NAME=VALUE (YAML value)."),
+    ] = None,
+    workers: WorkersOption = 0,
+    dask: Annotated[
+        str, typer.Option("--dask", help="Scheduler of a Dask cluster, in place of processes.")
+    ] = "",
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Where models go; by default `models` of the fleet."),
+    ] = None,
+    register: Annotated[
+        bool,
+        typer.Option("--register", help="As challenger of the robot's name, or first champion."),
+    ] = False,
+    registry: RegistryOption = HERE,
+    runs: RunsOption = Path("runs"),
+    json: JsonFlag = False,
+) -> None:
+    """Fit every robot by itself, on processes of this computer or a Dask cluster."""
+    from hil import api
+    from hil.cli.runs import fail
+    from hil.dask_cluster import checked_address
+    from hil.errors import FitError
+    from hil.executor import cores
+    from hil.fleet.fit_task import How
+    from hil.fleet.fitting import fit_runs, kept, registered
+    from hil.registry.registry import Registry
+
+    sources, home = _runs_of(what, runs)
+    address = checked_address("--dask", dask or None)
+    how = How(estimator, api.parse_parameters(options or ()))
+    bar = _Count(len(sources), "fitted")
+    results = fit_runs(sources, how, workers=workers or cores(), dask=address, tell=bar)
+    fits = kept(sources, results, out or home)
+    if register:
+        fits = [registered(one, Registry(registry)) for one in fits]
+    if json:
+        print_json({"fits": [one.to_dict() for one in fits]})
+    else:
+        print_table(("robot", "RMSE [raw]", "criteria", "is", "model"), map(_fit_row, fits))
+    failed = [one for one in fits if one.result.error]
+    if failed:
+        first = f"{failed[0].robot}: {failed[0].result.error}"
+        fail(FitError(f"{len(failed)} of {len(fits)} robots have no model; {first}"), json)
+
+
+def drift(
+    folder: FolderArgument,
+    false_alarm: Annotated[
+        float,
+        typer.Option(
+            help="Probability with which any of the robots is called changed, if none is."
+        ),
+    ] = 0.01,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Judge the runs of a fleet as probes, each against its robot's champion."""
+    from hil.fleet.survey import probe_fleet
+    from hil.registry.registry import Registry
+
+    told = probe_fleet(folder, Registry(registry), false_alarm)
+    if json:
+        print_json({"probes": [{"robot": robot, **probe.to_dict()} for robot, probe in told]})
+        return
+    rows = [(robot, "yes" if one.changed else "no", one.text) for robot, one in told]
+    print_table(("robot", "changed", "what"), rows)
+
+
+def report(
+    folder: FolderArgument,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The page; by default in the folder.")
+    ] = None,
+    workers: WorkersOption = 0,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Which robots have drifted or stand out; friction over age and temperature."""
+    from hil.executor import cores
+    from hil.fleet.folder import PAGE
+    from hil.fleet.survey import survey_fleet
+    from hil.registry.registry import Registry
+    from hil.report.fleet_page import render_fleet, standing_out
+
+    survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
+    page = render_fleet(survey, out or folder / PAGE)
+    if json:
+        print_json({**survey.to_dict(), "page": str(page)})
+        return
+    rows = [(one.robot, f"{one.age:.1f}", why) for one, why in standing_out(survey)]
+    if rows:
+        print_table(("robot", "years", "why"), rows)
+    else:
+        typer.echo(f"nobody of {len(survey.robots)} robots has drifted or stands out")
+    typer.echo(f"page: {page}")
+
+
+def _fit_row(fit: RobotFit) -> tuple[str, ...]:
+    rmse = fit.result.rmse
+    mean = f"{sum(rmse) / len(rmse):.4f}" if rmse else ""
+    word = {True: "met", False: "missed", None: ""}[fit.result.passed]
+    role = " ".join(filter(None, (fit.registered, fit.role)))
+    return fit.robot, mean, word, role, fit.result.error or str(fit.model)
+
+
+class _Count:
+    """How many are done, on a terminal."""
+
+    def __init__(self, total: int, what: str) -> None:
+        self._total, self._what = total, what
+
+    def __call__(self, done: int) -> None:
+        if sys.stderr.isatty():
+            end = "\n" if done == self._total else ""
+            typer.echo(f"\r{done} of {self._total} {self._what}{end}", err=True, nl=False)
+
+
+def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
+    """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
+    from hil.cli.models import found
+    from hil.errors import DataError
+    from hil.fleet.folder import MODELS, FleetFolder, is_fleet_folder
+    from hil.record.rundir import RunDirectory
+
+    if len(what) == 1 and is_fleet_folder(Path(what[0])):
+        folder, members = FleetFolder.open(Path(what[0]))
+        done = [Path(one["run"]) for one in members if one.get("outcome") == "completed"]
+        if not done:
+            raise DataError(
+                f"no robot of {folder.path} has been measured",
+                hint=f"hil fleet resume {folder.path}",
+            )
+        return done, folder.path / MODELS
+    return [RunDirectory.open(one).path for one in found(what, runs)], Path("models")
