@@ -212,7 +212,7 @@ def _weeks_table(told: Document, what: Found) -> Table:
             Cell(str((each["result"] or {}).get("champion") or UNKNOWN)),
             Cell(what.share_of(each)),
             Cell(f"{each['room_c']:g}"),
-            Cell(worn(each["wear"], "{joint} × {factor:g}")),
+            Cell(worn(each["wear"], "{joint}\u00a0×\u00a0{factor:g}")),
         )
         for each in told["occasions"]
     )
