@@ -13,12 +13,14 @@ from fleet_parts import SLOW, SPEC, command, measurements, moving, told, until, 
 from typer.testing import CliRunner
 
 from hil.campaign.experiment import mock_bench
+from hil.campaign.robots import open_robot
 from hil.cli.app import app
 from hil.errors import DataError, SpecError
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import robots_like, spec_for
 from hil.record.files import read_json
-from hil.spec.load import spec_from_text
+from hil.robot.lease import leased
+from hil.spec.load import load_station, spec_from_text
 
 
 def invoke(*arguments: object) -> tuple[int, dict[str, Any]]:
@@ -78,6 +80,18 @@ def test_a_damaged_document_is_told(tmp_path: Path) -> None:
     (folder.path / "fleet.json").write_text('{"hil_fleet_run": 1, "members": [{}]}', "utf-8")
     with pytest.raises(DataError, match="no list of robots"):
         FleetFolder.open(folder.path)
+
+
+@pytest.mark.wire
+def test_a_robot_that_somebody_else_drives_is_left_to_them(tmp_path: Path) -> None:
+    spec, station = written(tmp_path, dict.fromkeys("ab", "seed: 1, clock: wall, speed: 10"))
+    where = ("--station", station, "--robots", "*", "--runs", tmp_path / "runs")
+    robot = open_robot("a", load_station(station).robots["a"])
+    with leased(robot, name="a", driver="mock", station=str(station)):
+        code, document = invoke("fleet", "run", spec, *where)
+    robot.close()
+    assert (code, outcomes(document)) == (4, {"a": "none", "b": "completed"})
+    assert "robot a is held by pid" in document["robots"][0]["error"]["message"]
 
 
 @pytest.mark.wire
