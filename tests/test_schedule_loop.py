@@ -73,6 +73,19 @@ def test_what_was_begun_is_gone_on_with_first_and_in_its_folder(tmp_path: Path) 
     assert ends == [("done", MON), ("done", TUE)]
 
 
+@pytest.mark.parametrize("cut", [KeyboardInterrupt(), Stopped("SIGTERM", by_signal=True)])
+def test_what_became_due_meanwhile_is_done_after_what_was_cut_off(cut: BaseException) -> None:
+    spec = schedule(campaign={"spec": "c", "cron": "30 3 * * *"})
+    loop, worker, _ = scheduler(spec, at("23 03:00"))
+    worker.then = [raising(cut)]
+    with pytest.raises(Stopped):
+        loop.run_due()
+    assert loop.ledger.standing.begun
+    loop, worker, _ = scheduler(spec, at("23 04:00"), loop.ledger)
+    loop.run_due()
+    assert worker.done == [MON, "20261123T033000Z-campaign"]
+
+
 def test_what_was_begun_too_long_ago_is_left_out(tmp_path: Path) -> None:
     loop, worker, _ = scheduler(schedule(), at("23 03:00"), Ledger(tmp_path))
     worker.then = [raising(KeyboardInterrupt())]
