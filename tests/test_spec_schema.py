@@ -13,7 +13,14 @@ from hil.errors import SpecError
 from hil.spec.describe import explain_key, keys_below, reference
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, keys_of, tree
-from hil.spec.schema import experiment_schema, schema_files, series_schema, station_schema
+from hil.spec.schedule import ScheduleSpec, is_schedule
+from hil.spec.schema import (
+    experiment_schema,
+    schedule_schema,
+    schema_files,
+    series_schema,
+    station_schema,
+)
 from hil.spec.series import SeriesSpec, is_series
 from hil.spec.station import Station
 from hil.spec.yaml_source import read_source
@@ -21,7 +28,8 @@ from hil.spec.yaml_source import read_source
 ROOT = Path(__file__).parents[1]
 SHIPPED = sorted((ROOT / "experiments").glob("*.yaml"))
 SERIES = [path for path in SHIPPED if is_series(path)]
-EXPERIMENTS = [path for path in SHIPPED if path not in SERIES]
+SCHEDULES = [path for path in SHIPPED if is_schedule(path)]
+EXPERIMENTS = [path for path in SHIPPED if path not in (*SERIES, *SCHEDULES)]
 STATIONS = sorted((ROOT / "experiments" / "stations").glob("*.yaml"))
 
 TYPES: dict[str, tuple[type, ...]] = {
@@ -123,6 +131,13 @@ def test_every_shipped_series_fits_the_schema(path: Path) -> None:
     assert faults(read_source(path).data, schema, schema) == []
 
 
+@pytest.mark.parametrize("path", SCHEDULES, ids=lambda path: path.name)
+def test_every_shipped_schedule_fits_the_schema(path: Path) -> None:
+    schema = schedule_schema()
+
+    assert faults(read_source(path).data, schema, schema) == []
+
+
 @pytest.mark.parametrize("path", STATIONS, ids=lambda path: path.name)
 def test_every_shipped_station_fits_the_schema(path: Path) -> None:
     schema = station_schema()
@@ -169,7 +184,8 @@ def test_the_first_line_of_a_shipped_file_leads_editors_to_its_schema(path: Path
     schema = json.loads((path.parent / match[1]).read_text("utf-8"))
 
     assert path.parent.name in ("stations", "experiments")
-    kind = "station" if path in STATIONS else "series" if path in SERIES else "experiment"
+    kinds = {"station": STATIONS, "series": SERIES, "schedule": SCHEDULES}
+    kind = next((kind for kind, paths in kinds.items() if path in paths), "experiment")
     assert schema["$id"] == f"urn:hil:schema:{kind}:1"
     assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
 
@@ -187,7 +203,7 @@ def test_the_reference_page_is_up_to_date() -> None:
     assert written == reference(), "run: python -m hil.spec.describe"
 
 
-@pytest.mark.parametrize("model", [ExperimentSpec, Station, SeriesSpec])
+@pytest.mark.parametrize("model", [ExperimentSpec, Station, SeriesSpec, ScheduleSpec])
 def test_every_key_says_what_it_means(model: Model) -> None:
     silent = [info.path for info in keys_below(model) if not info.meaning.endswith(".")]
 
