@@ -86,6 +86,17 @@ def test_what_became_due_meanwhile_is_done_after_what_was_cut_off(cut: BaseExcep
     assert worker.done == [MON, "20261123T033000Z-campaign"]
 
 
+def test_what_became_due_beside_what_waits_wakes_nobody() -> None:
+    loop, worker, clock = scheduler(schedule(probe={"spec": "p", "every": "1h"}))
+    worker.then = [raising(KeyboardInterrupt())]
+    with pytest.raises(Stopped):
+        loop.run_due()
+    loop.ready = lambda: "held"
+    clock.sleep_until(at("23 03:30"))
+    loop.run_due()
+    assert loop.next_moment() == at("23 03:31")
+
+
 def test_what_was_begun_too_long_ago_is_left_out(tmp_path: Path) -> None:
     loop, worker, _ = scheduler(schedule(), at("23 03:00"), Ledger(tmp_path))
     worker.then = [raising(KeyboardInterrupt())]

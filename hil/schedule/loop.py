@@ -108,7 +108,9 @@ class Scheduler:
         standing, now = self.ledger.standing, self.clock.now()
         assert standing.anchor is not None
         assert standing.until is not None
-        coming = next(occasions(self.spec, standing.anchor, standing.until), None)
+        # What came due beside something that is open waits for it, and is no reason to wake.
+        after = max(now, standing.until) if standing.open else standing.until
+        coming = next(occasions(self.spec, standing.anchor, after), None)
         moments = [coming.due] if coming is not None else []
         if standing.open is not None:
             free, window = next_free(self.spec, now, self.lasting(standing.open.job))
