@@ -14,7 +14,8 @@ from hil.errors import RegistryError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 from hil.identify.training import Training
-from hil.registry.compare import BLOCK_S, Comparison, compare, fresh_part
+from hil.registry.blocks import BLOCK_S
+from hil.registry.compare import Comparison, compare, fresh_part
 
 NOISE_A = 0.05
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
@@ -120,8 +121,17 @@ def test_who_errs_a_little_more_everywhere_is_worse() -> None:
 
 
 def test_too_little_data_decide_nothing(champion) -> None:
-    with pytest.raises(RegistryError, match=f"only 2 blocks of {BLOCK_S:.0f} s"):
+    with pytest.raises(RegistryError, match=f"only 2 distinct blocks of {BLOCK_S:.0f} s"):
         compare(champion, champion, [moving(11, 12)])
+
+
+def test_the_same_motion_driven_again_is_no_new_evidence(champion) -> None:
+    """Only its noise is new: what a model gets wrong along it, it gets wrong again."""
+    challenger = fitted(moving(4, 5, 6, noise_a=NOISE_A))
+    again = [moving(*FRESH, noise_a=NOISE_A * k) for k in (1, 2)]
+    once, twice = (compare(champion, challenger, again[:k]) for k in (1, 2))
+    assert twice.blocks == once.blocks == len(FRESH)
+    assert twice.samples == 2 * once.samples
 
 
 def test_models_of_another_unit_are_not_compared(champion) -> None:

@@ -52,7 +52,7 @@ class Charted:
         deviation: (K,) of the newest probe from what the reference says at its temperature.
         std: (K,) that such a deviation may have.
         p: (K,) how probable one as large is, without a change.
-        p_mean: (K,) the same of the weighted mean; 1 while there is none but the reference.
+        p_mean: (K,) the same of the weighted mean; `p` while no other is in it.
         mean: (K,) weighted mean of the deviations since the reference.
         limit: (K,) deviation above which a single probe is called changed.
         alarm: (K,) whether it is called so.

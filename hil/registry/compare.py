@@ -1,13 +1,14 @@
 """Two models on the same data: which one errs less, and is that more than chance?
 
-Errors of neighbouring samples are alike, so data count by blocks of time. Each block says by how
-much the challenger's squared error differs from the champion's, every joint as a share of the
-champion's own; Student's t of the blocks says what the difference may be with 95 %.
+Errors of neighbouring samples are alike, so data count by blocks of time; so are those of the same
+motion driven again, so that blocks of one place of it count once. Each says by how much the
+challenger's squared error differs from the champion's, every joint as a share of the champion's
+own; Student's t of the blocks says what the difference may be with 95 %.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,14 +23,12 @@ from hil.errors import RegistryError
 from hil.evaluate.evaluation import filtered_effort
 from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
+from hil.registry.blocks import BLOCK_S, blocks, by_place
 from hil.typing import BoolArray, FloatArray
 from hil.validation import require_unseen, seen_share
 
-BLOCK_S = 5.0
-"""Of time that counts as one observation; friction and load keep errors alike for about as long."""
-
 SURE = 0.95
-FEWEST_BLOCKS = 6
+FEWEST_BLOCKS = 4
 
 NOTICED = 1.05
 """A joint that errs for sure, and more than so many times what it did, keeps the champion."""
@@ -47,7 +46,7 @@ class Comparison:
         joint_names: Length n.
         sources: What they were compared on.
         samples: Rows.
-        blocks: Of time.
+        blocks: Of time, at distinct places of the motions.
         champion, challenger: (n,) RMSE against the filtered effort.
         difference: Mean over joints and blocks of the squared error's difference, as a share of the
             champion's squared error; negative where the challenger errs less.
@@ -178,17 +177,16 @@ def compare(
     """
     _require_alike(champion, challenger)
     errors = [_squared(champion, challenger, data) for data in parts]
-    blocks = [
-        block for data, pair in zip(parts, errors, strict=True) for block in _blocks(data, pair)
-    ]
-    if len(blocks) < FEWEST_BLOCKS:
+    means = by_place(
+        [block for data, pair in zip(parts, errors, strict=True) for block in blocks(data, pair)]
+    )
+    if len(means) < FEWEST_BLOCKS:
         raise RegistryError(
-            f"there are only {len(blocks)} blocks of {BLOCK_S:.0f} s to compare on",
-            hint=f"give recordings of at least {FEWEST_BLOCKS * BLOCK_S:.0f} s",
+            f"there are only {len(means)} distinct blocks of {BLOCK_S:.0f} s to compare on",
+            hint=f"give recordings of different motions, {FEWEST_BLOCKS * BLOCK_S:.0f} s at least",
         )
     both = np.concatenate([np.stack(pair, axis=1) for pair in errors])
     old, new = np.sqrt(np.nanmean(both, axis=0))
-    means = np.array(blocks)
     shares = (means[:, 1] - means[:, 0]) / np.maximum(old, np.finfo(float).tiny) ** 2
     each, margin = _interval(shares, 1.0 - 2.0 * (1.0 - SURE) / shares.shape[1])
     centre, half = (float(one[0]) for one in _interval(shares.mean(axis=1, keepdims=True), SURE))
@@ -215,19 +213,6 @@ def _squared(
     known = predictions[0].valid & predictions[1].valid & np.isfinite(measured)
     old, new = ((measured - one.effort) ** 2 for one in predictions)
     return np.where(known, old, np.nan), np.where(known, new, np.nan)
-
-
-def _blocks(data: Dataset, pair: tuple[FloatArray, FloatArray]) -> Iterator[FloatArray]:
-    """(2, n) mean squared errors of both models, block by block; series are never joined."""
-    for _, rows in data.slices():
-        if rows.stop <= rows.start:
-            continue
-        t = data["t"][rows]
-        count = max(1, round(float(t[-1] - t[0]) / BLOCK_S))
-        for piece in np.array_split(np.arange(rows.start, rows.stop), count):
-            found = np.stack([one[piece] for one in pair])
-            if np.all(np.any(np.isfinite(found), axis=1)):
-                yield np.nanmean(found, axis=1)
 
 
 def _require_alike(champion: RobotEstimator, challenger: RobotEstimator) -> None:
