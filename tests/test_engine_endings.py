@@ -181,19 +181,22 @@ def test_a_stop_request_is_obeyed_in_every_step(at_step: int) -> None:
     result = running.run()
     assert result.outcome is Outcome.STOPPED
     assert result.steps_done == at_step
+    assert not any("by_signal" in event for event in sink.events)
     assert robot.calls[-1] == "stop"
     assert f"prepare {at_step + 1}" not in robot.calls
 
 
 def test_a_stop_requested_before_the_start_moves_nothing() -> None:
-    robot = KinematicRobot()
-    running = engine(robot, ListSink())
+    robot, sink = KinematicRobot(), ListSink()
+    running = engine(robot, sink)
     running.request_stop("not today", by_signal=True)
     result = running.run()
     assert result.outcome is Outcome.STOPPED
     assert isinstance(result.error, Stopped)
     assert result.error.by_signal
     assert robot.calls == ["stop"]
+    told = [event.get("by_signal") for event in sink.events if event.get("state") == "stopping"]
+    assert told == [True]
 
 
 def test_failed_preflight_moves_nothing() -> None:

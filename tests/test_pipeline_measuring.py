@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pipeline_parts import CAMPAIGN, PROBE, write_schedule
@@ -14,6 +15,7 @@ from synthetic_motion import moving, nominal
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.errors import PreflightFailed, RobotError
 from hil.identify import estimator
+from hil.pipeline.adapted import with_options
 from hil.pipeline.measuring import Measuring, run_of
 from hil.record.rundir import RunDirectory
 from hil.registry.facts import facts_of
@@ -39,6 +41,15 @@ class Place:
         document = json.loads(stop.read_bytes()) | changed
         stop.write_text(json.dumps(document), "utf-8")
         (self.run / "verdict.json").unlink()
+
+    def die(self, *last: dict[str, Any]) -> None:
+        """Lose the process that makes the run, after these events."""
+        self.end()
+        (self.run / "stop.json").unlink()
+        events = self.run / "events.jsonl"
+        lines = events.read_text("utf-8").splitlines(keepends=True)
+        kept = [line for line in lines if json.loads(line).get("state") not in ("stopping", "done")]
+        events.write_text("".join(kept + [json.dumps(one) + "\n" for one in last]), "utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +133,58 @@ def test_nobody_goes_on_alone_with_what_did_not_end_by_chance(
         place.measure()
     assert RunDirectory.open(place.run).attempts == 1
     assert not (place.run / "verdict.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("last", "why"),
+    [
+        ({"kind": "trip", "reason": "it touched something"}, "tripped: it touched something"),
+        ({"kind": "hung", "reason": "no return"}, "tripped: no return"),
+        ({"kind": "state", "state": "stopping", "reason": "fault 7"}, "stopped: fault 7"),
+        ({"kind": "state", "state": "stopping", "reason": "stopped by Ada"}, "stopped by Ada"),
+    ],
+)
+def test_nor_with_what_had_ended_so_when_the_process_died(
+    place: Place, last: dict[str, str], why: str
+) -> None:
+    """The power that fails a moment after a trip does not take the trip back."""
+    place.die(last)
+    with pytest.raises(RobotError, match=why):
+        place.measure()
+    assert RunDirectory.open(place.run).attempts == 1
+
+
+def test_what_somebody_has_gone_on_with_since_is_gone_on_with(place: Place) -> None:
+    place.die({"kind": "trip", "reason": "smoke"}, {"kind": "state", "state": "preflight"})
+    assert place.measure() == place.run
+    assert (place.run / "verdict.json").is_file()
+
+
+def test_a_process_that_died_of_a_second_signal_was_ended_by_a_signal(place: Place) -> None:
+    ended = {"kind": "state", "state": "stopping", "reason": "stopped by SIGTERM"}
+    place.die(ended | {"by_signal": True})
+    assert place.measure() == place.run
+
+
+def test_another_robot_is_another_run(place: Place, tmp_path: Path) -> None:
+    """Two stations, one folder of runs, one schedule: due at the same second."""
+    text = place.probe.station_text
+    elsewhere = replace(place.probe, station_source="/elsewhere/station.yaml", station_text=text)
+    changed = with_options(place.probe, {"seed": 3})
+    assert run_of(place.runs, elsewhere, "weekly/1/probe") is None
+    assert run_of(place.runs, changed, "weekly/1/probe") is None
+    run = Measuring(place.runs).measure(changed, "weekly/1/probe")
+    assert run != place.run
+    assert run_of(place.runs, changed, "weekly/1/probe") == run
+    assert run_of(place.runs, place.probe, "weekly/1/probe") == place.run
+
+
+def test_an_arm_that_was_replaced_does_not_take_over_the_run(place: Place) -> None:
+    start = json.loads((place.run / "start.json").read_bytes())
+    start["robot"]["identity"]["serial"] = "the arm before"
+    (place.run / "start.json").write_text(json.dumps(start), "utf-8")
+    with pytest.raises(PreflightFailed, match="serial was 'the arm before'"):
+        place.measure()
 
 
 def test_a_run_that_asks_for_somebody_is_refused_before_it_begins(tmp_path: Path) -> None:

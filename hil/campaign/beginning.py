@@ -45,8 +45,8 @@ def write_beginning(
             "experiment": experiment.spec.name,
             "plan_hash": plan.hash,
             "spec_hash": spec_hash(experiment.spec),
-            **({"spec": _whole(experiment.spec_source)} if experiment.spec_source else {}),
-            "station": _whole(experiment.station_source),
+            **({"spec": whole(experiment.spec_source)} if experiment.spec_source else {}),
+            "station": whole(experiment.station_source),
             "robot_name": experiment.spec.robot,
             "robot": describe_robot(robot, experiment.robot),
             "loads": [
@@ -120,7 +120,7 @@ def open_recorder(
     )
 
 
-def _whole(source: str) -> str:
+def whole(source: str) -> str:
     """A file as anybody finds it: whoever goes on starts somewhere else, perhaps."""
     return str(Path(source).resolve()) if Path(source).is_file() else source
 

@@ -117,7 +117,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
     with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
-        _require_same_robot(directory, describe_robot(robot, experiment.robot))
+        require_same_robot(directory, describe_robot(robot, experiment.robot))
         require_usable(experiment, robot)
         attendance.stage("planning the way back")
         cold = _is_cold(unfinished, robot)
@@ -175,7 +175,7 @@ def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> 
         )
 
 
-def _require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
+def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
     """Two robots in one dataset would be identified as one that does not exist."""
     recorded = directory.start.get("robot", {})
     pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}

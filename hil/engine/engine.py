@@ -246,7 +246,8 @@ class Engine:
         self._telling.state(RunState.STOPPING, reason)
         if isinstance(error, InterlockTripped):
             self._sink.event("trip", reason=reason)
-        self._sink.event("state", state=str(RunState.STOPPING), reason=reason)
+        chance = {"by_signal": True} if isinstance(error, Stopped) and error.by_signal else {}
+        self._sink.event("state", state=str(RunState.STOPPING), reason=reason, **chance)
 
     def _come_to_rest(self) -> str:
         within_s = REST_WITHIN_S + READ_WITHIN_S

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.beginning import describe_robot, whole
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import ConsoleOperator
+from hil.campaign.resuming import require_same_robot
+from hil.campaign.robots import held
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
@@ -64,6 +67,7 @@ class Measuring:
             begun = replace(experiment, occasion=occasion)
             return self._judged(run_experiment(begun, runs=self.runs, **self._attendance()))
         if _is_done(found):
+            self._require_its_robot(found, experiment)
             _complete_views(found)
             return found
         _require_harmless(found)
@@ -74,6 +78,11 @@ class Measuring:
         desk = Desk(operator, nobody_goes_on, self.wait_s)
         return {"desk": desk, "observers": self.observers, "operator": self.operator}
 
+    def _require_its_robot(self, run: Path, experiment: Experiment) -> None:
+        """What goes on is done with the arm that made it, as in a run that is gone on with."""
+        with held(experiment, wait_s=self.wait_s, tell=lambda text: None) as (robot, _):
+            require_same_robot(RunDirectory.open(run), describe_robot(robot, experiment.robot))
+
     def _judged(self, report: RunReport) -> Path:
         if not _is_done(report.run):
             told = f"{report.run} ended early: {report.outcome}"
@@ -82,15 +91,24 @@ class Measuring:
 
 
 def run_of(runs: Path, experiment: Experiment, occasion: str) -> Path | None:
-    """The run of an occasion with this spec; None if nothing has begun."""
-    said, wanted = json.dumps(occasion, ensure_ascii=False).encode(), spec_hash(experiment.spec)
+    """The run of an occasion with this spec at this station; None if nothing has begun.
+
+    Schedules of one name may share a folder of runs, and be due at the same time on two robots.
+    """
+    said = json.dumps(occasion, ensure_ascii=False).encode()
+    wanted = {
+        "occasion": occasion,
+        "spec_hash": spec_hash(experiment.spec),
+        "station": whole(experiment.station_source),
+    }
     for path in reversed(run_folders(runs)):
         try:
             raw = (path / "start.json").read_bytes()
             start = json.loads(raw) if said in raw else {}
+            station = (path / "station.yaml").read_text("utf-8")
         except (OSError, ValueError):
             continue
-        if start.get("occasion") == occasion and start.get("spec_hash") == wanted:
+        if station == experiment.station_text and wanted.items() <= start.items():
             return path
     return None
 
@@ -124,10 +142,29 @@ def _complete_views(run: Path) -> None:
 
 def _require_harmless(run: Path) -> None:
     """A crash or a signal says nothing against going on, nor does a motion that came to its end."""
-    stop = RunDirectory.open(run).stop
-    if stop is None or stop.get("outcome") == "completed" or stop.get("exit_code") == BY_SIGNAL:
-        return
-    raise RobotError(
-        f"{run} was {stop.get('outcome')}: {stop.get('reason')}",
-        hint=f"look at the robot, then go on with: hil resume {run}",
-    )
+    directory = RunDirectory.open(run)
+    stop = directory.stop
+    if stop is None:
+        told = _told_by_events(directory.events())
+    elif stop.get("outcome") == "completed" or stop.get("exit_code") == BY_SIGNAL:
+        told = ""
+    else:
+        told = f"{stop.get('outcome')}: {stop.get('reason')}"
+    if told:
+        raise RobotError(
+            f"{run} was {told}",
+            hint=f"look at the robot, then go on with: hil resume {run}",
+        )
+
+
+def _told_by_events(events: Sequence[Mapping[str, Any]]) -> str:
+    """Why the last attempt was being ended when its process died; empty if it was not."""
+    told = ""
+    for event in events:
+        if event["kind"] in ("trip", "hung"):
+            told = f"tripped: {event.get('reason')}"
+        elif event.get("state") == "preflight":  # another attempt, which somebody has let go on
+            told = ""
+        elif event.get("state") == "stopping" and event.get("reason"):
+            told = told or ("" if event.get("by_signal") else f"stopped: {event['reason']}")
+    return told

@@ -167,7 +167,7 @@ class _Adapted:
     def _after_the_campaign(self, occasion: Occasion) -> dict[str, float]:
         """The arm does not cool down between two programs."""
         key = f"{self.bound.spec.name}/{occasion.id}/campaign"
-        run = run_of(self.runs, self.bound.campaign, key)
+        run = run_of(self.runs, self(self.bound.campaign, occasion, "campaign"), key)
         if run is None:
             return {}
         return {"temperature_c": float(np.mean(load_source(run)["temperature"][-1]))}
