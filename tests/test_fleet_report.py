@@ -43,7 +43,7 @@ def probed(change: np.ndarray, changed: bool) -> Probe:
     features = Features(
         names, values, nothing, nothing, np.zeros(6), 1, np.eye(len(names)), values[None]
     )
-    return Probe("u", "2026-11-22", "run", 1, 0.01, features, changed, (), 0.5, 5)
+    return Probe("u", "2026-11-22", "run", "", 1, 0.01, features, changed, (), 0.5, 5)
 
 
 @pytest.fixture(scope="module")

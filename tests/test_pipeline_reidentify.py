@@ -16,6 +16,7 @@ from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
 from hil.campaign.experiment import Experiment
 from hil.drift import history
+from hil.drift.bands import banded
 from hil.errors import FitError, HilError
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
@@ -32,7 +33,8 @@ Run = Callable[[str], Path]
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """`campaign`, `probe`, `worn campaign`, `worn probe`, and a `short campaign` fitted to 5 s."""
+    """`campaign`, `probe`, `worn campaign`, `worn probe`, a `short campaign` fitted to 5 s, and a
+    probe of an `other probe` program."""
     home = tmp_path_factory.mktemp("recorded")
     bound = bind(load_schedule_spec(write_schedule(home)))
     assert bound.probe is not None
@@ -42,12 +44,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         "validate": {"hold_out": {"trajectories": 1}},
     }
     few = bind(load_schedule_spec(write_schedule(home / "short", campaign=short))).campaign
+    edited = PROBE | {"excitation": PROBE["excitation"] | {"seed": 22}}
+    other = bind(load_schedule_spec(write_schedule(home / "edited", probe=edited))).probe
+    assert other is not None
     wanted = {
         "campaign": with_options(bound.campaign, {"day": 1}),
         "probe": with_options(bound.probe, {"day": 2}),
         "worn campaign": with_options(bound.campaign, {"day": 3} | WORN),
         "worn probe": with_options(bound.probe, {"day": 4} | WORN),
         "short campaign": with_options(few, {"day": 5}),
+        "other probe": with_options(other, {"day": 6}),
     }
     return {name: measuring.measure(one, f"weekly/{name}") for name, one in wanted.items()}
 
@@ -127,6 +133,19 @@ def test_a_quiet_probe_starts_nothing(robot: Robot) -> None:
     assert (told["outcome"], told["champion"], told["decision"]) == ("quiet", "v1", None)
     assert told["errors"]["before"] == told["errors"]["after"]
     assert len(events(robot)) == 3
+
+
+def test_a_probe_is_compared_with_those_of_its_own_program(robot: Robot) -> None:
+    """Along another motion a model errs otherwise, which is no change of the robot."""
+    robot.due(0)
+    robot.due(1)
+    edited = robot.due(2, probe="other probe")
+    assert edited["drift"]["reference"] == 0
+    assert edited["text"].startswith("probe 1 of this program under this champion: nothing")
+    worn = robot.due(3, probe="worn probe")
+    assert worn["drift"]["reference"] == 1
+    bands = banded(robot.registry, "ur5")
+    assert [one.chart.reference for one in bands] == [0, 0, 1]
 
 
 @pytest.mark.usefixtures("drifted")

@@ -25,7 +25,9 @@ def drift(
     ] = None,
     false_alarm: Annotated[
         float,
-        typer.Option(help="Probability with which an unchanged robot is called changed, a probe."),
+        typer.Option(
+            help="Probability, at most, with which a probe calls an unchanged robot changed."
+        ),
     ] = 0.01,
     page: Annotated[
         Path | None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hil.drift.chart import Charted, charted
-from hil.drift.history import Probe, probes_of
+from hil.drift.history import Probe, probes_of, quiet_like
 from hil.registry.registry import Registry
 from hil.typing import FloatArray
 
@@ -16,7 +16,7 @@ class Banded:
 
     Attributes:
         probe: As it was judged.
-        chart: Of it and those before it under the same champion.
+        chart: Of it and those of its program before it under the same champion.
     """
 
     probe: Probe
@@ -50,11 +50,8 @@ def banded(registry: Registry, name: str) -> list[Banded]:
     }
     found: list[Banded] = []
     for probe in probes:
-        quiet = [
-            one.probe.features
-            for one in found
-            if one.probe.champion == probe.champion and not one.probe.changed
-        ]
-        chart = charted([*quiet, probe.features], sigma[probe.champion], probe.false_alarm)
+        quiet = quiet_like((one.probe for one in found), probe.champion, probe.program)
+        features = [*(one.features for one in quiet), probe.features]
+        chart = charted(features, sigma[probe.champion], probe.false_alarm)
         found.append(Banded(probe, chart))
     return found

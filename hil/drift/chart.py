@@ -8,8 +8,8 @@ probe is compared with what they predict for its temperature: by itself, and in 
 weighted mean with the probes before it, for what creeps. Predictions are Student-t, the noise being
 estimated too, and errors that all probes share count as such.
 
-How often a robot that does not change is called changed is given, for all features together: each
-gets its share of `false_alarm`, half of it for either chart (Bonferroni).
+A robot that does not change is called changed with a probability of `false_alarm` at most, all
+features together: each gets its share of it, half of that for either chart (Bonferroni).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def charted(
     Args:
         probes: Oldest first; those that were called changed left out, but for the last.
         sigma: (n,) standard deviation of the champion's residual, in effort units.
-        false_alarm: Of one probe, all features together.
+        false_alarm: Of one probe, all features together, at most.
 
     Raises:
         DataError: They are of different robots, or there is none.

@@ -3,13 +3,14 @@
     REGISTRY/NAME/probes.jsonl
 
 A line per probe and champion: what it says, what the charts said of it, and what was called
-changed. A line counts from its line break on. Probes are judged against those of the same champion.
+changed. A line counts from its line break on. Probes are judged against those of the same program
+under the same champion: along another motion a model errs otherwise.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,9 @@ class Probe:
         uid: Identity of its run or recording.
         at: When it was taken, ISO 8601.
         source: Where it was then.
+        program: Hash of the plan that was driven; empty for a recording, which does not tell it.
         champion: Version it was compared with.
-        false_alarm: Probability with which a robot that has not changed is called changed.
+        false_alarm: Probability, at most, with which a robot that has not changed is called so.
         features: What it says.
         changed: Whether the charts call it changed.
         causes: What has changed.
@@ -53,6 +55,7 @@ class Probe:
     uid: str
     at: str
     source: str
+    program: str
     champion: int
     false_alarm: float
     features: Features
@@ -67,14 +70,15 @@ class Probe:
         if self.changed:
             return told(self.causes)
         if self.reference < 2:
-            return f"probe {self.reference + 1} under this champion: nothing to compare with yet"
+            probe = f"probe {self.reference + 1} of this program under this champion"
+            return f"{probe}: nothing to compare with yet"
         return f"nothing has changed (smallest p {self.p:.2g}, {self.reference} probes to compare)"
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil drift --json`, and a line of the file."""
         return {
             "uid": self.uid, "at": self.at, "source": self.source,
-            "champion": self.champion, "false_alarm": self.false_alarm,
+            "program": self.program, "champion": self.champion, "false_alarm": self.false_alarm,
             "changed": self.changed, "text": self.text, "p": self.p,
             "reference": self.reference, "causes": [cause.to_dict() for cause in self.causes],
             "features": self.features.to_dict(),
@@ -102,7 +106,7 @@ def assess(
         registry: With a champion of that name.
         name: The robot's.
         source: Run directory or recording of the probe.
-        false_alarm: Of one probe, all features together.
+        false_alarm: Of one probe, all features together, at most.
 
     Raises:
         DataError: The source cannot be read, or the champion was fitted to it.
@@ -110,37 +114,44 @@ def assess(
     """
     version = registry.version(name)
     model = registry.load(name, version.label)
-    uid, at = identity(source)
+    uid, at, program = identity(source)
     features = _features(model, source)
     with writing(registry.root / name):
         before = [one for one in probes_of(registry, name) if one.champion == version.number]
         known = next((one for one in before if one.uid == uid), None)
         if known is not None:
             return known
-        quiet = [one.features for one in before if not one.changed]
-        chart = charted([*quiet, features], model.sigma_, false_alarm)
+        quiet = quiet_like(before, version.number, program)
+        chart = charted([*(one.features for one in quiet), features], model.sigma_, false_alarm)
         unit = "A" if model.effort_kind_ == "current" else "N·m"
         found = tuple(causes(features, chart, false_alarm, unit))
         probe = Probe(
-            uid, at, str(source), version.number, false_alarm, features,
+            uid, at, str(source), program, version.number, false_alarm, features,
             bool(chart.alarm.any()), found, _least(chart), chart.reference,
         )  # fmt: skip
         append_line(registry.root / name / PROBES_FILE, plain(probe.to_dict()))
     return probe
 
 
-def identity(source: Path) -> tuple[str, str]:
-    """Identity and time of a source: a run's own, or a recording's digest.
+def quiet_like(probes: Iterable[Probe], champion: int, program: str) -> list[Probe]:
+    """Those that a probe of this program is compared with under this champion."""
+    like = (champion, program)
+    return [one for one in probes if (one.champion, one.program) == like and not one.changed]
+
+
+def identity(source: Path) -> tuple[str, str, str]:
+    """Identity, time and program of a source: a run's own, or a recording's digest and nothing.
 
     Raises:
         DataError: There is no such source.
     """
     if (source / "start.json").is_file():
         start = read_json(source / "start.json")
-        return str(start.get("uid", "")), str(start.get("started", ""))
+        uid, at, program = (str(start.get(key, "")) for key in ("uid", "started", "plan_hash"))
+        return uid, at, program
     if not source.is_file():
         raise DataError(f"{source} does not exist", hint="give a run directory or an MCAP file")
-    return sha256_of(source), ""
+    return sha256_of(source), "", ""
 
 
 def _features(model: RobotEstimator, source: Path) -> Features:
@@ -159,7 +170,7 @@ def _probe(path: Path, number: int, line: bytes) -> Probe:
         listed: Sequence[dict[str, Any]] = told_then["causes"]
         return Probe(
             str(told_then["uid"]), str(told_then["at"]), str(told_then["source"]),
-            int(told_then["champion"]), float(told_then["false_alarm"]),
+            str(told_then["program"]), int(told_then["champion"]), float(told_then["false_alarm"]),
             Features.from_dict(told_then["features"]), bool(told_then["changed"]),
             tuple(Cause(**one) for one in listed), float(told_then["p"]),
             int(told_then["reference"]),

@@ -121,7 +121,7 @@ def key_figures(told: Sequence[Banded]) -> tuple[KeyFigure, ...]:
         KeyFigure("probes", str(len(told)), f"{REFERENCE} after each new champion are reference"),
         KeyFigure("call it changed", str(changed)),
         KeyFigure(
-            "false alarms", f"{100 * probe.false_alarm:g} %",
+            "false alarms", f"≤ {100 * probe.false_alarm:g} %",
             f"of probes, all {names} numbers of all joints together",
         ),
         KeyFigure(

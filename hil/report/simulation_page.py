@@ -117,7 +117,7 @@ def _key_figures(told: Document, what: Found) -> list[KeyFigure]:
             f"of motion, {duration(told['warm_up_s'])} of it to warm up",
         ),
         KeyFigure(
-            "false alarms", f"{100 * told['false_alarm']:g} %",
+            "false alarms", f"≤ {100 * told['false_alarm']:g} %",
             "of probes of an unchanged robot, all joints and causes together",
         ),
         KeyFigure("promoted", listed(promoted) or UNKNOWN, "the first champion counts"),
@@ -141,7 +141,7 @@ def _shown(told: Document, what: Found) -> list[Block]:
         f"A probe moves the robot for {duration(told['probe_s'])}, "
         f"{duration(told['warm_up_s'])} of that to warm up; the full program for "
         f"{duration(told['campaign_s'])}.",
-        f"A probe of an unchanged robot is called changed with a probability of "
+        f"A probe of an unchanged robot is called changed with a probability of at most "
         f"{100 * told['false_alarm']:g} %, over all joints and causes together.",
         f"Every occasion finds the room between {low:g} and {high:g} °C, and measures with noise "
         "of its own.",

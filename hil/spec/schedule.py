@@ -147,7 +147,7 @@ class Simulated(Strict):
     room_c: tuple[Finite, Finite] = Field(
         (18.0, 26.0), description="Every occasion finds the room between these."
     )
-    seed: Seed = Field(1, description="Of the room's temperatures.")
+    seed: Seed = Field(1, description="Of the room's temperatures and of the noise.")
     wear: tuple[Wear, ...] = Field((), description="How it ages; the last one that has come holds.")
 
 
@@ -184,7 +184,8 @@ class ScheduleSpec(Strict):
         "10min", validate_default=True, description="How long a robot in use is waited for."
     )
     false_alarm: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.01, description="Probability with which a probe calls an unchanged robot changed."
+        0.01,
+        description="Probability, at most, with which a probe calls an unchanged robot changed.",
     )
     notify: tuple[str, ...] = Field(
         (),
