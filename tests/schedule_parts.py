@@ -110,7 +110,7 @@ def require_accounts(spec: Any, ledger: Ledger) -> None:
     wanted = [each.id for each in takewhile(lambda o: o.due <= until, coming)]
     ended: list[str] = []
     for line in ledger.lines:
-        if line["event"] in ("done", "failed"):
+        if line["event"] in ("done", "failed", "held"):
             ended.append(line["occasion"])
         elif line["event"] == "missed":
             ended += _left_out(wanted, line, ended, standing.open)

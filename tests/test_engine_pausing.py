@@ -199,6 +199,17 @@ def test_ctrl_c_pauses_first_and_stops_second(presses: int, outcome: Outcome) ->
     assert ("paused" in kinds(sink)) is (presses == 1)
 
 
+def test_ctrl_c_stops_at_once_where_nobody_could_go_on() -> None:
+    robot, sink = KinematicRobot(), ListSink()
+    with SignalWatch(attended=False) as watch, watch.guard():
+        running = engine(robot, sink)
+        watch.bind(running, robot)
+        robot.disturb = AtStep(1, lambda: os.kill(os.getpid(), signal.SIGINT))
+        result = running.run()
+    assert (result.outcome, result.reason) == (Outcome.STOPPED, "stopped by SIGINT")
+    assert "paused" not in kinds(sink)
+
+
 def test_ctrl_c_stops_a_run_that_is_paused_already() -> None:
     robot, sink = KinematicRobot(), ListSink()
     with SignalWatch() as watch, watch.guard():

@@ -177,6 +177,33 @@ def test_a_newer_occasion_stands_for_one_that_waits(tmp_path: Path) -> None:
     assert events(loop.ledger).count(("missed", "20261123T000000Z-probe")) == 1
 
 
+@pytest.mark.parametrize("keys", [{"missed": "skip"}, {"missed_within": "10min"}])
+def test_what_is_too_late_when_the_robot_comes_free_is_left_out(keys: dict[str, str]) -> None:
+    loop, worker, clock = scheduler(schedule(**keys))
+
+    def ready() -> str:
+        clock.advance(11 * MINUTE)
+        return ""
+
+    loop.ready = ready
+    loop.run(at("23 12:00"))
+    assert worker.done == []
+    assert events(loop.ledger)[1:] == [("missed", MON)]
+
+
+def test_what_becomes_due_while_the_robot_is_waited_for_is_done_after_it() -> None:
+    spec = schedule(campaign={"spec": "c", "cron": "5 3 * * *"})
+    loop, worker, clock = scheduler(spec)
+
+    def ready() -> str:
+        clock.advance(6 * MINUTE)
+        return ""
+
+    loop.ready = ready
+    loop.run(at("23 12:00"))
+    assert worker.done == [MON, "20261123T030500Z-campaign"]
+
+
 def test_what_would_reach_into_a_blackout_waits_for_its_end() -> None:
     spec = schedule(blackout=[{"begin": "03:30", "end": "08:00", "why": "shift"}])
     loop, _, _ = scheduler(spec, lasting=lambda job: HOUR)
@@ -239,7 +266,6 @@ def test_what_a_blackout_interrupts_is_gone_on_with_after_it() -> None:
     [
         (FitError("too little data"), "FitError"),
         (ZeroDivisionError("zero"), "ZeroDivisionError"),
-        (Stopped("somebody said hil stop"), "Stopped"),
         (RobotConnectionError("lost"), "RobotConnectionError"),
     ],
 )
@@ -269,7 +295,7 @@ def test_a_robot_that_somebody_took_in_between_is_waited_for() -> None:
 def test_a_clock_that_is_put_back_repeats_nothing(tmp_path: Path) -> None:
     loop, _, _ = scheduler(schedule(), at("24 03:00"), Ledger(tmp_path))
     loop.run_due()
-    loop, worker, _ = scheduler(schedule(), at("23 02:00"), Ledger.read(tmp_path))
+    loop, worker, _ = scheduler(schedule(), at("23 04:00"), Ledger.read(tmp_path))
     loop.run(at("25 04:00"))
     assert worker.done == [WED]
 

@@ -13,6 +13,7 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord
 from hil.campaign.view import verdict_word
 from hil.engine import Observer, Observers
+from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError
 from hil.identify.model_folder import models_below
@@ -149,8 +150,8 @@ def _attended(
     from hil.preflight import require_waivable
 
     require_waivable(waivers)
-    watching, signals = Observers(tuple(observers)), SignalWatch()
-    at = desk or console_desk(operator)
+    watching, at = Observers(tuple(observers)), desk or console_desk(operator)
+    signals = SignalWatch(attended=at.go_on is not nobody_goes_on)
     try:
         with signals, contextlib.ExitStack() as until_judged:
             try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 from zoneinfo import ZoneInfo
 
 import typer
@@ -15,16 +15,15 @@ from hil.cli.output import (
     StationOption,
     duration,
     print_json,
-    print_table,
     say,
 )
 from hil.cli.registry import HERE, RegistryOption
-from hil.errors import SpecError
+from hil.cli.schedule_words import held_words, next_words, print_ledger, print_plan, words
+from hil.errors import DataError, SpecError
 
 if TYPE_CHECKING:
     from hil.pipeline.bound import Bound
-    from hil.schedule.forecast import Expected
-    from hil.schedule.ledger import Ledger, Line
+    from hil.schedule.ledger import Ledger
     from hil.spec.schedule import ScheduleSpec
 
 FileArgument = Annotated[Path, typer.Argument(help="Schedule (YAML).", show_default=False)]
@@ -32,6 +31,7 @@ StateOption = Annotated[
     Path | None,
     typer.Option("--state", help="Folder of its ledger; by default schedules/NAME."),
 ]
+ReasonOption = Annotated[str, typer.Option("--reason", help="For the ledger.", show_default=False)]
 STATES = Path("schedules")
 
 app = typer.Typer(
@@ -83,12 +83,15 @@ def run(
             lasting=took.longest,
             ready=RobotReady(bound.campaign, wait_s, _tell_stage),
             guard=curfew,
-            tell=lambda line: say(_words(line, zone)),
+            tell=lambda line: say(words(line, zone)),
             notify=Command(spec.notify, spec.name),
         )  # fmt: skip
         scheduler.run_due()
+        if held := ledger.standing.held:
+            say(held_words(held, file, zone))
+        elif not once:
+            say(next_words(scheduler.next_moment(), zone))
         if not once:
-            say(_next_words(scheduler.next_moment(), zone))
             scheduler.run()
     if once and scheduler.failure is not None:
         raise scheduler.failure
@@ -125,13 +128,18 @@ def plan(
     ledger.require_of(spec.name)
     expected = forecast(spec, ledger, took, now, end)
     if json:
-        told = {"schedule": spec.name, "from": _iso(now, zone), "until": _iso(end, zone)}
+        told: dict[str, object] = {
+            "schedule": spec.name, "from": _iso(now, zone), "until": _iso(end, zone),
+        }  # fmt: skip
         longest = took.longest("probe" if spec.probe else "campaign").total_seconds()
+        told["held"] = dict(ledger.standing.held) if ledger.standing.held else None
         seconds = {"probe_s": took.probe.total_seconds(),
                    "campaign_s": took.campaign.total_seconds(), "at_most_s": longest}  # fmt: skip
         print_json({**told, **seconds, "expected": [one.to_dict(zone) for one in expected]})
         return
-    _print_plan(spec, expected, zone)
+    if held := ledger.standing.held:
+        say(held_words(held, file, zone))
+    print_plan(spec, expected, zone)
     probe = f"probe {duration(took.probe.total_seconds())}, " if spec.probe else ""
     say(f"of motion: {probe}campaign {duration(took.campaign.total_seconds())}")
 
@@ -140,30 +148,53 @@ def plan(
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
     from hil.held_file import holder_of
-    from hil.schedule.ledger import LOCK, Ledger
-    from hil.spec.schedule import load_schedule_spec
+    from hil.schedule.holding import ahead
+    from hil.schedule.ledger import LOCK
 
-    spec = load_schedule_spec(file)
-    zone, folder = ZoneInfo(spec.timezone), _state(spec, state)
-    ledger = Ledger.read(folder)
-    ledger.require_of(spec.name)
-    holder, coming = holder_of(folder / LOCK), _coming(spec, ledger)
+    spec, folder, ledger = _led(file, state)
+    zone, now, standing = ZoneInfo(spec.timezone), datetime.now(UTC), ledger.standing
+    holder, coming = holder_of(folder / LOCK), _coming(spec, ledger, now)
     if json:
-        held = ledger.standing.open
         print_json({
             "schedule": spec.name, "state": str(folder), "run_by": str(holder) if holder else None,
-            "open": held.id if held else None, "next": coming and _iso(coming, zone),
-            "lines": [dict(line) for line in ledger.lines],
+            "held": dict(standing.held) if standing.held else None,
+            "open": standing.open.id if standing.open else None,
+            "next": coming and _iso(coming, zone), "lines": [dict(line) for line in ledger.lines],
         })  # fmt: skip
         return
     if not ledger.lines:
         say(f"{spec.name} has never been started: hil schedule run {file}")
         return
-    rows = [(_at(line, zone), str(line["event"]), _occasion(line), _told(line))
-            for line in ledger.lines]  # fmt: skip
-    print_table(("when", "event", "occasion", "what"), rows)
-    say(_next_words(coming, zone))
+    print_ledger(ledger.lines, zone)
+    if standing.held or (wrong := ahead(standing, now)):
+        say(held_words(standing.held, file, zone) if standing.held else wrong)
+    else:
+        say(next_words(coming, zone))
     say(f"run by {holder}" if holder else f"nobody runs it: hil schedule run {file}")
+
+
+@app.command()
+def hold(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
+    """Let nothing begin until it is released; what is under way comes to its end."""
+    from hil.schedule.holding import hold as hold_ledger
+
+    spec, _, ledger = _begun(file, state)
+    say(words(hold_ledger(ledger, datetime.now(UTC), reason), ZoneInfo(spec.timezone)))
+
+
+@app.command()
+def release(file: FileArgument, reason: ReasonOption, state: StateOption = None) -> None:
+    """Let a schedule go on that is held; somebody has looked at the robot."""
+    from hil.schedule.choosing import choose
+    from hil.schedule.holding import release as release_ledger
+
+    spec, _, ledger = _begun(file, state)
+    zone, now = ZoneInfo(spec.timezone), datetime.now(UTC)
+    say(words(release_ledger(ledger, now, reason), zone))
+    if (waits := choose(spec, ledger.standing, now).chosen) is not None:
+        say(f"{waits.id} has waited: whoever runs the schedule begins it within a minute")
+    else:
+        say(next_words(_coming(spec, ledger, now), zone))
 
 
 @app.command()
@@ -219,61 +250,40 @@ def _state(spec: ScheduleSpec, given: Path | None) -> Path:
     return given or STATES / spec.name
 
 
-def _coming(spec: ScheduleSpec, ledger: Ledger) -> datetime | None:
-    """When something is due next."""
+def _led(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
+    """The schedule, the folder of its state, and what became of everything."""
+    from hil.schedule.ledger import Ledger
+    from hil.spec.schedule import load_schedule_spec
+
+    spec = load_schedule_spec(file)
+    folder = _state(spec, state)
+    ledger = Ledger.read(folder)
+    ledger.require_of(spec.name)
+    return spec, folder, ledger
+
+
+def _begun(file: Path, state: Path | None) -> tuple[ScheduleSpec, Path, Ledger]:
+    """The same of a schedule that has been started."""
+    spec, folder, ledger = _led(file, state)
+    if not ledger.lines:
+        raise DataError(
+            f"{folder}: {spec.name} has never been started", hint="is it kept elsewhere? --state"
+        )
+    return spec, folder, ledger
+
+
+def _coming(spec: ScheduleSpec, ledger: Ledger, now: datetime) -> datetime | None:
+    """When something is due next that is not settled."""
     from hil.schedule.times import occasions
 
-    now = datetime.now(UTC)
-    coming = next(occasions(spec, ledger.standing.anchor or now, now), None)
+    standing = ledger.standing
+    after = max(now, standing.until or now)
+    coming = next(occasions(spec, standing.anchor or now, after), None)
     return coming.due if coming else None
-
-
-def _print_plan(spec: ScheduleSpec, expected: list[Expected], zone: ZoneInfo) -> None:
-    if not expected:
-        say("nothing is due until then")
-        return
-    rows = []
-    for one in expected:
-        times = f" ({one.count} times)" if one.count > 1 else ""
-        begins = "not done" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
-        motion = duration(one.motion.total_seconds()) if one.motion else ""
-        why = "gone on with" + (f", {one.why}" if one.why else "") if one.again else one.why
-        rows.append((f"{one.due.astimezone(zone):%a %Y-%m-%d %H:%M}", one.job + times, begins,
-                     motion, why))  # fmt: skip
-    print_table((f"due ({spec.timezone})", "what", "begins", "motion", "why not then"), rows)
 
 
 def _tell_stage(text: str) -> None:
     say(f"  {text}")
-
-
-def _words(line: Line, zone: ZoneInfo) -> str:
-    """A line of the ledger, for people."""
-    parts = (_at(line, zone), str(line["event"]), _occasion(line), _told(line))
-    return "  ".join(part for part in parts if part)
-
-
-def _next_words(moment: datetime | None, zone: ZoneInfo) -> str:
-    return (
-        f"next: {moment.astimezone(zone):%a %Y-%m-%d %H:%M}" if moment else "nothing is due again"
-    )
-
-
-def _at(line: Line, zone: ZoneInfo) -> str:
-    return f"{datetime.fromisoformat(line['at']).astimezone(zone):%Y-%m-%d %H:%M:%S}"
-
-
-def _occasion(line: Line) -> str:
-    count = int(line.get("count", 1))
-    more = f" and {count - 1} before it" if count > 1 else ""
-    return str(line.get("occasion", "")) + more
-
-
-def _told(line: Line) -> str:
-    result: dict[str, Any] = line.get("result") or {}
-    if result:
-        return f"{result.get('outcome', '')}: {result.get('text', '')}"
-    return str(line.get("why", "")) or ("again" if line.get("again") else "")
 
 
 def _iso(moment: datetime, zone: ZoneInfo) -> str:

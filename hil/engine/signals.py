@@ -3,8 +3,9 @@
 While nothing moves (planning, fitting) a signal raises `StopSignal`. While a run is guarded, from
 the making of its directory to its stop document, signals interrupt nothing. The first Ctrl-C asks
 the engine to pause at the next checkpoint, the second for a controlled stop now, which is also what
-SIGTERM and a lost terminal mean, and Ctrl-C while the run is paused. The third of any stops the
-robot directly and ends the process. A signal that was ignored when the program started (`nohup`)
+SIGTERM and a lost terminal mean, Ctrl-C while the run is paused, and the first Ctrl-C of a run that
+nobody attends: nobody could let it go on. The third of any stops the robot directly and ends the
+process. A signal that was ignored when the program started (`nohup`)
 stays ignored.
 """
 
@@ -40,9 +41,14 @@ class StopSignal(KeyboardInterrupt):
 
 
 class SignalWatch:
-    """Handles the watched signals while it is open; does nothing outside the main thread."""
+    """Handles the watched signals while it is open; does nothing outside the main thread.
 
-    def __init__(self) -> None:
+    Args:
+        attended: Whether somebody can let a paused run go on; if not, the first Ctrl-C stops it.
+    """
+
+    def __init__(self, *, attended: bool = True) -> None:
+        self._attended = attended
         self.seen = 0
         self.reason = ""
         self._pressed = False
@@ -109,7 +115,7 @@ class SignalWatch:
         engine = self._bound[0]
         can = engine.state in (RunState.PREFLIGHT, RunState.ARMED, RunState.RUNNING)
         again = self.seen or (self._pressed and engine.pause_pending)
-        return number == signal.SIGINT and can and not again
+        return self._attended and number == signal.SIGINT and can and not again
 
 
 def ignore_from_now_on() -> None:

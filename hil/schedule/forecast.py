@@ -10,6 +10,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from hil.schedule.clocks import VirtualClock
+from hil.schedule.holding import ahead, release
 from hil.schedule.ledger import Ledger, Line, occasion_of
 from hil.schedule.loop import Scheduler
 from hil.schedule.motions import Motions
@@ -61,6 +62,8 @@ def forecast(
 ) -> list[Expected]:
     """What would happen if the schedule ran from now on, the robot were free and nothing found.
 
+    One that is held is looked at as if it were released now.
+
     Args:
         spec: The schedule.
         ledger: As it is now; nothing is written.
@@ -70,6 +73,8 @@ def forecast(
     """
     clock = VirtualClock(now)
     imagined = Ledger(None, tuple(ledger.lines))
+    if imagined.standing.held is not None or ahead(imagined.standing, now):
+        release(imagined, now, "")
     known = len(imagined.lines)
 
     def work(occasion: Occasion, folder: Path) -> Mapping[str, Any]:

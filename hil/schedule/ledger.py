@@ -6,11 +6,15 @@
 
 `started` says from when on things are due. Everything due up to the latest `until` is settled, but
 for the occasion that is open: put off (`deferred`), or `begun` and not ended. It ends as `done`,
-`failed` or `missed`. What is left out is `missed`: one line for all that shares a reason.
+`failed`, `held` or `missed`. What is left out is `missed`: one line for all that shares a reason.
+From `held` to `released` nothing begins.
+
+One process keeps it; others add what a person says, each line under a lock of the file.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
@@ -20,7 +24,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, get_args
 
-from hil.errors import DataError, RecordingError
+from hil.errors import DataError, RecordingError, RegistryError
 from hil.held_file import hold
 from hil.holder import Holder, this_process
 from hil.record.files import json_line
@@ -43,6 +47,7 @@ class Standing:
         begun: Whether it was begun.
         why: Why it was last put off, empty if it was not.
         touched: Of the last line about what is open.
+        held: The line that holds the schedule, None if nothing does.
     """
 
     anchor: datetime | None = None
@@ -51,6 +56,7 @@ class Standing:
     begun: bool = False
     why: str = ""
     touched: datetime | None = None
+    held: Line | None = None
 
     def after(self, line: Line) -> Standing:
         """How they stand after one more line. Raises `ValueError` or `KeyError` at nonsense."""
@@ -58,6 +64,10 @@ class Standing:
         if event == "started":
             anchor = datetime.fromisoformat(line["anchor"])
             return Standing(anchor=anchor, until=anchor - timedelta(seconds=1))
+        if event == "released" and "anchor" in line:
+            # The clock was wrong before: what it settled is not.
+            anchor, until = (datetime.fromisoformat(line[key]) for key in ("anchor", "until"))
+            return Standing(anchor=anchor, until=until)
         now = self
         if "until" in line:
             until = datetime.fromisoformat(line["until"])
@@ -72,6 +82,10 @@ class Standing:
         if event == "missed" and "instead" in line:
             held = occasion_of(line["instead"])
             return now if held == now.open else replace(closed(now), open=held, touched=at)
+        if event == "released":
+            return replace(now, held=None)
+        if event == "held":
+            return replace(closed(now) if "occasion" in line else now, held=line)
         if event in ("done", "failed") or (event == "missed" and self._begins(line)):
             return closed(now)
         return now
@@ -128,18 +142,33 @@ class Ledger:
         return path
 
     def add(self, event: str, at: datetime, **more: Any) -> Line:
-        """Add a line; it is there for good when this returns. The caller holds the folder.
+        """Add a line; it is there for good when this returns.
 
         Raises:
+            DataError: It was damaged meanwhile.
             RegistryError: It cannot be written.
         """
-        said = {"event": event, "at": time_text(at), **more, "before": self._digest()}
-        # As it will be read again: no NaN, no text that UTF-8 cannot say.
-        line: Line = json.loads(json_line(said).encode("utf-8", "replace"))
-        if self.folder is not None:
-            append_line(self.folder / LEDGER_FILE, line)
-        self._take(line)
+        with self._alone():
+            said = {"event": event, "at": time_text(at), **more, "before": self._digest()}
+            # As it will be read again: no NaN, no text that UTF-8 cannot say.
+            line: Line = json.loads(json_line(said).encode("utf-8", "replace"))
+            if self.folder is not None:
+                append_line(self.folder / LEDGER_FILE, line)
+                self._seen = _size(self.folder / LEDGER_FILE)
+            self._take(line)
         return line
+
+    def refresh(self) -> None:
+        """Take what others have added.
+
+        Raises:
+            DataError: It was damaged meanwhile.
+        """
+        if self.folder is not None and (size := _size(self.folder / LEDGER_FILE)) != self._seen:
+            path, known = self.folder / LEDGER_FILE, len(self.lines)
+            for line in _linked(path, known, self._digest(), self.standing):
+                self._take(line)
+            self._seen = size
 
     def start(self, name: str, now: datetime) -> None:
         """Note that the schedule was started, if it has not been before.
@@ -170,9 +199,20 @@ class Ledger:
         if self.folder is not None:
             self._hold(tuple(_linked(self.folder / LEDGER_FILE)))
 
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Nobody else adds a line meanwhile, and what others added is known."""
+        if self.folder is None:
+            yield
+            return
+        with _locked(self.folder / LEDGER_FILE):
+            self.refresh()
+            yield
+
     def _hold(self, lines: tuple[Line, ...]) -> None:
         self.lines: list[Line] = []
         self.standing = Standing()
+        self._seen = -1
         for line in lines:
             self._take(line)
 
@@ -230,9 +270,27 @@ def _digest(line: Line) -> str:
     return hashlib.sha256(json.dumps(line, ensure_ascii=False).encode()).hexdigest()
 
 
-def _linked(path: Path) -> Iterator[Line]:
-    before, standing = "", Standing()
-    for number, raw in read_lines(path):
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """The lock is gone with the descriptor, however this process ends."""
+    try:
+        with path.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+    except OSError as error:
+        raise RegistryError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
+
+
+def _linked(
+    path: Path, known: int = 0, before: str = "", standing: Standing | None = None
+) -> Iterator[Line]:
+    """Lines after those that are known, each behind the one before it."""
+    standing = standing or Standing()
+    for number, raw in read_lines(path)[known:]:
         try:
             line = json.loads(raw)
             standing = standing.after(line)

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from hil.errors import HilError, RobotConnectionError, Stopped
 from hil.schedule.choosing import choose, late_words, lateness
+from hil.schedule.holding import ahead, needs_a_look
 from hil.schedule.ledger import Ledger, time_text
 from hil.schedule.occasion import Job, Occasion, Work
 from hil.schedule.times import Window, next_free, occasions, window_in
@@ -108,6 +109,8 @@ class Scheduler:
         standing, now = self.ledger.standing, self.clock.now()
         assert standing.anchor is not None
         assert standing.until is not None
+        if standing.held is not None:  # until then somebody may have released it
+            return now + LOOK_AGAIN
         # What came due beside something that is open waits for it, and is no reason to wake.
         after = max(now, standing.until) if standing.open else standing.until
         coming = next(occasions(self.spec, standing.anchor, after), None)
@@ -119,7 +122,12 @@ class Scheduler:
 
     def _one(self) -> bool:
         """Do what is most due; returns whether there may be more."""
+        self.ledger.refresh()
         now, standing = self.clock.now(), self.ledger.standing
+        if standing.held is None and (why := ahead(standing, now)):
+            self._announce(self._note("held", why=why))
+        if self.ledger.standing.held is not None:
+            return False
         choice = choose(self.spec, standing, now)
         if choice.late:
             why = late_words(self.spec, standing, choice.late)
@@ -136,8 +144,11 @@ class Scheduler:
         if why := self.ready():
             self._put_off(choice.chosen, why, until)
             return False
-        # The robot may have been waited for.
-        if self._in_the_way(choice.chosen) is not None:
+        # The robot may have been waited for, and the schedule held meanwhile.
+        self.ledger.refresh()
+        standing = self.ledger.standing
+        late = choose(self.spec, standing, self.clock.now()).late
+        if standing.held or choice.chosen in late or self._in_the_way(choice.chosen) is not None:
             return True
         return self._do(choice.chosen, until, again=choice.again)
 
@@ -196,7 +207,9 @@ class Scheduler:
         known = error if isinstance(error, HilError) else HilError(f"{error!r}")
         self.failure = known
         told = {"kind": type(error).__name__, "why": known.message, "hint": known.hint}
-        self._announce(self._note("failed", occasion=occasion.id, **told))
+        # In one line: no crash may come between the failure and the hold.
+        event = "held" if needs_a_look(error) else "failed"
+        self._announce(self._note(event, occasion=occasion.id, **told))
         return True
 
     def _next_blackout(self) -> datetime | None:
@@ -211,4 +224,5 @@ class Scheduler:
 
     def _announce(self, line: Line) -> None:
         if problem := self.notify(line):
-            self._note("unnotified", occasion=line["occasion"], why=problem)
+            about = {"occasion": line["occasion"]} if "occasion" in line else {}
+            self._note("unnotified", **about, why=problem)
