@@ -51,11 +51,11 @@ def test_when_all_is_as_it_should_be_it_is_said() -> None:
     assert what.promoted == (0.0, 3.0)
     assert what.weeks == (1.0, 2.0, 3.0, 3.0, 4.0)
     assert np.array_equal(what.level, [1.0, 2.0])
-    assert what.after == pytest.approx((1.025 + 1.0) / 2)
+    assert what.after.tolist() == pytest.approx([1.0, (1.05 + 1.0) / 2])
     assert what.sentences == (
         "4 probes; after 17.5 days friction is 1.15 times as much on J2.",
         "Week 3: friction up on b; v2 is promoted.",
-        "Since then the mean error is 101 % of the first probe's.",
+        "Since then the mean error is 101 % of the first probe's, that of J2 102 %.",
     )
 
 
@@ -71,6 +71,7 @@ def test_a_challenger_that_is_kept_out_leaves_the_error() -> None:
     kept = occasion(3, "kept", changed=True, before=(1.0, 4.0))
     assert [one.split(",")[0] for one in missed(kept)] == [
         "the robot is identified again", "the error is back at that of the first probe",
+        "so is that of J2 by itself",
     ]  # fmt: skip
 
 
@@ -82,15 +83,28 @@ def test_a_promotion_and_an_alarm_without_a_change_are_told() -> None:
 
 
 def test_an_error_that_stays_is_told() -> None:
-    worse = occasion(4, champion="v2", was="v2", before=(1.4, 2.8))
+    worse = occasion(4, champion="v2", was="v2", before=(1.4, 2.0))
     assert missed(worse) == ["the error is back at that of the first probe, within 10 %"]
+
+
+def test_the_joint_that_wore_is_not_lost_in_the_mean() -> None:
+    worse = [
+        {**week, "result": week["result"] | {"errors": errors}}
+        for week, errors in (
+            (SEEN, {"joint_names": JOINTS, "before": [0.6, 4.0], "after": [0.6, 2.6]}),
+            (GOOD[4], {"joint_names": JOINTS, "before": [0.6, 2.6], "after": [0.6, 2.6]}),
+        )
+    ]
+    assert missed(*worse) == [
+        "so is that of J2 by itself, within 10 % beyond the wear: at most 126.5 % of its own"
+    ]
 
 
 def test_without_probes_there_are_no_errors_to_compare() -> None:
     weeks = [FIRST, {**SEEN, "result": SEEN["result"] | {"errors": None, "drift": None}}]
     what = found({**told(weeks), "wear_weeks": [], "simulate": {"wear": []}})
     assert what.weeks == ()
-    assert np.isnan(what.after)
+    assert what.after.size == 0
     assert what.sentences == ("0 probes; no wear.",)
 
 

@@ -46,6 +46,9 @@ FORMAT = 1
 STAGES = ("probe", "campaign", "check")
 """Runs of an occasion; each has a noise of its own."""
 
+DAYS = 2**31
+"""So many that hardly two runs ever share one."""
+
 LITTLE = timedelta(minutes=1)
 """What is due at the very end is done."""
 
@@ -75,10 +78,20 @@ class Conditions:
 def conditions(spec: ScheduleSpec, begin: datetime, occasion: Occasion) -> Conditions:
     """What an occasion meets; the same whenever it is asked for."""
     since = occasion.due - begin
-    dice = np.random.default_rng([spec.simulate.seed, int(since.total_seconds())])
+    dice = _dice(spec, since)
     room = round(float(dice.uniform(*spec.simulate.room_c)), 1)
     come = [wear.factors for wear in spec.simulate.wear if wear.after <= since]
     return Conditions(since.days, room, come[-1] if come else ())
+
+
+def noise_day(spec: ScheduleSpec, begin: datetime, occasion: Occasion, stage: str) -> int:
+    """Of the mock's option `day`: one of its own for every run, however many a day has."""
+    dice = _dice(spec, occasion.due - begin, 1 + STAGES.index(stage))
+    return int(dice.integers(DAYS))
+
+
+def _dice(spec: ScheduleSpec, since: timedelta, *more: int) -> np.random.Generator:
+    return np.random.default_rng([spec.simulate.seed, int(since.total_seconds()), *more])
 
 
 def simulate(
@@ -160,7 +173,7 @@ class _Adapted:
 
     def __call__(self, experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:
         met = conditions(self.bound.spec, self.begin, occasion)
-        noise = {"day": len(STAGES) * met.day + STAGES.index(stage)}
+        noise = {"day": noise_day(self.bound.spec, self.begin, occasion, stage)}
         warm = self._after_the_campaign(occasion) if stage == "check" else {}
         return with_options(experiment, met.options | noise | warm)
 

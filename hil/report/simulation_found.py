@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,8 @@ from hil.typing import FloatArray
 Document = Mapping[str, Any]
 
 BACK = 1.1
-"""Mean error over the joints that counts as that of the first probe again."""
+"""Error, as a share of the first probe's, that counts as the same again: of all joints in the mean,
+and of each joint that has worn, beyond what wear does to what no model knows of its friction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class Found:
         level: (n,) of the first probe.
         first_week: When that was.
         promoted: Weeks.
-        after: Mean over joints and probes after the last change's promotion, as a share of `level`.
+        after: (n,) errors as shares of `level`, mean over the probes after the last change's
+            promotion; NaN where there are none.
         criteria: What should be so.
         sentences: The whole in words.
     """
@@ -54,7 +56,7 @@ class Found:
     level: FloatArray
     first_week: float
     promoted: tuple[float, ...]
-    after: float
+    after: FloatArray
     criteria: tuple[Criterion, ...]
     sentences: tuple[str, ...]
 
@@ -76,8 +78,8 @@ def found(told: Document) -> Found:
     level = errors[0] if len(errors) else np.empty(0)
     promoted = tuple(float(each["week"]) for each in occasions if _is(each, "promoted"))
     weeks = tuple(week for week, _ in rows)
-    after = _after(told, weeks, errors, level, promoted)
-    criteria = tuple(_criteria(told, occasions, after))
+    after = _after(told, weeks, errors, promoted)
+    criteria = (*_criteria(told, occasions), *_back(told, after))
     return Found(
         joints, weeks, errors, level, weeks[0] if weeks else float("nan"), promoted, after,
         criteria, tuple(_sentences(told, after)),
@@ -106,21 +108,44 @@ def _changed(occasion: Document) -> bool:
 
 
 def _after(
-    told: Document, weeks: Sequence[float], errors: FloatArray, level: FloatArray,
-    promoted: Sequence[float],
-) -> float:  # fmt: skip
-    """Mean error after the promotion that followed the last change."""
-    if not weeks or not told["wear_weeks"]:
-        return float("nan")
-    began = max(told["wear_weeks"])
-    last = next((week for week in promoted if week >= began and week > weeks[0]), None)
+    told: Document, weeks: Sequence[float], errors: FloatArray, promoted: Sequence[float]
+) -> FloatArray:
+    """(n,) mean errors after the promotion that followed the last change, as shares of before."""
+    began = max(told["wear_weeks"], default=np.inf)
+    last = next((week for week in promoted if weeks and week >= began and week > weeks[0]), None)
     if last is None:
-        return float("nan")
+        return np.full(errors.shape[1], np.nan)
     first = [i for i, week in enumerate(weeks) if week == last][-1]
-    return float(np.mean(errors[first:] / level))
+    return np.asarray(np.mean(errors[first:] / errors[0], axis=0))
 
 
-def _criteria(told: Document, occasions: Sequence[Document], after: float) -> list[Criterion]:
+def _worn(told: Document) -> list[tuple[int, float]]:
+    """Joints that are not as new in the end, and how much more friction they have."""
+    factors = told["simulate"]["wear"][-1]["factors"] if told["wear_weeks"] else ()
+    return [(j, float(factor)) for j, factor in enumerate(factors) if factor != 1]
+
+
+def _back(told: Document, after: FloatArray) -> Iterator[Criterion]:
+    """Whether the error is that of the first probe again, of all joints and of those that wore."""
+    if not any(each["week"] >= weeks for weeks in told["wear_weeks"] for each in told["occasions"]):
+        return
+    mean = float(np.mean(after)) if len(after) else float("nan")
+    yield Criterion(
+        f"the error is back at that of the first probe, within {100 * (BACK - 1):.0f} %",
+        mean <= BACK,
+        f"{number(100 * mean)} % of it, mean over the joints and the probes since",
+    )
+    for j, factor in _worn(told):
+        limit = BACK * max(factor, 1.0)
+        share = float(after[j]) if len(after) else float("nan")
+        yield Criterion(
+            f"so is that of J{j + 1} by itself, within {100 * (BACK - 1):.0f} % beyond the wear: "
+            f"at most {100 * limit:g} % of its own",
+            share <= limit, f"{number(100 * share)} % of it, mean over the probes since",
+        )  # fmt: skip
+
+
+def _criteria(told: Document, occasions: Sequence[Document]) -> list[Criterion]:
     rows: list[Criterion] = []
     expected: list[float] = []
     for weeks in told["wear_weeks"]:
@@ -153,16 +178,10 @@ def _criteria(told: Document, occasions: Sequence[Document], after: float) -> li
         "no probe without a change calls the robot changed", not alarms,
         f"{len(alarms)} of {probes - len(expected)} do",
     ))  # fmt: skip
-    if expected:
-        rows.append(Criterion(
-            f"the error is back at that of the first probe, within {100 * (BACK - 1):.0f} %",
-            after <= BACK,
-            f"{number(100 * after)} % of it, mean over the joints and the probes since",
-        ))  # fmt: skip
     return rows
 
 
-def _sentences(told: Document, after: float) -> list[str]:
+def _sentences(told: Document, after: FloatArray) -> list[str]:
     occasions = told["occasions"]
     probes = sum(bool(each["result"] and each["result"]["drift"]) for each in occasions)
     changes = [
@@ -176,8 +195,10 @@ def _sentences(told: Document, after: float) -> list[str]:
             came = {"promoted": f"{result['champion']} is promoted", "kept": "the champion stays"}
             told_then = came.get(result["outcome"], "nothing is done")
             said.append(f"Week {each['week']:g}: {result['drift']['text']}; {told_then}.")
-    if np.isfinite(after):
-        said.append(f"Since then the mean error is {100 * after:.0f} % of the first probe's.")
+    if np.isfinite(after).any():
+        each = [f"that of J{j + 1} {100 * after[j]:.0f} %" for j, _ in _worn(told)]
+        mean = f"the mean error is {100 * float(np.mean(after)):.0f} % of the first probe's"
+        said.append(f"Since then {listed([mean, *each])}.")
     return said
 
 

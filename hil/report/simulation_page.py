@@ -122,10 +122,10 @@ def _key_figures(told: Document, what: Found) -> list[KeyFigure]:
         ),
         KeyFigure("promoted", listed(promoted) or UNKNOWN, "the first champion counts"),
     ]  # fmt: skip
-    if np.isfinite(what.after):
+    if np.isfinite(what.after).any():
         label = f"of the error of week {what.first_week:g}, mean over joints and weeks"
         figures_.append(
-            KeyFigure("error after the last promotion", f"{100 * what.after:.0f} %", label)
+            KeyFigure("error after the last promotion", f"{100 * np.mean(what.after):.0f} %", label)
         )
     return figures_
 
