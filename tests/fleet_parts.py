@@ -23,6 +23,7 @@ FITTED = SPEC.replace(
     "trajectories: 1, fundamental_hz: 0.5", "trajectories: 3, fundamental_hz: 0.2"
 )
 FITTED += "fit: [{estimator: rigid-wls}]\nvalidate: {hold_out: {trajectories: 1}}\n"
+FITTED += "accept: {rmse: {max: 0.5, unit: A, per: mean}}\n"
 SLOW = "clock: wall, speed: 2"
 """Options of a mock whose whole run takes some seconds."""
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import shutil
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from operator import mul
 from pathlib import Path
@@ -20,13 +22,17 @@ from typer.testing import CliRunner
 
 from hil.campaign.run import run_experiment
 from hil.cli.app import app
+from hil.data.dataset import Dataset
+from hil.drift.history import identity
 from hil.errors import DataError, FitError
 from hil.executor import one_thread
-from hil.fleet import fitting
-from hil.fleet.fit_task import FitResult, How, fit_at
-from hil.fleet.fitting import RobotFit, computed, fit_runs, kept, registered
+from hil.fleet import fit_task, fitting
+from hil.fleet.fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
+from hil.fleet.fitting import computed, fit_runs
 from hil.fleet.members import experiment_for, spec_for
+from hil.fleet.robot_fit import kept, registered
 from hil.registry.registry import Registry
+from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
 
 HOW = How("rigid-wls")
 
@@ -142,8 +148,26 @@ def test_a_run_that_cannot_be_fitted_leaves_the_others_alone(
     assert "plan.json" in found[0].error
     assert found[1].files == results[1].files
     assert kept([broken], found[:1], tmp_path)[0].model is None
-    with pytest.raises(DataError, match="does not exist"):
-        fit_runs([tmp_path / "nothing"], HOW, workers=1)
+
+
+def test_a_run_that_was_deleted_leaves_the_others_alone(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    gone = tmp_path / "2026-11-22" / "c" / "0001-small"
+    found = fit_runs([gone, runs[1]], HOW, workers=1)
+    assert "does not exist" in found[0].error
+    assert found[1].files == results[1].files
+    assert [one.robot for one in kept([gone, runs[1]], found, tmp_path)] == ["c", "b"]
+
+
+def test_a_model_is_judged_as_its_run_has_judged_it(
+    runs: list[Path], results: list[FitResult]
+) -> None:
+    for run, result in zip(runs, results, strict=True):
+        own = json.loads((run / "fit" / result.folder / "evaluation.json").read_text("utf-8"))
+        del own["seconds"]
+        assert json.loads(result.files["evaluation.json"]) == own
+        assert result.passed is True
 
 
 def test_a_first_model_becomes_champion_the_next_its_challenger(
@@ -156,22 +180,65 @@ def test_a_first_model_becomes_champion_the_next_its_challenger(
     (entry,) = [one for one in registry.log("a") if one.event == "promoted"]
     assert entry.evidence["evaluation"]
     assert registry.version("a").facts["run"]["folder"] == str(runs[0])
-    other = RobotFit(
-        "a", runs[1], results[1], *[one.model for one in kept(runs[1:], results[1:], tmp_path)]
-    )
-    assert (registered(other, registry).registered, registered(other, registry).role) == (
-        "v2", "challenger",
-    )  # fmt: skip
+    more = fit_runs(runs[:1], How("rigid-irls"), workers=1)
+    other = registered(*kept(runs[:1], more, tmp_path), registry)
+    assert (other.registered, other.role) == ("v2", "challenger")
 
 
-def test_what_misses_its_criteria_becomes_neither(
+def test_what_misses_its_criteria_or_its_runs_becomes_neither(
     runs: list[Path], results: list[FitResult], tmp_path: Path
 ) -> None:
-    missed = FitResult(results[0].folder, results[0].files, results[0].rmse, passed=False)
     registry = Registry(tmp_path / "registry")
-    (fit,) = kept(runs[:1], [missed], tmp_path)
+    (fit,) = kept(runs[:1], [replace(results[0], passed=False)], tmp_path)
+    assert registered(fit, registry).role == ""
+    rejected = tmp_path / "runs" / "0001-rejected"
+    shutil.copytree(runs[0], rejected)
+    (rejected / "verdict.json").write_text('{"passed": false}', "utf-8")  # by its gaps, say
+    (fit,) = kept([rejected], results[:1], tmp_path)
+    assert (fit.result.passed, fit.verdict) == (True, "rejected")
     assert registered(fit, registry).role == ""
     assert registry.aliases("a").champion == registry.aliases("a").challenger == 0
+
+
+def test_what_nobody_has_judged_becomes_no_champion(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    registry = Registry(tmp_path / "registry")
+    (fit,) = kept(runs[:1], [replace(results[0], passed=None)], tmp_path)
+    assert registered(fit, registry).role == "challenger"
+    assert registry.aliases("a").champion == 0
+
+
+def test_criteria_that_only_a_run_judges_are_not_called_met(runs: list[Path]) -> None:
+    learnt = learnt_of(runs[0], HOW)
+    asked = learnt.accept.model_copy(update={"contradicted_loads": ContradictedLimit(max=0)})
+    assert fit_learnt(replace(learnt, accept=asked), HOW).passed is None
+    missed = asked.model_copy(update={"rmse": RmseLimit(max=1e-6, unit="A", per="mean")})
+    assert fit_learnt(replace(learnt, accept=missed), HOW).passed is False
+
+
+def test_what_cannot_be_held_out_is_an_error_and_no_model(
+    runs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(data: Dataset, how: HoldOut) -> None:
+        raise DataError("the sides share samples")
+
+    monkeypatch.setattr(fit_task, "hold_out", nothing)
+    found = fit_at(runs[0], identity(runs[0])[0], HOW)
+    assert found is not None
+    assert (found.files, found.error) == ({}, "the sides share samples")
+
+
+def test_a_name_that_another_robot_has_is_refused(
+    runs: list[Path], results: list[FitResult], tmp_path: Path
+) -> None:
+    registry = Registry(tmp_path / "registry")
+    first, other = kept(runs, results, tmp_path)
+    registered(replace(first, robot="arm"), registry)
+    refused = registered(replace(other, robot="arm"), registry)
+    assert (refused.registered, refused.role) == ("", "")
+    assert "is of serial a-" in refused.error
+    assert len(registry.versions("arm")) == 1
 
 
 def test_fits_on_the_command_line(runs: list[Path], tmp_path: Path) -> None:
@@ -180,7 +247,7 @@ def test_fits_on_the_command_line(runs: list[Path], tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["fleet", "fit", *named, *more])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)["fits"]
-    assert [one["robot"] for one in told] == ["a", "b"]
-    assert all(Path(one["model"]).is_dir() and one["passed"] is None for one in told)
+    assert [(one["robot"], one["verdict"]) for one in told] == [("a", "passed"), ("b", "passed")]
+    assert all(Path(one["model"]).is_dir() and one["passed"] for one in told)
     wrong = CliRunner().invoke(app, ["fleet", "fit", *named, "-e", "rigid-wls", "--dask", "here"])
     assert "no address of a Dask scheduler" in str(wrong.exception)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,15 @@ from hil.campaign.run import run_experiment
 from hil.cli.app import app
 from hil.drift.features import Features, feature_names
 from hil.drift.history import Probe
-from hil.errors import DataError, RegistryError
+from hil.errors import DataError
 from hil.executor import one_thread
 from hil.fleet.fit_task import FitResult
-from hil.fleet.fitting import RobotFit, registered
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import experiment_for, spec_for
 from hil.fleet.outliers import standing
-from hil.fleet.survey import Survey, probe_fleet, survey_fleet
+from hil.fleet.probing import probe_fleet
+from hil.fleet.robot_fit import RobotFit, registered
+from hil.fleet.survey import Survey, survey_fleet
 from hil.fleet.surveyed import Surveyed
 from hil.registry.registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
@@ -130,19 +132,48 @@ def test_a_small_fleet_is_reported_with_ages_and_without_judgement(
 
 def test_runs_of_a_fleet_are_judged_as_probes_of_its_champions(fleet: Path, tmp_path: Path) -> None:
     registry = Registry(tmp_path / "registry")
-    with pytest.raises(RegistryError, match="no models of a"):
-        probe_fleet(fleet, registry, 0.01)
+    bare = probe_fleet(fleet, registry, 0.01)
+    assert ["no models of" in one.error for one in bare] == [True, True]
     _, members = FleetFolder.open(fleet)
     # each the model of the other: the same arm, and none was fitted to its own run
     for one, other in zip(members[:2], reversed(members[:2]), strict=True):
         model = Path(other["models"][0])
         model = model if model.is_absolute() else fleet / model
-        fit = RobotFit(one["robot"], Path(one["run"]), FitResult(model.name), model)
+        fit = RobotFit(one["robot"], Path(one["run"]), FitResult(model.name, passed=True), model)
         assert registered(fit, registry).role == "champion"
     told = probe_fleet(fleet, registry, 0.01)
-    assert [robot for robot, _ in told] == ["a", "b"]
-    assert told[0][1].false_alarm == pytest.approx(0.005, rel=0.01)
+    assert [(one.robot, one.error, one.note) for one in told] == [("a", "", ""), ("b", "", "")]
+    assert told[0].probe is not None
+    assert told[0].probe.false_alarm == pytest.approx(0.005, rel=0.01)
+    again = probe_fleet(fleet, registry, 0.1)
+    assert again[0].note == "judged before, at a rate of 0.005, not 0.051"
     found = survey_fleet(fleet, registry, workers=1)
+    assert found.false_alarms == pytest.approx(0.01, rel=0.01)
     assert all(np.isfinite(one.change).all() for one in found.robots)
     with pytest.raises(DataError, match=r"fleet\.json"):
         survey_fleet(tmp_path, registry, workers=1)
+    # what was said under a champion that was is not said of the present one
+    version = registry.register("a", Path(members[0]["models"][0]), {})
+    registry.promote("a", version.number, reason="new", evidence={}, instead_of=1)
+    found = survey_fleet(fleet, registry, workers=1)
+    assert [one.probe is None for one in found.robots] == [True, False]
+
+
+def test_a_member_that_was_deleted_or_damaged_costs_nobody_else(
+    fleet: Path, tmp_path: Path
+) -> None:
+    runs = tmp_path / "runs"
+    shutil.copytree(fleet.parents[2], runs)
+    copied = runs / fleet.relative_to(fleet.parents[2])
+    _, members = FleetFolder.open(copied)
+    shutil.rmtree(members[0]["run"])
+    registry = Registry(tmp_path / "registry")
+    survey = survey_fleet(copied, registry, workers=1)
+    assert [one.robot for one in survey.robots] == ["a", "b"]
+    assert survey.robots[0].problem
+    assert np.isfinite(survey.robots[1].friction).all()
+    json = CliRunner().invoke(
+        app, ["fleet", "drift", str(copied), "--registry", str(registry.root), "--json"]
+    )
+    assert json.exit_code == 8, json.output
+    assert json.stdout.count('"error"') >= 2

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.parts import Parts, hold_out
+from hil.campaign.judged_model import Judged, judged_model
+from hil.campaign.parts import hold_out
 from hil.campaign.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
 from hil.campaign.under_loads import Row, judge_under_loads
 from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
@@ -15,34 +15,11 @@ from hil.data.dataset import Dataset
 from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.errors import DataError, FitError, HilError
-from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
-from hil.evaluate.verdict import Metric
 from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
 from hil.record.rundir import RunDirectory
-from hil.spec.experiment import Accept, ExperimentSpec, Fit
+from hil.spec.experiment import ExperimentSpec, Fit
 from hil.validation import EVALUATION_FILE
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """One fitted and judged model.
-
-    Attributes:
-        estimator: Its name.
-        protocol: `honest`, or how the model departs from that; see `RobotEstimator.protocol`.
-        folder: `fit/<estimator>-<digest>` of the run.
-        held_out: Its errors on data it has not seen.
-        trained: Its errors on the data it was fitted to, for comparison only.
-        verdict: Whether the held-out errors meet the criteria; not judged unless honest.
-    """
-
-    estimator: str
-    protocol: str
-    folder: Path
-    held_out: Evaluation
-    trained: Evaluation
-    verdict: Verdict
 
 
 def judge_run(
@@ -109,17 +86,6 @@ def judge_recording(
     return passed
 
 
-def criteria_of(accept: Accept) -> list[Criterion]:
-    """The model criteria of a spec; `gaps_percent` is judged on the recording."""
-    out: list[Criterion] = []
-    if (rmse := accept.rmse) is not None:
-        metric: Metric = "rmse_raw" if rmse.signal == "raw" else "rmse_filtered"
-        out.append(Criterion(metric, rmse.max, rmse.unit, rmse.per))
-    if (nrmse := accept.nrmse) is not None:
-        out.append(Criterion("nrmse", nrmse.max, "", nrmse.per))
-    return out
-
-
 def _loaded(directory: RunDirectory, problems: list[FailedFit]) -> Dataset | None:
     try:
         return load_source(directory.path)
@@ -142,31 +108,11 @@ def _judge_one(
         )  # fmt: skip
 
     fitted = fit_or_go_on(directory.path, fit, fitted_from, news.note)
-    held_out = evaluate(fitted.model, parts.test, fitted.train_std)
-    trained = evaluate(fitted.model, parts.train, fitted.train_std)
-    protocol = fitted.model.protocol
-    verdict = judge(held_out, criteria_of(spec.accept) if protocol == HONEST else [])
-    document = {
-        "estimator": fit.estimator,
-        "protocol": protocol,
-        "seconds": fitted.seconds,
-        "notes": list(fitted.model.notes_),
-        "held_out": {"what": parts.held_out, **held_out.to_dict()},
-        "beside": _beside(fitted, parts),
-        "trained": trained.to_dict(),
-        "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
-    }
+    judged = judged_model(fit.estimator, fitted, parts, spec.accept)
     if not (fitted.folder / EVALUATION_FILE).exists():  # else a kill before the verdict left it
+        document = judged.document | {"seconds": fitted.seconds}
         directory.write_json(f"fit/{fitted.folder.name}/{EVALUATION_FILE}", document)
-    return Judged(fit.estimator, protocol, fitted.folder, held_out, trained, verdict)
-
-
-def _beside(fitted: Fitted, parts: Parts) -> list[dict[str, Any]]:
-    """Errors where only the load or only the motion is new."""
-    return [
-        {"what": what, **evaluate(fitted.model, data, fitted.train_std).to_dict()}
-        for what, data in parts.beside
-    ]
+    return judged
 
 
 def _verdict_document(

@@ -12,7 +12,8 @@ from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 from hil.cli.registry import HERE, RegistryOption
 
 if TYPE_CHECKING:
-    from hil.fleet.fitting import RobotFit
+    from hil.fleet.probing import Probed
+    from hil.fleet.robot_fit import RobotFit
 
 FolderArgument = Annotated[
     Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
@@ -62,7 +63,8 @@ def fit(
     from hil.errors import FitError
     from hil.executor import cores
     from hil.fleet.fit_task import How
-    from hil.fleet.fitting import fit_runs, kept, registered
+    from hil.fleet.fitting import fit_runs
+    from hil.fleet.robot_fit import kept, registered
     from hil.registry.registry import Registry
 
     sources, home = _runs_of(what, runs)
@@ -77,10 +79,10 @@ def fit(
         print_json({"fits": [one.to_dict() for one in fits]})
     else:
         print_table(("robot", "RMSE [raw]", "criteria", "is", "model"), map(_fit_row, fits))
-    failed = [one for one in fits if one.result.error]
-    if failed:
-        first = f"{failed[0].robot}: {failed[0].result.error}"
-        fail(FitError(f"{len(failed)} of {len(fits)} robots have no model; {first}"), json)
+    if failed := [one for one in fits if one.error]:
+        lack = "are not registered" if register else "have no model"
+        first = f"{failed[0].robot}: {failed[0].error}"
+        fail(FitError(f"{len(failed)} of {len(fits)} robots {lack}; {first}"), json)
 
 
 def drift(
@@ -88,22 +90,26 @@ def drift(
     false_alarm: Annotated[
         float,
         typer.Option(
-            help="Probability with which any of the robots is called changed, if none is."
+            help="Nominal probability with which any of the robots is called changed, if none is."
         ),
     ] = 0.01,
     registry: RegistryOption = HERE,
     json: JsonFlag = False,
 ) -> None:
     """Judge the runs of a fleet as probes, each against its robot's champion."""
-    from hil.fleet.survey import probe_fleet
+    from hil.cli.runs import fail
+    from hil.errors import DataError
+    from hil.fleet.probing import probe_fleet
     from hil.registry.registry import Registry
 
     told = probe_fleet(folder, Registry(registry), false_alarm)
     if json:
-        print_json({"probes": [{"robot": robot, **probe.to_dict()} for robot, probe in told]})
-        return
-    rows = [(robot, "yes" if one.changed else "no", one.text) for robot, one in told]
-    print_table(("robot", "changed", "what"), rows)
+        print_json({"probes": [one.to_dict() for one in told]})
+    else:
+        print_table(("robot", "changed", "what"), map(_drift_row, told))
+    if failed := [one for one in told if one.error]:
+        first = f"{failed[0].robot}: {failed[0].error}"
+        fail(DataError(f"{len(failed)} of {len(told)} robots are not judged; {first}"), json)
 
 
 def report(
@@ -139,8 +145,16 @@ def _fit_row(fit: RobotFit) -> tuple[str, ...]:
     rmse = fit.result.rmse
     mean = f"{sum(rmse) / len(rmse):.4f}" if rmse else ""
     word = {True: "met", False: "missed", None: ""}[fit.result.passed]
+    run = "run rejected" if fit.verdict == "rejected" else ""
     role = " ".join(filter(None, (fit.registered, fit.role)))
-    return fit.robot, mean, word, role, fit.result.error or str(fit.model)
+    return fit.robot, mean, ", ".join(filter(None, (word, run))), role, fit.error or str(fit.model)
+
+
+def _drift_row(one: Probed) -> tuple[str, ...]:
+    if one.probe is None:
+        return one.robot, "?", one.error
+    what = "; ".join(filter(None, (one.probe.text, one.note)))
+    return one.robot, "yes" if one.probe.changed else "no", what
 
 
 class _Count:
@@ -159,13 +173,12 @@ def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
     from hil.cli.models import found
     from hil.errors import DataError
-    from hil.fleet.folder import MODELS, FleetFolder, is_fleet_folder
+    from hil.fleet.folder import MODELS, FleetFolder, completed, is_fleet_folder
     from hil.record.rundir import RunDirectory
 
     if len(what) == 1 and is_fleet_folder(Path(what[0])):
         folder, members = FleetFolder.open(Path(what[0]))
-        done = [Path(one["run"]) for one in members if one.get("outcome") == "completed"]
-        if not done:
+        if not (done := completed(members)):
             raise DataError(
                 f"no robot of {folder.path} has been measured",
                 hint=f"hil fleet resume {folder.path}",

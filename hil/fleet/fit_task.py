@@ -5,20 +5,20 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.judging import criteria_of
-from hil.campaign.parts import hold_out
-from hil.data.dataset import Dataset
+from hil.campaign.judged_model import judged_model
+from hil.campaign.parts import Parts, hold_out
 from hil.data.load import load_source, serial_of
 from hil.drift.history import identity
 from hil.dynamics import load_model
-from hil.errors import DataError, HilError
-from hil.evaluate import Criterion, evaluate, judge
+from hil.errors import HilError
 from hil.fitting import fit_dataset, usable_part
 from hil.identify.base import estimator as make_estimator
 from hil.record.files import json_document
+from hil.spec.experiment import Accept
 from hil.spec.load import load_spec
 from hil.validation import EVALUATION_FILE
 
@@ -41,18 +41,14 @@ class Learnt:
     """What a fit needs of a run.
 
     Attributes:
-        train: To fit to.
-        test: Held out as the run's spec says; None where it holds nothing out.
-        held_out: What `test` is, in words.
+        parts: To fit to and to judge on, as the run's spec says.
         serial: Of the robot.
-        criteria: Of the run's spec.
+        accept: Criteria of the run's spec.
     """
 
-    train: Dataset
-    test: Dataset | None
-    held_out: str
+    parts: Parts
     serial: str
-    criteria: tuple[Criterion, ...]
+    accept: Accept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +58,10 @@ class FitResult:
     Attributes:
         folder: Name of the model's folder, `<estimator>-<digest>`.
         files: Its content, by name; empty when there is no model.
-        rmse: (n,) raw, on what was held out; empty if nothing was.
-        passed: Whether that meets the run's criteria; None if it has none.
+        rmse: (n,) raw, on what was held out.
+        passed: Whether that meets all criteria for models in the run's spec; None if it has none,
+            if they do not apply to such a model, or if some are about loads: only a run judges
+            those.
         error: Why there is no model.
     """
 
@@ -78,18 +76,13 @@ def learnt_of(run: Path, how: How) -> Learnt:
     """What of a run is fitted to, and what is held out.
 
     Raises:
-        DataError: The run cannot be read.
+        DataError: The run cannot be read, or nothing can be held out.
         FitError: It has nothing the estimator works on.
         SpecError: Its spec cannot be read.
     """
     data = usable_part(load_source(run), make_estimator(how.estimator, **how.parameters))
     spec = load_spec(run / "spec.yaml", look_up=False)
-    criteria = tuple(criteria_of(spec.accept))
-    try:
-        parts = hold_out(data, spec.hold_out)
-    except DataError:  # a program of one trajectory: all there is is fitted to
-        return Learnt(data, None, "", serial_of(run), ())
-    return Learnt(parts.train, parts.test, parts.held_out, serial_of(run), criteria)
+    return Learnt(hold_out(data, spec.hold_out), serial_of(run), spec.accept)
 
 
 def fit_at(run: Path, uid: str, how: How) -> FitResult | None:
@@ -125,25 +118,13 @@ class Sent:
 
     def __reduce__(self) -> tuple[Any, ...]:
         try:
-            return _fit_sent, (learnt_of(self.run, self.how), self.how)
+            return partial, (_fitted_of, learnt_of(self.run, self.how), self.how)
         except HilError as error:
-            return _no_model, (error.message,)
+            return partial, (FitResult, "", {}, (), None, error.message)
 
 
-class _fit_sent:  # noqa: N801 - what arrives at a worker in place of `Sent`
-    def __init__(self, learnt: Learnt, how: How) -> None:
-        self._learnt, self._how = learnt, how
-
-    def __call__(self) -> FitResult:
-        return _tried(lambda: fit_learnt(self._learnt, self._how))
-
-
-class _no_model:  # noqa: N801
-    def __init__(self, error: str) -> None:
-        self._error = error
-
-    def __call__(self) -> FitResult:
-        return FitResult(error=self._error)
+def _fitted_of(learnt: Learnt, how: How) -> FitResult:
+    return _tried(lambda: fit_learnt(learnt, how))
 
 
 def fit_learnt(learnt: Learnt, how: How) -> FitResult:
@@ -153,29 +134,21 @@ def fit_learnt(learnt: Learnt, how: How) -> FitResult:
         FitError: The data do not allow it.
         PluginError, SpecError: No such estimator, parameter or robot.
     """
-    train = learnt.train
+    train = learnt.parts.train
     robot = load_model(train.robot, gravity=train.gravity)
     with tempfile.TemporaryDirectory(prefix="hil-fit-") as folder:
         fitted = fit_dataset(
             train, how.estimator, robot, out=Path(folder), serial=learnt.serial, **how.parameters
         )
         files = {path.name: path.read_bytes() for path in sorted(fitted.folder.iterdir())}
-    if learnt.test is None:
-        return FitResult(fitted.folder.name, files)
-    found = evaluate(fitted.model, learnt.test, fitted.train_std)
-    verdict = judge(found, list(learnt.criteria))
-    document = {
-        "estimator": how.estimator,
-        "protocol": fitted.model.protocol,
-        "notes": list(fitted.model.notes_),
-        "held_out": {"what": learnt.held_out, **found.to_dict()},
-        "verdict": verdict.to_dict(),
-    }
+    judged = judged_model(how.estimator, fitted, learnt.parts, learnt.accept)
+    verdict = judged.verdict
+    passed = verdict.passed if verdict.judged else None
     return FitResult(
         fitted.folder.name,
-        files | {EVALUATION_FILE: json_document(document)},
-        tuple(map(float, found.total.rmse_raw)),
-        verdict.passed if verdict.judged else None,
+        files | {EVALUATION_FILE: json_document(judged.document)},
+        tuple(map(float, judged.held_out.total.rmse_raw)),
+        None if passed and learnt.accept.under_loads else passed,
     )
 
 

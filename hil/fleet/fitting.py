@@ -4,66 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hil.dask_cluster import cluster
 from hil.drift.history import identity
-from hil.errors import FitError
+from hil.errors import DataError, FitError
 from hil.executor import processes
 from hil.fleet.fit_task import FitResult, How, Sent, fit_at
-from hil.identify.model_file import write_whole
-from hil.record.files import read_json
-from hil.registry.registry import Registry
 from hil.study.spreading import TRIES, spread
 
 Tell = Callable[[int], object]
 """Told how many are done."""
-
-
-@dataclass(frozen=True, slots=True)
-class RobotFit:
-    """The fit of one robot.
-
-    Attributes:
-        robot: Its name.
-        run: It was fitted to.
-        result: What came of it.
-        model: Folder of the model, None without one.
-        registered: Version in the registry, such as `v3`; empty if that was not asked.
-        role: `champion` or `challenger`; empty where it is neither.
-    """
-
-    robot: str
-    run: Path
-    result: FitResult
-    model: Path | None = None
-    registered: str = ""
-    role: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """An entry of `hil fleet fit --json`."""
-        return {
-            "robot": self.robot,
-            "run": str(self.run),
-            "model": self.model and str(self.model),
-            "rmse_raw": list(self.result.rmse),
-            "passed": self.result.passed,
-            "registered": self.registered or None,
-            "role": self.role or None,
-            "error": self.result.error or None,
-        }
-
-
-def robot_of(run: Path) -> str:
-    """The name of a run's robot in its station.
-
-    Raises:
-        DataError: It is no run.
-    """
-    return str(read_json(run / "start.json")["robot_name"])
 
 
 def fit_runs(
@@ -86,12 +39,11 @@ def fit_runs(
         tell: Told how many are done.
 
     Raises:
-        DataError: One of them is no run.
         FitError: Workers died again and again, or none is left.
         PluginError: Dask is not installed.
     """
     paths = [run.resolve() for run in runs]
-    tasks = [partial(fit_at, run, identity(run)[0], how) for run in paths]
+    tasks = [_task(run, how) for run in paths]
     with cluster(dask) as executor:
         found = computed(tasks, workers, executor, tell)
         unseen = [i for i, one in enumerate(found) if one is None]
@@ -100,6 +52,13 @@ def fit_runs(
         for i, one in zip(unseen, more, strict=True):
             found[i] = one
     return found
+
+
+def _task(run: Path, how: How) -> Callable[[], FitResult | None]:
+    try:
+        return partial(fit_at, run, identity(run)[0], how)
+    except DataError as error:  # deleted since: the others are still there
+        return partial(FitResult, error=error.message)
 
 
 def computed(
@@ -160,50 +119,3 @@ def _on_processes(
         raise
     else:
         pool.shutdown()
-
-
-def kept(runs: Sequence[Path], results: Sequence[FitResult], out: Path) -> list[RobotFit]:
-    """Store models as `out/ROBOT/<estimator>-<digest>`.
-
-    Raises:
-        OSError: They cannot be written.
-    """
-    return [_kept(run, one, out) for run, one in zip(runs, results, strict=True)]
-
-
-def _kept(run: Path, result: FitResult, out: Path) -> RobotFit:
-    robot = robot_of(run)
-    if not result.files:
-        return RobotFit(robot, run, result)
-    folder = out / robot / result.folder
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in result.files.items():
-        if not (folder / name).exists() or (folder / name).read_bytes() != content:
-            write_whole(folder / name, content)
-    return RobotFit(robot, run, result, folder)
-
-
-def registered(fit: RobotFit, registry: Registry) -> RobotFit:
-    """Register a model under its robot's name, as challenger; a first one becomes champion.
-
-    One that misses its run's criteria becomes neither.
-
-    Raises:
-        RegistryError: The registry cannot be written.
-    """
-    from hil.registry.facts import facts_of
-
-    if fit.model is None:
-        return fit
-    good = fit.result.passed is not False
-    facts = facts_of(fit.model, [fit.run])
-    version = registry.register(fit.robot, fit.model, facts, challenger=good)
-    now = registry.aliases(fit.robot)
-    if good and not now.champion:
-        evidence = {"evaluation": facts["evaluation"]}
-        now = registry.promote(
-            fit.robot, version.number, reason="the first model of its robot", evidence=evidence,
-            instead_of=0,
-        )  # fmt: skip
-    role = {now.champion: "champion", now.challenger: "challenger"}.get(version.number, "")
-    return replace(fit, registered=version.label, role=role)

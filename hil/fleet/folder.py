@@ -141,6 +141,11 @@ class FleetFolder:
             yield
 
 
+def completed(members: Sequence[dict[str, Any]]) -> list[Path]:
+    """Runs of a fleet's document that have measured all they should."""
+    return [Path(one["run"]) for one in members if one.get("outcome") == "completed"]
+
+
 def is_fleet_folder(path: Path) -> bool:
     """Whether a fleet was begun in a folder."""
     return (path / DOCUMENT).is_file()

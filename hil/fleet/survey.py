@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.drift.history import Probe, assess, probes_of
-from hil.errors import DataError
-from hil.fleet.fitting import computed, robot_of
-from hil.fleet.folder import MODELS, FleetFolder
+from hil.drift.history import probes_of
+from hil.errors import DataError, HilError
+from hil.fleet.fitting import computed
+from hil.fleet.folder import MODELS, FleetFolder, completed
 from hil.fleet.outliers import FAMILY_WISE, Standing, standing
+from hil.fleet.robot_fit import robot_of
 from hil.fleet.surveyed import Surveyed, surveyed
 from hil.identify.model_folder import models_below
 from hil.registry.registry import Registry
@@ -48,8 +48,16 @@ class Survey:
 
     @property
     def drifted(self) -> tuple[Surveyed, ...]:
-        """Robots whose last probe says that they have changed."""
+        """Robots whose last probe under their present champion says that they have changed."""
         return tuple(one for one in self.robots if one.probe is not None and one.probe.changed)
+
+    @property
+    def false_alarms(self) -> float:
+        """Robots, at most, that are expected among `drifted` if nobody has changed.
+
+        The sum of the rates at which their last probes were judged.
+        """
+        return sum(one.probe.false_alarm for one in self.robots if one.probe is not None)
 
     def outlying(self, which: Standing | None) -> list[tuple[int, int]]:
         """(robot, joint) of what stands out in a quantity, the farthest first."""
@@ -69,6 +77,7 @@ class Survey:
             "robots": [one.to_dict() for one in self.robots],
             "missing": list(self.missing),
             "drifted": [one.robot for one in self.drifted],
+            "false_alarms": self.false_alarms,
             "friction": self._standing(self.friction),
             "change": self._standing(self.change),
         }
@@ -101,7 +110,6 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
     Raises:
         DataError: It is no fleet, nothing was measured, or its robots are different arms.
         FitError: Processes died again and again.
-        RegistryError: A history of probes is damaged.
     """
     folder, members = FleetFolder.open(path)
     runs = completed(members)
@@ -111,10 +119,8 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
         )
     tasks = [partial(surveyed, run, _model_of(folder, run)) for run in runs]
     known = set(registry.names())
-    robots = []
-    for one in computed(tasks, workers, None, lambda done: None):
-        probes = probes_of(registry, one.robot) if one.robot in known else []
-        robots.append(_with_probe(one, probes[-1] if probes else None))
+    found: list[Surveyed] = computed(tasks, workers, None, lambda done: None)
+    robots = [_probed(one, registry) if one.robot in known else one for one in found]
     if len({one.joint_names for one in robots if one.joint_names}) > 1:
         raise DataError(
             f"the robots of {folder.path} are different arms",
@@ -133,29 +139,6 @@ def survey_fleet(path: Path, registry: Registry, *, workers: int) -> Survey:
     )  # fmt: skip
 
 
-def probe_fleet(path: Path, registry: Registry, false_alarm: float) -> list[tuple[str, Probe]]:
-    """Judge the runs of a fleet as probes, each against its robot's champion.
-
-    Args:
-        path: Folder of the fleet.
-        registry: With champions of the robots.
-        false_alarm: Probability with which any of the robots is called changed though none is.
-
-    Raises:
-        DataError: It is no fleet, or a champion was fitted to a run.
-        RegistryError: A robot has no champion, or a history is damaged.
-    """
-    runs = completed(FleetFolder.open(path)[1])
-    each = 1.0 - (1.0 - false_alarm) ** (1.0 / max(1, len(runs)))
-    named = [(robot_of(run), run) for run in runs]
-    return [(name, assess(registry, name, run, false_alarm=each)) for name, run in named]
-
-
-def completed(members: Sequence[dict[str, Any]]) -> list[Path]:
-    """Runs of a fleet's document that have measured all they should."""
-    return [Path(one["run"]) for one in members if one.get("outcome") == "completed"]
-
-
 def _model_of(folder: FleetFolder, run: Path) -> Path | None:
     """The model fitted last: by `hil fleet fit` of this fleet, else by the run itself."""
     ours = [one.parent for one in (folder.path / MODELS / robot_of(run)).glob("*/model.json")]
@@ -163,8 +146,14 @@ def _model_of(folder: FleetFolder, run: Path) -> Path | None:
     return newest or next(iter(models_below(run)), None)
 
 
-def _with_probe(one: Surveyed, probe: Probe | None) -> Surveyed:
-    return replace(one, probe=probe)
+def _probed(one: Surveyed, registry: Registry) -> Surveyed:
+    """With its last probe under the present champion: one before is of another model's errors."""
+    try:
+        champion = registry.aliases(one.robot).champion
+        probes = [each for each in probes_of(registry, one.robot) if each.champion == champion]
+    except HilError as error:  # a damaged history is this robot's alone
+        return replace(one, problem="; ".join(filter(None, (one.problem, error.message))))
+    return replace(one, probe=probes[-1] if probes else None)
 
 
 def _wide(values: FloatArray, n: int) -> FloatArray:

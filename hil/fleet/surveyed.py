@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.drift.history import Probe
 from hil.errors import FitError, HilError
-from hil.fleet.fitting import robot_of
+from hil.fleet.robot_fit import robot_of
 from hil.record.files import read_json
 from hil.typing import FloatArray
 
@@ -30,8 +30,8 @@ class Surveyed:
         joint_names: Length n.
         friction: (n,) RMS of what the model says is friction, along the run's trajectories [N·m].
         temperature: (n,) mean of the joints there [°C]; NaN where it is not measured.
-        probe: The last probe of that name in the registry, None without.
-        problem: Why nothing is known of its friction, else empty.
+        probe: The last probe of that name under its present champion, None without.
+        problem: What could not be read of it, else empty.
     """
 
     robot: str
@@ -64,6 +64,8 @@ class Surveyed:
             "change": self.change.tolist(),
             "changed": self.probe.changed if self.probe else None,
             "what": self.probe.text if self.probe else None,
+            "champion": self.probe.champion if self.probe else None,
+            "false_alarm": self.probe.false_alarm if self.probe else None,
             "problem": self.problem or None,
         }
 
@@ -104,8 +106,8 @@ def _age(run: Path) -> float:
     """Years from the station's `in_service` to the run; NaN where either is not told."""
     from hil.spec.load import load_station
 
-    start = read_json(run / "start.json")
     try:
+        start = read_json(run / "start.json")
         station = load_station(run / "station.yaml", look_up=False)
         since = station.robots[str(start["robot_name"])].in_service
         day = datetime.fromisoformat(str(start["started"])).date()

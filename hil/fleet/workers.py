@@ -21,6 +21,9 @@ from hil.fleet.worker import Job, work
 
 Document = dict[str, Any]
 
+GONE_S = 10.0
+"""In which a worker that has answered should have gone by itself [s]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Manner:
@@ -64,15 +67,15 @@ class Workers:
         """Wait for the next workers to answer, or to die."""
         for answer in wait(list(self.going)):
             assert isinstance(answer, Connection)
-            i, process = self.going.pop(answer)
+            i, process = self.going[answer]
             try:
-                told: Document = answer.recv()
+                told: Document | None = answer.recv()
             except (EOFError, OSError):
-                process.join()
-                told = {"error": _died(process)}
-            process.join()
+                told = None
+            _let_go(process)
+            del self.going[answer]  # not before: signals are passed on to it until it has gone
             answer.close()
-            yield i, told
+            yield i, {"error": _died(process)} if told is None else told
 
     def _job(self, member: Ended) -> Job:
         head, manner, run = self._folder.head, self._manner, member.report.get("run")
@@ -105,6 +108,15 @@ class Workers:
     def _pass_on(self) -> None:
         for _, process in list(self.going.values()):
             _end(process)
+
+
+def _let_go(process: BaseProcess) -> None:
+    """Wait until a worker that has answered is gone; the arm is at rest, and nobody hangs on it."""
+    process.join(GONE_S)
+    for end in (process.terminate, process.kill):
+        if process.exitcode is None:
+            end()
+            process.join(GONE_S)
 
 
 def _end(process: BaseProcess) -> None:

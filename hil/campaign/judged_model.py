@@ -1,0 +1,81 @@
+"""One fitted model, judged on what was held out: the same for a run and for a fleet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.parts import Parts
+from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
+from hil.evaluate.verdict import Metric
+from hil.fitting import Fitted
+from hil.identify.base import HONEST
+from hil.spec.experiment import Accept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """One fitted and judged model.
+
+    Attributes:
+        estimator: Its name.
+        protocol: `honest`, or how the model departs from that; see `RobotEstimator.protocol`.
+        folder: `<estimator>-<digest>`.
+        held_out: Its errors on data it has not seen.
+        trained: Its errors on the data it was fitted to, for comparison only.
+        verdict: Whether the held-out errors meet the criteria; not judged unless honest.
+        document: The content of `evaluation.json`, but for the seconds the fit took.
+    """
+
+    estimator: str
+    protocol: str
+    folder: Path
+    held_out: Evaluation
+    trained: Evaluation
+    verdict: Verdict
+    document: dict[str, Any]
+
+
+def judged_model(estimator: str, fitted: Fitted, parts: Parts, accept: Accept) -> Judged:
+    """Judge a model on what was held out; criteria apply to honest ones alone.
+
+    Args:
+        estimator: Its name.
+        fitted: To `parts.train`.
+        parts: Of the run.
+        accept: Criteria of its spec; those of its recording and of loads are judged elsewhere.
+    """
+    held_out = evaluate(fitted.model, parts.test, fitted.train_std)
+    trained = evaluate(fitted.model, parts.train, fitted.train_std)
+    protocol = fitted.model.protocol
+    verdict = judge(held_out, criteria_of(accept) if protocol == HONEST else [])
+    document = {
+        "estimator": estimator,
+        "protocol": protocol,
+        "notes": list(fitted.model.notes_),
+        "held_out": {"what": parts.held_out, **held_out.to_dict()},
+        "beside": _beside(fitted, parts),
+        "trained": trained.to_dict(),
+        "verdict": verdict.to_dict() | ({} if verdict.judged else {"passed": None}),
+    }
+    return Judged(estimator, protocol, fitted.folder, held_out, trained, verdict, document)
+
+
+def criteria_of(accept: Accept) -> list[Criterion]:
+    """The model criteria of a spec; `gaps_percent` is judged on the recording."""
+    out: list[Criterion] = []
+    if (rmse := accept.rmse) is not None:
+        metric: Metric = "rmse_raw" if rmse.signal == "raw" else "rmse_filtered"
+        out.append(Criterion(metric, rmse.max, rmse.unit, rmse.per))
+    if (nrmse := accept.nrmse) is not None:
+        out.append(Criterion("nrmse", nrmse.max, "", nrmse.per))
+    return out
+
+
+def _beside(fitted: Fitted, parts: Parts) -> list[dict[str, Any]]:
+    """Errors where only the load or only the motion is new."""
+    return [
+        {"what": what, **evaluate(fitted.model, data, fitted.train_std).to_dict()}
+        for what, data in parts.beside
+    ]

@@ -1,0 +1,67 @@
+"""Workers of a fleet that answer and do not go: nobody hangs on them, and signals reach them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from hil.campaign.series import Ended
+from hil.fleet import workers
+from hil.fleet.folder import FleetFolder
+from hil.fleet.worker import Job
+from hil.fleet.workers import Manner, Workers
+
+TOLD = {"outcome": "completed"}
+
+
+def stays(job: Job, answer: Connection) -> None:
+    """Answers, and goes by SIGTERM."""
+    answer.send(TOLD)
+    time.sleep(120)
+
+
+def stays_whatever(job: Job, answer: Connection) -> None:
+    """Answers, and goes by SIGKILL alone."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    stays(job, answer)
+
+
+def one_at_it(folder: Path) -> Workers:
+    made = FleetFolder.create(folder, "small", {"a": "hil: 1\n"}, folder / "small.yaml", "")
+    fleet = Workers(made, Manner(1))
+    fleet.begin(0, Ended("small", "a", {}, None))
+    return fleet
+
+
+def test_a_worker_that_has_answered_and_stays_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "work", stays_whatever)
+    monkeypatch.setattr(workers, "GONE_S", 0.2)
+    fleet = one_at_it(tmp_path)
+    ((_, process),) = fleet.going.values()
+    assert list(fleet.ended()) == [(0, TOLD)]
+    assert process.exitcode == -signal.SIGKILL
+    assert not fleet.going
+
+
+def test_ctrl_c_reaches_a_worker_that_has_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "work", stays)
+    monkeypatch.setattr(workers, "GONE_S", 40.0)
+    fleet = one_at_it(tmp_path)
+    ((answer, (_, process)),) = fleet.going.items()
+    assert answer.poll(30.0)
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    begin = time.monotonic()
+    with fleet.signals():
+        assert list(fleet.ended()) == [(0, TOLD)]
+    assert time.monotonic() - begin < 20.0
+    assert process.exitcode == -signal.SIGTERM
