@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,7 +23,7 @@ import hil.pipeline.reidentify
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.preview import preview_experiment
 from hil.cli.app import app
-from hil.errors import FitError, HilError
+from hil.errors import FitError, HilError, InterlockTripped
 from hil.schedule.ledger import Ledger, kept
 from hil.schedule.motions import motions
 from hil.schedule.occasion import Occasion
@@ -189,6 +189,60 @@ def test_a_schedule_that_runs_says_so_and_is_not_run_twice() -> None:
         assert json.loads(told)["run_by"].startswith("pid ")
         _, _, error = hil_schedule("run", "nightly.yaml", "--once")
         assert "is run by pid" in str(error)
+
+
+def test_a_trip_is_shown_until_it_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
+    write("nightly.yaml", SCHEDULE.format(every="1min") + "notify: [sh, -c, 'cat >> notices']\n")
+    done = working(monkeypatch, InterlockTripped("elbow: 31 A"))
+    _, told, error = hil_schedule("run", "nightly.yaml", "--once")
+    assert isinstance(error, InterlockTripped)
+    assert json.loads(Path("notices").read_text())["event"] == "held"
+    held = "hil schedule release nightly.yaml --reason TEXT"
+    assert held in told
+    for words in (("run", "--once"), ("show",), ("plan", "--weeks", "0.001")):
+        code, told, _ = hil_schedule(words[0], "nightly.yaml", *words[1:])
+        assert (code, held in told, "elbow: 31 A" in told) == (0, True, True)
+    for words in (("show",), ("plan", "--weeks", "0.001")):
+        _, told, _ = hil_schedule(words[0], "nightly.yaml", "--json", *words[1:])
+        assert json.loads(told)["held"]["occasion"] == done[0]
+    code, told, _ = hil_schedule("release", "nightly.yaml", "--reason", "a cable")
+    assert code == 0
+    assert "released" in told
+    assert "a cable" in told
+    assert "next: " in told or "has waited" in told
+    _, told, _ = hil_schedule("show", "nightly.yaml", "--json")
+    assert json.loads(told)["held"] is None
+    assert len(done) == 1
+
+
+def test_a_person_holds_it_and_has_to_say_why() -> None:
+    _, _, error = hil_schedule("hold", "nightly.yaml", "--reason", "tool change")
+    assert "nightly has never been started" in str(error)
+    with kept(Path("schedules/nightly"), "nightly") as ledger:
+        ledger.start("nightly", datetime.now(UTC) - timedelta(hours=36))
+        assert hil_schedule("hold", "nightly.yaml")[0] == 2
+        code, told, _ = hil_schedule("hold", "nightly.yaml", "--reason", "tool change")
+        assert code == 0
+        assert "tool change" in told
+        _, told, _ = hil_schedule("release", "nightly.yaml", "--reason", "done")
+        assert "has waited: whoever runs the schedule begins it within a minute" in told
+
+
+def test_what_is_next_is_not_what_is_settled() -> None:
+    def shown() -> tuple[datetime, str]:
+        told = [hil_schedule("show", "nightly.yaml", *json)[1] for json in (["--json"], [])]
+        return datetime.fromisoformat(json.loads(told[0])["next"]), told[1]
+
+    now = datetime.now(UTC)
+    with kept(Path("schedules/nightly"), "nightly") as ledger:
+        ledger.start("nightly", now)
+        ledger.add("unnotified", now, until=(now + timedelta(hours=20)).isoformat(), why="")
+        assert shown()[0] > now + timedelta(hours=20)
+        ledger.add("unnotified", now, until=(now + timedelta(days=3650)).isoformat(), why="")
+        moment, told = shown()
+    assert moment > now + timedelta(days=3650)
+    assert "everything is settled until" in told
+    assert "next: " not in told
 
 
 def test_units_have_absolute_paths() -> None:

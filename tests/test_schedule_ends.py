@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from pipeline_parts import PROBE, write_schedule
 from schedule_parts import at, events, schedule, scheduler
 
 from hil.campaign.experiment import load_experiment
-from hil.engine import Engine
 from hil.errors import Stopped
 from hil.pipeline.measuring import Measuring
 from hil.schedule.ledger import Ledger
@@ -23,10 +22,27 @@ from hil.schedule.occasion import Occasion
 MON = "20261123T030000Z-probe"
 
 
-def measuring(folder: Path, probe: Any) -> Scheduler:
+class Presses:
+    """Presses Ctrl-C when the robot begins to move, and again if that only pauses it."""
+
+    wants_rows = False
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    def notify(self, event: Mapping[str, Any]) -> None:
+        """An event of the run."""
+        what = event.get("state", "") if event["kind"] == "state" else event["kind"]
+        if what in ("step", "paused") and what not in self.heard:
+            self.heard.append(what)
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def measuring(folder: Path, probe: Any, *observers: Presses) -> Scheduler:
     """A schedule whose work is one real run of a program."""
     write_schedule(folder, probe=probe)
-    experiment, runs = load_experiment(folder / "probe.yaml"), Measuring(folder / "runs")
+    experiment = load_experiment(folder / "probe.yaml")
+    runs = Measuring(folder / "runs", observers=observers)
 
     def work(occasion: Occasion, _: Path) -> Mapping[str, Any]:
         run = runs.measure(experiment, occasion.id)
@@ -45,18 +61,11 @@ def test_an_interlock_holds_the_schedule(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("runs/*/*/*/start.json"))) == 1
 
 
-def test_the_first_ctrl_c_stops_what_nobody_attends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    execute = Engine._execute_plan
-
-    def signalled(self: Engine, preflight: Callable[[], object]) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        execute(self, preflight)
-
-    monkeypatch.setattr(Engine, "_execute_plan", signalled)
-    loop = measuring(tmp_path, PROBE)
+def test_the_first_ctrl_c_stops_what_nobody_attends(tmp_path: Path) -> None:
+    presses = Presses()
+    loop = measuring(tmp_path, PROBE, presses)
     with pytest.raises(Stopped) as stopped:
         loop.run(at("24 00:00"))
     assert stopped.value.by_signal
+    assert presses.heard == ["step"]
     assert events(loop.ledger)[1:] == [("begun", MON)]  # and is gone on with at the next start
