@@ -57,15 +57,34 @@ def test_of_few_robots_or_none_with_a_model_nothing_is_said() -> None:
     assert standing(np.empty((40, 0)), {"age": YEARS}) is None
 
 
-def test_what_is_not_known_of_all_explains_nothing_and_missing_values_stay_missing() -> None:
+def test_who_does_not_tell_its_age_is_left_out_and_the_others_still_explained() -> None:
     values, age = fleet(5), YEARS.copy()
     age[3] = np.nan
     values[7, 1] = np.nan
     found = standing(values, {"age": age, "same": np.ones(len(age))})
     assert found is not None
-    assert found.names == ()
-    assert np.isnan(found.z[7]).all()
-    assert np.isfinite(np.delete(found.z, 7, axis=0)).all()
+    assert (found.names, found.left_out, found.unused) == (("age",), {"age": (3,)}, ())
+    assert np.isnan(found.z[[3, 7]]).all()
+    assert np.isfinite(np.delete(found.z, [3, 7], axis=0)).all()
+
+
+def test_what_few_tell_explains_nothing_and_leaves_nobody_out() -> None:
+    age = np.where(np.arange(len(YEARS)) < 15, YEARS, np.nan)
+    found = standing(fleet(5), {"age": age, "temperature": np.full(age.shape, np.nan)})
+    assert found is not None
+    assert (found.names, found.left_out, found.unused) == ((), {}, ("age",))
+    assert np.isfinite(found.z).all()
+
+
+def test_the_limit_is_crossed_by_one_fleet_of_a_hundred() -> None:
+    found = standing(fleet(1), {})
+    assert found is not None
+    dice, columns = np.random.default_rng(9), np.ones((len(YEARS), 1))
+    noise = dice.standard_normal((len(YEARS), 4000 * JOINTS))
+    beta, scale = huber(columns, noise)
+    largest = np.max(np.abs(noise - beta) / scale, axis=0).reshape(4000, JOINTS).max(axis=1)
+    # at 1 %, and with a limit that was itself simulated with 1500 fleets
+    assert 0.004 < np.mean(largest > found.limit) < 0.02
 
 
 def test_robust_regression_is_that_of_statsmodels() -> None:

@@ -84,7 +84,8 @@ def test_the_page_says_who_is_to_be_looked_at_and_loads_nothing(survey: Survey) 
     looked = page.tables["Changed since its champion, or unlike the others"]
     assert [row[0].split()[-1] for row in looked if "ur5" in row[0]] == ["ur5-004", "ur5-011"]
     assert len(page.figures) == 4 * len(JOINTS)
-    assert "probability of 1 %" in page.text
+    assert "If equals differ normally, anybody stands out with a probability of 1 %" in page.text
+    assert "of 30 probed; by chance 0.3, nominally" in page.text
     assert "1 are not" in page.text
 
 
@@ -96,6 +97,20 @@ def test_what_has_no_model_is_told_and_not_compared(survey: Survey) -> None:
     told = replace(survey, robots=(bare, *survey.robots[1:]))
     assert "ur5-000: it has no model" in Page(page_html(fleet_page(told))).text
     json.dumps(told.to_dict(), default=str)
+
+
+def test_who_is_not_compared_is_named(survey: Survey) -> None:
+    age = np.array([one.age for one in survey.robots])
+    age[2] = np.nan
+    change = np.array([one.change for one in survey.robots])
+    told = replace(
+        survey,
+        robots=tuple(replace(one, age=a) for one, a in zip(survey.robots, age, strict=True)),
+        change=standing(change, {"age": age}),
+    )
+    page = Page(page_html(fleet_page(told)))
+    assert "change of friction of ur5-002 is not compared: age is not known" in page.text
+    assert told.outlying(told.change) == [(WORN, 2)]
 
 
 @pytest.fixture(scope="module")

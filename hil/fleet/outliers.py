@@ -4,7 +4,9 @@ A factor on friction (wear, a gearbox that fails) is a difference of logarithms,
 compared by their logarithm, joint by joint. Huber's regression takes out what age and temperature
 explain, the median absolute deviation says how much robots differ, and a robot stands out whose
 residual is larger than the largest of a whole fleet of normal ones in 99 of 100 fleets. That limit
-is simulated for this very fleet: so many robots and joints, of these ages and temperatures.
+is simulated for this very fleet: so many robots and joints, of these ages and temperatures. It is
+as good as that distribution: where equals differ by heavier tails than the normal one's, more
+fleets than one of a hundred have somebody standing out.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ class Standing:
         expected: (R, n) what age and temperature explain.
         z: (R, n) robust z; NaN where a value is missing.
         limit: Above which somebody stands out.
+        left_out: By name of a quantity the robots that do not tell it, and so are not compared.
+        unused: Quantities that fewer than half of the robots tell, and so explain nothing.
     """
 
     names: tuple[str, ...]
@@ -53,6 +57,8 @@ class Standing:
     expected: FloatArray
     z: FloatArray
     limit: float
+    left_out: Mapping[str, tuple[int, ...]]
+    unused: tuple[str, ...]
 
     @property
     def outlying(self) -> BoolArray:
@@ -65,17 +71,26 @@ def standing(values: FloatArray, given: Mapping[str, FloatArray]) -> Standing | 
 
     Args:
         values: (R, n) positive, per robot and joint; NaN where not known.
-        given: By name what it may depend on, (R,) or (R, n). Left out is what is not known of all,
-            or the same for all.
+        given: By name what it may depend on, (R,) or (R, n); NaN where not known. What most robots
+            tell is taken out, and those that do not tell it are not compared; what is the same for
+            all explains nothing.
     """
     known = np.all(np.isfinite(values) & (values > 0), axis=1)
+    wide = {name: np.broadcast_to(_columns(one), values.shape) for name, one in given.items()}
+    silent = {name: known & ~np.isfinite(one).all(axis=1) for name, one in wide.items()}
+    unused = tuple(name for name, rows in silent.items() if 0 < known.sum() < 2 * rows.sum())
+    left_out = {
+        name: tuple(map(int, np.flatnonzero(rows)))
+        for name, rows in silent.items()
+        if name not in unused and rows.any()
+    }
+    for rows in left_out.values():
+        known[list(rows)] = False
     if known.sum() < FEWEST or not values.shape[1]:
         return None
     y = np.log(values[known])
     n = y.shape[1]
-    wide = {
-        name: np.broadcast_to(_columns(one), values.shape)[known] for name, one in given.items()
-    }
+    wide = {name: one[known] for name, one in wide.items()}
     names = tuple(name for name, one in wide.items() if _tells(one))
     # Two columns a joint at most: with as many robots as parameters everybody is explained.
     names = names[: max(0, (len(y) - FEWEST) // 4 + 1)]
@@ -85,7 +100,10 @@ def standing(values: FloatArray, given: Mapping[str, FloatArray]) -> Standing | 
     limit = float(np.quantile(np.max(largest, axis=0), 1 - FAMILY_WISE))
     expected, z = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     expected[known], z[known] = np.exp(np.column_stack(fitted)), np.column_stack(scores)
-    return Standing(names, np.column_stack(slopes), np.column_stack(errors), expected, z, limit)
+    return Standing(
+        names, np.column_stack(slopes), np.column_stack(errors), expected, z, limit, left_out,
+        tuple(name for name in unused if np.isfinite(given[name]).any()),
+    )  # fmt: skip
 
 
 def _columns(one: FloatArray) -> FloatArray:

@@ -10,26 +10,20 @@ import numpy as np
 from hil.fleet.outliers import FAMILY_WISE, FEWEST, Standing
 from hil.fleet.survey import Survey
 from hil.fleet.surveyed import Surveyed
-from hil.report import colours
 from hil.report.blocks import (
     Badge,
     Cell,
     Column,
     KeyFigure,
     Page,
-    Panel,
-    Plots,
     Section,
     Table,
     cells,
 )
-from hil.report.figures import Figure
+from hil.report.fleet_plots import AXES, plots
 from hil.report.render import write_page
-from hil.report.traces import axes, line, markers
-from hil.report.words import UNKNOWN, joint_title, number
-from hil.typing import BoolArray, FloatArray
+from hil.report.words import UNKNOWN, number
 
-AXES = {"age": "years in service", "temperature": "joint temperature [°C]"}
 UNITS = {"age": "a year", "temperature": "a °C"}
 
 
@@ -54,10 +48,13 @@ def fleet_page(survey: Survey) -> Page:
         summary=_summary(survey),
         key_figures=(
             KeyFigure("measured", str(len(survey.robots)), _missing(survey)),
-            KeyFigure("drifted", str(drifted) if probed else UNKNOWN, f"of {probed} probed"),
+            KeyFigure("drifted", str(drifted) if probed else UNKNOWN, _of_probed(survey, probed)),
             KeyFigure("stand out", str(len(_outliers(survey))), "in friction, or its change"),
         ),
-        warnings=tuple(f"{one.robot}: {one.problem}" for one in survey.robots if one.problem),
+        warnings=(
+            *(f"{one.robot}: {one.problem}" for one in survey.robots if one.problem),
+            *_not_compared(survey),
+        ),
         sections=(
             Section("look", "Robots to look at", "", (_table(survey, out),) if out else ()),
             *_sections(survey),
@@ -102,10 +99,31 @@ def _summary(survey: Survey) -> str:
         return f"With fewer than {FEWEST} robots nothing can be said of who stands out."
     after = " and ".join(survey.friction.names) or "nothing"
     return (
-        f"Robots are compared joint by joint, without what {after} explain. In a fleet of "
-        f"equals anybody stands out with a probability of {100 * FAMILY_WISE:g} %, all robots and "
-        "joints together, in friction and in its change each."
+        f"Robots are compared joint by joint, without what {after} explain. If equals differ "
+        f"normally, anybody stands out with a probability of {100 * FAMILY_WISE:g} %, all robots "
+        "and joints together, in friction and in its change each; with heavier tails more often."
     )
+
+
+def _of_probed(survey: Survey, probed: int) -> str:
+    """Of how many, and how many would be called so nominally though nobody has changed."""
+    return f"of {probed} probed; by chance {survey.false_alarms:.2g}, nominally"
+
+
+def _not_compared(survey: Survey) -> list[str]:
+    """What some robots do not tell, so that they are not compared, or nobody is by it."""
+    found: list[str] = []
+    for which, what in ((survey.friction, "friction"), (survey.change, "change of friction")):
+        if which is None:
+            continue
+        for name, rows in which.left_out.items():
+            robots = ", ".join(survey.robots[k].robot for k in rows)
+            found.append(f"{what} of {robots} is not compared: {name} is not known")
+        for name in which.unused:
+            found.append(
+                f"{what} is compared without {name}: fewer than half of the robots tell it"
+            )
+    return found
 
 
 def _missing(survey: Survey) -> str:
@@ -128,7 +146,7 @@ def _sections(survey: Survey) -> list[Section]:
         shown = [k for k, one in enumerate(values) if len(one) and np.isfinite(one).any()]
         if not shown:
             continue
-        blocks = [_plots(survey, key, which, np.array([values[k] for k in shown]), shown, over, y)
+        blocks = [plots(survey, key, which, np.array([values[k] for k in shown]), shown, over, y)
                   for over in AXES]  # fmt: skip
         tables = [_trends(survey, which)] if which is not None and which.names else []
         lead = {
@@ -137,68 +155,6 @@ def _sections(survey: Survey) -> list[Section]:
         }[key]
         found.append(Section(key, title, lead, (*tables, *(one for one in blocks if one))))
     return found
-
-
-def _plots(
-    survey: Survey, key: str, which: Standing | None, y: FloatArray, shown: list[int], over: str,
-    y_title: str,
-) -> Plots | None:  # fmt: skip
-    robots = [survey.robots[k] for k in shown]
-    names = robots[0].joint_names
-    if over == "age":
-        x = np.repeat(np.array([one.age for one in robots])[:, None], len(names), axis=1)
-    else:
-        x = np.array([one.temperature for one in robots])
-    if not np.isfinite(x).any():
-        return None
-    out = np.zeros(y.shape, dtype=bool) if which is None else which.outlying[shown]
-    panels = tuple(
-        Panel(
-            joint_title(j, name),
-            _figure(x[:, j], y[:, j], out[:, j], [one.robot for one in robots], over, y_title,
-                    _line(which, over, j, x[:, j], y[:, j])),
-            f"{y_title} of {name} over {AXES[over]}, a mark per robot",
-        )
-        for j, name in enumerate(names)
-    )  # fmt: skip
-    legend = (
-        ("robot", colours.MEASURED, "●"),
-        ("stands out", colours.PREDICTED, "◆"),
-        ("what is expected", colours.NEUTRAL, "dash"),
-    )
-    title = {"friction": "Friction", "change": "Change of friction"}[key]
-    return Plots(f"{title} over {over}", "", panels, legend)
-
-
-def _line(
-    which: Standing | None, over: str, j: int, x: FloatArray, y: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    """The trend over one quantity through the middle of the fleet, the others at their mean."""
-    if which is None or over not in which.names or not np.isfinite(x).all():
-        return None
-    slope = which.slopes[which.names.index(over), j]
-    middle = np.nanmedian(np.log(y) - slope * (x - x.mean()))
-    ends = np.linspace(x.min(), x.max(), 20)
-    return ends, np.exp(middle + slope * (ends - x.mean()))
-
-
-def _figure(
-    x: FloatArray, y: FloatArray, out: BoolArray, names: list[str], over: str, y_title: str,
-    trend: tuple[FloatArray, FloatArray] | None,
-) -> Figure:  # fmt: skip
-    traces = []
-    for rows, name, colour, symbol, size in (
-        (np.flatnonzero(~out), "robot", colours.MEASURED, "circle", 5.0),
-        (np.flatnonzero(out), "stands out", colours.PREDICTED, "diamond", 9.0),
-    ):
-        if len(rows):
-            text = [names[i] for i in rows]
-            traces.append(
-                markers(x[rows], y[rows], name, colour, symbol=symbol, size=size, text=text)
-            )
-    if trend is not None:
-        traces.append(line(*trend, "what is expected", colours.NEUTRAL, dash="dash"))
-    return {"data": traces, "layout": axes(AXES[over], y_title)}
 
 
 def _trends(survey: Survey, which: Standing | None) -> Table:
