@@ -63,12 +63,14 @@ class Taken:
     """In place of `Measuring`: runs that were made before."""
 
     runs: dict[str, Path]
+    meanwhile: dict[str, Callable[[], object]] = field(default_factory=dict)
     asked: list[str] = field(default_factory=list)
 
     def measure(self, experiment: Experiment, named: str) -> Path:
         """The run that stands for this stage."""
         stage = named.rpartition("/")[2]
         self.asked.append(stage)
+        self.meanwhile.get(stage, lambda: None)()
         return self.runs[stage]
 
 
@@ -82,11 +84,13 @@ class Robot:
     campaign: dict[str, Any] = field(default_factory=lambda: dict(CAMPAIGN))
     schedule: dict[str, Any] = field(default_factory=dict)
     taken: Taken = field(default_factory=lambda: Taken({}))
+    meanwhile: dict[str, Callable[[], object]] = field(default_factory=dict)
 
     def due(self, week: int, job: Job = "probe", **runs: str) -> dict[str, Any]:
         """An occasion with these runs; probes and campaigns are as good as new by default."""
         named = {"probe": "probe", "campaign": "campaign", "check": "probe"} | runs
-        self.taken = Taken({stage: self.recorded[name] for stage, name in named.items()})
+        runs_of = {stage: self.recorded[name] for stage, name in named.items()}
+        self.taken = Taken(runs_of, self.meanwhile)
         told = {"hil_schedule": 1, "name": "weekly", "probe": {"spec": "probe.yaml", "every": "7d"},
                 "campaign": {"spec": "campaign.yaml"}} | self.schedule  # fmt: skip
         file = write_schedule(self.home, PROBE, self.campaign, told)
@@ -106,11 +110,21 @@ def robot(tmp_path: Path, recorded) -> Robot:
 def drifted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every probe is called changed, as after weeks of quiet ones."""
 
-    class Changed:
-        def to_dict(self) -> dict[str, Any]:
-            return {"changed": True, "text": "friction up on J2", "causes": [], "features": {}}
+    _judged(monkeypatch, changed=True)
 
-    monkeypatch.setattr(history, "assess", lambda *given, **named: Changed())
+
+@pytest.fixture
+def unseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No probe is called changed, such as when a robot changes too little."""
+    _judged(monkeypatch, changed=False)
+
+
+def _judged(monkeypatch: pytest.MonkeyPatch, *, changed: bool) -> None:
+    class Judged:
+        def to_dict(self) -> dict[str, Any]:
+            return {"changed": changed, "text": "friction up on J2", "causes": [], "features": {}}
+
+    monkeypatch.setattr(history, "assess", lambda *given, **named: Judged())
 
 
 def events(robot: Robot) -> list[tuple[str, int]]:
@@ -177,6 +191,70 @@ def test_a_campaign_that_is_due_needs_no_change(robot: Robot) -> None:
     assert robot.taken.asked == ["probe", "campaign", "check"]
     assert told["drift"]["changed"] is False
     assert told["challenger"] == "v2"
+
+
+WORN_RUNS = {"probe": "worn probe", "campaign": "worn campaign", "check": "worn probe"}
+
+
+def test_a_robot_that_is_as_it_was_is_predicted_as_it_was(
+    robot: Robot, request: pytest.FixtureRequest
+) -> None:
+    """On one day the challenger errs less for sure; on the day before it erred more."""
+    robot.due(0)
+    robot.due(1)
+    request.getfixturevalue("unseen")
+    told = robot.due(2, "campaign", **WORN_RUNS)
+    assert (told["outcome"], told["champion"]) == ("kept", "v1")
+    assert "errs less: " in told["text"]
+    assert ", but over 2 days " in told["text"]
+    evidence = told["decision"]["evidence"]
+    assert evidence["comparison"]["better"] is True
+    assert evidence["days"]["differences"][0] < 0 < evidence["days"]["differences"][1]
+
+
+def test_what_a_robot_did_before_it_changed_is_no_matter(
+    robot: Robot, request: pytest.FixtureRequest
+) -> None:
+    robot.due(0)
+    robot.due(1)
+    request.getfixturevalue("drifted")
+    told = robot.due(2, **WORN_RUNS)
+    assert (told["outcome"], told["champion"]) == ("promoted", "v2")
+    assert "days" not in told["decision"]["evidence"]
+
+
+def test_another_champion_is_not_the_one_that_was_to_be_compared_with(robot: Robot) -> None:
+    robot.due(0)
+    assert robot.due(1, "campaign", **WORN_RUNS)["champion"] == "v2"
+    back = lambda: robot.registry.roll_back("ur5", reason="by hand")  # noqa: E731
+    robot.meanwhile = {"check": back}
+    told = robot.due(2, "campaign", campaign="short campaign", **{"probe": "worn probe"})
+    assert (told["outcome"], told["before"], told["champion"]) == ("kept", "v2", "v1")
+    assert told["text"] == (
+        "v3 is not promoted, v1 stays: it is due: v1 has become champion meanwhile, instead of v2"
+    )
+    assert events(robot)[-2:] == [("rolled-back", 1), ("kept", 3)]
+
+
+def test_a_probe_is_held_against_the_champion_of_its_occasions_beginning(robot: Robot) -> None:
+    robot.due(0)
+    robot.due(1, "campaign", **WORN_RUNS)
+    back = lambda: robot.registry.roll_back("ur5", reason="by hand")  # noqa: E731
+    robot.meanwhile = {"probe": back}
+    assert robot.due(2)["drift"]["champion"] == 2
+
+
+def test_the_first_one_does_not_take_the_place_of_another_first_one(robot: Robot) -> None:
+    (other,) = (robot.recorded["short campaign"] / "fit").iterdir()
+
+    def promote() -> None:
+        robot.registry.register("ur5", other, {})
+        robot.registry.promote("ur5", 1, reason="by hand", evidence={}, instead_of=0)
+
+    robot.meanwhile = {"campaign": promote}
+    told = robot.due(0)
+    assert (told["outcome"], told["before"], told["champion"]) == ("kept", None, "v1")
+    assert told["text"].endswith("the first one: v1 has become champion meanwhile")
 
 
 @pytest.mark.usefixtures("drifted")

@@ -96,7 +96,12 @@ def probes_of(registry: Registry, name: str) -> list[Probe]:
 
 
 def assess(
-    registry: Registry, name: str, source: Path, *, false_alarm: float = FALSE_ALARM
+    registry: Registry,
+    name: str,
+    source: Path,
+    *,
+    false_alarm: float = FALSE_ALARM,
+    champion: str = "champion",
 ) -> Probe:
     """Judge a probe against the champion and the probes before it, and keep it.
 
@@ -107,12 +112,13 @@ def assess(
         name: The robot's.
         source: Run directory or recording of the probe.
         false_alarm: Of one probe, all features together, at most.
+        champion: The version, such as `v3`, where another may have become champion meanwhile.
 
     Raises:
         DataError: The source cannot be read, or the champion was fitted to it.
         RegistryError: There is no champion, or the history is damaged.
     """
-    version = registry.version(name)
+    version = registry.version(name, champion)
     model = registry.load(name, version.label)
     uid, at, program = identity(source)
     features = _features(model, source)

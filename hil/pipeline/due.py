@@ -17,12 +17,12 @@ from hil.errors import FitError
 from hil.identify.base import HONEST
 from hil.identify.model_folder import models_below
 from hil.pipeline.bound import Bound, not_honest
+from hil.pipeline.deciding import Decision, decided
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage
 from hil.record.files import read_json
 from hil.record.provenance import utc_now
-from hil.registry.log import Entry
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion
 from hil.spec.hashing import spec_hash
@@ -61,7 +61,7 @@ class Due:
         return [
             Stage("begin", self.begin, (), {"occasion": self.key, "model": bound.name}),
             Stage("probe", self.probe, ("begin",), probe),
-            Stage("drift", self.drift, ("probe",), {"false_alarm": bound.spec.false_alarm}),
+            Stage("drift", self.drift, ("begin", "probe"), {"false_alarm": bound.spec.false_alarm}),
             Stage(
                 "campaign", self.campaign, ("begin", "drift"),
                 campaign | {"on_drift": bound.spec.campaign.on_drift},
@@ -103,9 +103,11 @@ class Due:
             return done["probe"]
         bound = self.bound
         run, alarm = Path(done["probe"]["run"]), bound.spec.false_alarm
-        told = assess(self.registry, bound.name, run, false_alarm=alarm).to_dict()
-        del told["features"]
-        return told
+        champion = f"v{done['begin']['champion']}"
+        told = assess(self.registry, bound.name, run, false_alarm=alarm, champion=champion)
+        document = told.to_dict()
+        del document["features"]
+        return document
 
     def campaign(self, done: Done) -> Document:
         """The full program, if it is called for."""
@@ -155,7 +157,7 @@ class Due:
         model, name = Path(done["fit"]["model"]), self.bound.name
         facts, registry = facts_of(model), self.registry
         version = registry.register(name, model, facts)
-        if self._decided(version.number) is None:
+        if decided(registry, name, self.key, version.number) is None:
             registry.register(name, model, facts, challenger=True)
         return {"version": version.number, "digest": version.digest}
 
@@ -171,18 +173,9 @@ class Due:
         """Promoted, or kept out, by the registry's rules; once."""
         if SKIPPED in done["register"]:
             return done["register"]
-        number, champion = done["register"]["version"], done["begin"]["champion"]
-        if number == champion:
-            return {"promoted": False, "reason": "it is the champion itself", "evidence": {}}
-        entry = self._decided(number)
-        if entry is None:
-            self._decide(number, done)
-            entry = self._decided(number)
-        if entry is None:
-            return {"promoted": False, "reason": "it became champion meanwhile", "evidence": {}}
-        said = entry.reason.removeprefix(self.key).lstrip(" :")
-        promoted = entry.event == "promoted"
-        return {"promoted": promoted, "reason": said, "evidence": dict(entry.evidence)}
+        decision = Decision(self.registry, self.bound.name, self.key, done)
+        told = decision.made()
+        return told | {"champion": self.registry.aliases(self.bound.name).champion or None}
 
     def summary(self, done: Done) -> Document:
         """What the ledger, notifications and people are told."""
@@ -192,38 +185,6 @@ class Due:
     def _measured(self, experiment: Experiment, stage: str) -> str:
         adapted = self.adapt(experiment, self.occasion, stage)
         return str(self.measuring.measure(adapted, f"{self.key}/{stage}").resolve())
-
-    def _decided(self, number: int) -> Entry | None:
-        """What this occasion has decided already, by the log."""
-        entries = self.registry.log(self.bound.name)
-        mine = (one for one in reversed(entries) if one.event in ("promoted", "kept"))
-        return next(
-            (one for one in mine if one.version == number and one.reason.startswith(self.key)),
-            None,
-        )
-
-    def _decide(self, number: int, done: Done) -> None:
-        from hil.registry.promotion import challenge
-
-        bound, registry = self.bound, self.registry
-        reason = f"{self.key}: {done['campaign']['why']}"
-        if missed := [row for row in done["fit"]["criteria"] if not row["passed"]]:
-            row = missed[0]
-            told = f"{row['metric']} of {row['what']} is {row['value']}, at most {row['max']:g}"
-            words = f"{reason}: {len(missed)} criteria of the campaign are missed: {told}"
-            registry.keep(bound.name, number, reason=words, evidence={"criteria": missed})
-            return
-        if done["begin"]["champion"] is None:
-            judged = done["fit"]["criteria"]
-            words = f"{reason}: {'it meets its criteria' if judged else 'there are no criteria'}"
-            evidence = {"criteria": judged}
-            registry.promote(bound.name, number, reason=words, evidence=evidence, instead_of=0)
-            return
-        # The campaign's criteria speak of its own held-out motions, and are met there.
-        taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]
-        challenge(
-            registry, bound.name, f"v{number}", [Path(run) for run in taken if run], reason=reason
-        )
 
 
 _BEFORE_SUMMARY = (

@@ -26,11 +26,11 @@ def summary(name: str, done: Done, errors: Document | None) -> Document:
     drift = done["drift"] if "changed" in done["drift"] else None
     decision = done["challenge"] if "promoted" in done["challenge"] else None
     before, challenger = done["begin"]["champion"], done["register"].get("version")
-    champion = challenger if decision and decision["promoted"] else before
+    champion = decision["champion"] if decision else before
     runs = {stage: done[stage].get("run") for stage in ("probe", "campaign", "check")}
     return {
         "outcome": _outcome(drift, decision),
-        "text": _text(drift, decision, before, challenger),
+        "text": _text(drift, decision, challenger),
         "name": name,
         "begun": done["begin"]["begun"],
         "before": _label(before),
@@ -59,8 +59,7 @@ def errors_on(registry: Registry, name: str, done: Done) -> Document | None:
     if first is None:
         return None
     old = f"v{done['begin']['champion']}"
-    promoted = bool(done["challenge"].get("promoted"))
-    new = f"v{done['register']['version']}" if promoted else old
+    new = f"v{done['challenge']['champion']}" if "champion" in done["challenge"] else old
     then = _on(registry, name, old, Path(first))
     now = then if last is None else _on(registry, name, new, Path(last))
     return {
@@ -86,14 +85,13 @@ def _outcome(drift: Document | None, decision: Document | None) -> str:
     return "drift" if drift and drift["changed"] else "quiet"
 
 
-def _text(
-    drift: Document | None, decision: Document | None, before: int | None, challenger: int | None
-) -> str:
+def _text(drift: Document | None, decision: Document | None, challenger: int | None) -> str:
     if decision is None:
         return str(drift["text"]) if drift else "nothing was due"
     if decision["promoted"]:
         return f"{_label(challenger)} is champion: {decision['reason']}"
-    stays = f"{_label(before)} stays" if before else "there is no champion yet"
+    champion = decision["champion"]
+    stays = f"{_label(champion)} stays" if champion else "there is no champion yet"
     return f"{_label(challenger)} is not promoted, {stays}: {decision['reason']}"
 
 

@@ -11,6 +11,7 @@ from hil.errors import Rejected
 from hil.evaluate import evaluate
 from hil.evaluate.verdict import Criterion, Verdict, judge
 from hil.registry.compare import Comparison, compare_sources, unseen_parts
+from hil.registry.days import Days, over_days
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 
@@ -26,6 +27,7 @@ class Decision:
         reason: Why, or why not.
         comparison: None without a champion.
         verdicts: Per source, on the criteria.
+        days: The comparison with earlier days; None where there were none, or no need to look.
     """
 
     version: ModelVersion
@@ -34,6 +36,7 @@ class Decision:
     reason: str
     comparison: Comparison | None
     verdicts: tuple[Verdict, ...]
+    days: Days | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil models promote --json`."""
@@ -51,7 +54,7 @@ class Decision:
         return {
             "comparison": self.comparison and self.comparison.to_dict(),
             "criteria": [verdict.to_dict() for verdict in self.verdicts],
-        }
+        } | ({"days": self.days.to_dict()} if self.days else {})
 
 
 def challenge(
@@ -63,6 +66,7 @@ def challenge(
     criteria: Sequence[Criterion] = (),
     unless_worse: bool = False,
     reason: str = "",
+    earlier: Sequence[Path] = (),
 ) -> Decision:
     """Compare a version with the champion; promote it, or note why not.
 
@@ -74,6 +78,8 @@ def challenge(
         criteria: Every one has to be met on every source.
         unless_worse: Promote also what errs neither less for sure nor more.
         reason: Why somebody wants it; put before what the comparison says.
+        earlier: Recordings of days before, one each, since when the robot has not changed: it is
+            to err less on these days, too.
 
     Raises:
         DataError: A source cannot be read, or one of the models was fitted to it.
@@ -86,14 +92,19 @@ def challenge(
     champion = registry.version(name, f"v{number}") if number else None
     parts = unseen_parts((model,), sources)
     verdicts = tuple(judge(evaluate(model, part), criteria) for part in parts)
-    compared = None
+    compared = days = None
     if champion is not None and champion.number != version.number:
-        compared = compare_sources(registry.load(name, champion.label), model, sources)
+        old = registry.load(name, champion.label)
+        compared = compare_sources(old, model, sources)
     good, words = _decide(compared, verdicts, unless_worse)
+    if good and compared is not None and earlier:
+        days = over_days(old, model, [sources, *([source] for source in earlier)])
+        good = days.less
+        words += f", {days.words}" if good else f", but {days.words}: the robot is as it was"
     if good and version.number == number:
         words = "it was so before"
     told = f"{reason}: {words}" if reason else words
-    decision = Decision(version, champion, good, told, compared, verdicts)
+    decision = Decision(version, champion, good, told, compared, verdicts, days)
     evidence = decision.evidence
     if good:
         registry.promote(name, version.number, reason=told, evidence=evidence, instead_of=number)
