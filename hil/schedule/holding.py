@@ -48,7 +48,7 @@ def hold(ledger: Ledger, now: datetime, reason: str) -> Line:
     """
     if (held := ledger.standing.held) is not None:
         raise DataError(
-            f"the schedule is held already: {held['why']}", hint="see: hil schedule show FILE"
+            f"the schedule is held already: {held['why']}", hint="hil schedule show FILE"
         )
     return ledger.add("held", now, why=reason, by=operator())
 
@@ -64,5 +64,5 @@ def release(ledger: Ledger, now: datetime, reason: str) -> Line:
     if standing.anchor is not None and ahead(standing, now):
         again = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
     elif standing.held is None:
-        raise DataError("the schedule is not held", hint="see: hil schedule show FILE")
+        raise DataError("the schedule is not held", hint="hil schedule show FILE")
     return ledger.add("released", now, why=reason, by=operator(), **again)
