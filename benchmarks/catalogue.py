@@ -1,4 +1,4 @@
-"""A query over 2,000 run directories by the catalogue, against reading every directory.
+"""A query over 2,000 run directories by the catalogue, against reading what it asks for in each.
 
 Directories hold documents of the sizes that runs leave (two fits each, no recordings), all in the
 page cache. Whoever is timed gives the same runs.
@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.facts import facts_of
 from hil.catalogue.view import FILE, find_runs
 from hil.record.catalogue import run_paths
+from hil.record.numbering import number_of
 
 RUNS, QUICK_RUNS = 2_000, 60
 REPEATS = 3
@@ -53,25 +53,29 @@ def run(quick: bool = False) -> dict[str, Any]:
             "make_s": make_s,
             "query_s": ask_s,
             "query_after_one_change_s": changed_s,
-            "read_all_s": read_s,
+            "reading_s": read_s,
         },
         "ratios": {
-            "query_vs_read_all": read_s / ask_s,
-            "query_after_one_change_vs_read_all": read_s / changed_s,
+            "query_vs_reading": read_s / ask_s,
+            "query_after_one_change_vs_reading": read_s / changed_s,
         },
     }
 
 
 def _by_reading(root: Path) -> list[str]:
-    """The same question put to every directory."""
-    told = (facts_of(path) for path in run_paths(root))
+    """The same question put to every directory; only what it asks for is read."""
     wanted = {f"ur5-{k:03d}" for k in range(5)}
     found = [
-        (one["number"], one["run"])
-        for one in told
-        if one["robot"] in wanted and any((fit["rmse"] or 1.0) < 0.1 for fit in one["fits"])
+        (number_of(path), str(path))
+        for path in run_paths(root)
+        if path.parent.name in wanted and any(map(_is_good, path.glob("fit/*/evaluation.json")))
     ]
     return [run for _, run in sorted(found)]
+
+
+def _is_good(evaluation: Path) -> bool:
+    errors = json.loads(evaluation.read_bytes())["held_out"]["total"]["rmse_raw"]
+    return bool(sum(errors) / len(errors) < 0.1)
 
 
 def _after_a_change(root: Path, path: Path) -> None:

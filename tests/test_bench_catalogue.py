@@ -9,4 +9,4 @@ def test_the_catalogue_and_the_directories_say_the_same() -> None:
     document = measure("catalogue", quick=True)
     assert document["figures"]["runs"] == 60
     assert 0 < document["figures"]["found"] < 60
-    assert document["ratios"]["query_vs_read_all"] > 1.0
+    assert document["ratios"]["query_vs_reading"] > 1.0

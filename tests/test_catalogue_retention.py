@@ -11,17 +11,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from catalogue_runs import settle, write_run
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from hil.campaign.resuming import open_unfinished
+from hil.catalogue import trained_rows
 from hil.catalogue.removal import leftovers, remove
 from hil.catalogue.retention import Policy, decide
 from hil.catalogue.view import find_runs
@@ -103,7 +106,11 @@ def _of_folder(run: Path) -> dict[str, Any]:
 
 
 def _of_name(run: Path) -> dict[str, Any]:
-    return {"run": None, "trained_on": [run.name]}
+    return {"run": None, "trained_on": [run.name], "uids": [run_uid(run)]}
+
+
+def run_uid(run: Path) -> str:
+    return str(json.loads((run / "start.json").read_bytes())["uid"])
 
 
 def _of_digest(run: Path) -> dict[str, Any]:
@@ -119,13 +126,56 @@ def _of_file(_: Path) -> dict[str, Any]:
     return {"run": None, "trained_on": ["00.mcap"], "data_sha256": {}}
 
 
-LINKS = (_of_run, _of_folder, _of_name, _of_digest, _of_file, _of_nobody_knows)
+def _of_two_runs(run: Path) -> dict[str, Any]:
+    """Of a run that is known by all it has, and of this one by its name."""
+    other = {"uid": "another", "folder": "/runs/2026-11-02/ur5/0099-other"}
+    return {"run": other, "trained_on": ["0099-other", run.name], "uids": [run_uid(run)]}
+
+
+def _of_files_of_two_runs(_: Path) -> dict[str, Any]:
+    """Of the first recordings of two runs, one of which is known with all it has."""
+    digests = {f"recording/{name}.mcap": name * 2 for name in ("00", "00.001", "01")}
+    other = {"uid": "another", "folder": "/runs/2026-11-02/ur5/0099-other"}
+    return {"run": other, "trained_on": ["00.mcap", "00.mcap"], "data_sha256": digests}
+
+
+LINKS = (
+    _of_run, _of_folder, _of_name, _of_digest, _of_file, _of_nobody_knows, _of_two_runs,
+    _of_files_of_two_runs,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_what_a_version_came_from_stays(link: Any, runs: Path, tmp_path: Path) -> None:
     version(tmp_path / "models", link(run_number(runs, 2)))
     assert 2 not in gone(runs, ALL, tmp_path / "models")
+    assert "ur5 v1 was fitted to" in why(runs, 2, tmp_path / "models")
+
+
+class Remembers:
+    """What a model of `version` remembers of its rows: whose they are."""
+
+    def __init__(self, model: Path) -> None:
+        self.uids = json.loads((model / "version.json").read_bytes())["facts"].get("uids", ())
+
+    def share_known(self, uid: str) -> float:
+        return float(uid in self.uids)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rows() -> Iterator[None]:
+    """Recordings here have no rows: a run's uid stands for them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trained_rows, "load_source", run_uid)
+        patch.setattr(trained_rows, "_sketch", Remembers)
+        yield
+
+
+@pytest.mark.parametrize("link", [one for one in LINKS if one is not _of_folder])
+def test_it_stays_when_it_is_renamed(link: Any, runs: Path, tmp_path: Path) -> None:
+    run = run_number(runs, 2)
+    version(tmp_path / "models", link(run))
+    run.rename(run.with_name("0002-called-otherwise"))
     assert "ur5 v1 was fitted to" in why(runs, 2, tmp_path / "models")
 
 
@@ -257,7 +307,10 @@ def test_nothing_is_deleted_unasked(runs: Path) -> None:
     assert "would be deleted: 5 runs" in told
     assert "no registry is known" in told
     assert len(find_runs(runs=runs)) == 6
-    told = CliRunner().invoke(app, [*arguments, "--yes"]).stdout
+    refused = CliRunner().invoke(app, [*arguments, "--yes"])
+    assert isinstance(refused.exception, RegistryError)
+    assert len(find_runs(runs=runs)) == 6
+    told = CliRunner().invoke(app, [*arguments, "--yes", "--no-registry"]).stdout
     assert "deleted: 5 runs" in told
     assert [run["number"] for run in find_runs(runs=runs)] == [5]
     assert not (runs / "2026-11-11" / "ur5").exists()
@@ -323,7 +376,7 @@ def test_a_deletion_killed_anywhere_leaves_whole_runs(runs: Path) -> None:
     for number in range(10, 60):
         write_run(runs, number, day="2026-11-01")
     before = {one["run"]: tree(Path(one["run"])) for one in find_runs(runs=runs)}
-    command = [sys.executable, "-m", "hil", "prune", "--older-than", "1d", "--yes"]
+    command = [sys.executable, "-m", "hil", "prune", "--older-than", "1d", "--yes", "--no-registry"]
     pruning = subprocess.Popen([*command, "--runs", str(runs)], cwd=runs, stdout=subprocess.DEVNULL)
     until = time.monotonic() + 30
     while len(run_folders(runs)) > 40 and time.monotonic() < until:
@@ -341,6 +394,12 @@ def tree(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+OLD = {"older": 0, "keep": None, "interrupted": False, "recordings_only": False}
+DONE = ["completed", "completed"]
+
+
+@example(outcomes=DONE, links=[(0, _of_two_runs)], renamed=True, **OLD)
+@example(outcomes=DONE, links=[(0, _of_files_of_two_runs)], renamed=True, **OLD)
 @settings(max_examples=25, deadline=None)
 @given(
     outcomes=st.lists(st.sampled_from(["completed", "failed", None]), min_size=2, max_size=7),
@@ -349,6 +408,7 @@ def tree(folder: Path) -> dict[str, bytes]:
     keep=st.none() | st.integers(1, 3),
     interrupted=st.booleans(),
     recordings_only=st.booleans(),
+    renamed=st.booleans(),
 )
 def test_no_policy_ever_takes_what_a_registered_model_came_from(
     outcomes: list[str | None],
@@ -357,6 +417,7 @@ def test_no_policy_ever_takes_what_a_registered_model_came_from(
     keep: int | None,
     interrupted: bool,
     recordings_only: bool,
+    renamed: bool,
 ) -> None:
     if older is None and keep is None:
         older = 0
@@ -367,9 +428,12 @@ def test_no_policy_ever_takes_what_a_registered_model_came_from(
             write_run(root, n + 1, day=f"2026-11-{n + 1:02d}", outcome=outcome)
             for n, outcome in enumerate(outcomes)
         ]
-        of_models = {made[n % len(made)] for n, _ in links}
+        links = [(n % len(made), link) for n, link in links]
         for n, link in links:
-            version(models, link(made[n % len(made)]))
+            version(models, link(made[n]))
+        for n in {n for n, _ in links if renamed and (n, _of_folder) not in links}:
+            made[n] = made[n].rename(made[n].with_name(f"{made[n].name}-renamed"))
+        of_models = {made[n] for n, _ in links}
         whole = {run: tree(run) for run in of_models}
         age = None if older is None else timedelta(days=older)
         policy = Policy((), age, keep, interrupted, recordings_only)
@@ -391,9 +455,10 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
     from hil.registry.facts import facts_of
 
     run = run_number(runs, 4)
-    fitted = (
-        estimator("rigid-wls").fit(moving(1, 2, 3), nominal()).save(run / "fit" / "rigid-wls-0")
-    )
+    motion = moving(1, 2, 3)
+    of_run = tuple(replace(one, source=str(run)) for one in motion.conditions)
+    model = estimator("rigid-wls").fit(replace(motion, conditions=of_run), nominal())
+    fitted = model.save(run / "fit" / "rigid-wls-0")
     Registry(tmp_path / "models").register("ur5", fitted, facts_of(fitted))
     settle(run)
     assert gone(runs, ALL, tmp_path / "models") == [1, 2, 3, 6]
@@ -416,29 +481,3 @@ def test_recordings_of_one_name_are_told_apart_when_a_model_is_registered(
     version(tmp_path / "models", facts)
     assert len(set(facts["data_sha256"].values())) == 4
     assert gone(runs, ALL, tmp_path / "models") == [2]
-
-
-def test_a_renamed_run_stays_by_the_rows_that_the_model_remembers(tmp_path: Path) -> None:
-    from report_runs import fourier_plan, robot_facts, rows_of_plan
-    from report_runs import write_run as recorded
-
-    from hil import api
-    from hil.registry.facts import facts_of
-
-    robot = robot_facts()
-    first, second = rows_of_plan(fourier_plan()), rows_of_plan(fourier_plan())
-    second["effort"] += 0.003
-    made = [
-        recorded(tmp_path / "runs", fourier_plan(), rows=rows, robot=robot).path
-        for rows in (first, second)
-    ]
-    told = api.fit(made[0], estimator="rigid-wls", out=tmp_path / "fitted").to_dict()
-    model = Path(told["model"])
-    Registry(tmp_path / "models").register("ur5", model, facts_of(model))
-    made[0].rename(made[0].with_name("0001-of-another-name"))
-    in_a_while = time.time() + 10 * 86_400.0
-    decisions = decide(tmp_path / "runs", ALL, [tmp_path / "models"], in_a_while)
-    assert [one.why for one in decisions] == ["ur5 v1 was fitted to it", ""]
-    next((tmp_path / "models").rglob("model.json")).unlink()
-    with pytest.raises(RegistryError, match="does not say what it was fitted to"):
-        decide(tmp_path / "runs", ALL, [tmp_path / "models"], in_a_while)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from hil.drift.history import PROBES_FILE, assess, probes_of
 from hil.errors import DataError, RegistryError
 from hil.fitting import fit_sources
 from hil.identify.model_file import plain
+from hil.registry.pointers import pointed
 from hil.registry.registry import Registry
 
 MOTION = 30
@@ -67,6 +69,14 @@ def test_a_probe_is_judged_once_and_kept(registry, quiet) -> None:
     assert plain(again.to_dict()) == plain(first.to_dict())
     (kept,) = probes_of(registry, "ur5")
     assert plain(kept.to_dict()) == plain(first.to_dict())
+
+
+def test_runs_of_probes_lead_to_the_registry(registry, quiet, tmp_path: Path) -> None:
+    run = tmp_path / "runs" / "2026-11-20" / "ur5" / "0001-probe"
+    run.mkdir(parents=True)
+    (run / "start.json").write_text("{}")
+    assess(registry, "ur5", shutil.copy(quiet[0], run / "00.mcap"))
+    assert pointed(tmp_path / "runs") == [registry.root]
 
 
 def test_a_new_champion_begins_anew(registry, quiet, model, tmp_path: Path) -> None:

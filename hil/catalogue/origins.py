@@ -6,6 +6,7 @@ of them fits a run keeps it; where they say too little, every run that may be me
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -53,7 +54,7 @@ class Origins:
         names: Of run directories.
         digests: SHA-256 of recordings.
         vague: What may be any of several.
-        by_name: Versions of which nothing but names of runs is known.
+        by_name: Versions of which of some runs nothing but the name is known.
     """
 
     uids: dict[str, str] = field(default_factory=dict)
@@ -91,21 +92,28 @@ class Origins:
         of_run = facts.get("run") or {}
         if uid := of_run.get("uid"):
             self.uids[str(uid)] = why
-        if folder := of_run.get("folder"):
+        if folder := of_run.get("folder", ""):
             self.folders[Path(str(folder)).parts[-_BELOW:]] = why
         trained = [str(name).removesuffix(PARTIAL_SUFFIX) for name in facts.get("trained_on") or ()]
         files = [name for name in trained if name.endswith(".mcap")]
         named = [name for name in trained if name not in files]
         self.names.update(dict.fromkeys(named, why))
-        if not of_run:
-            self.by_name.extend(Lost(name, version.folder, why) for name in named)
-        digests = {str(digest) for digest in (facts.get("data_sha256") or {}).values()}
-        self.digests.update(dict.fromkeys(digests, why))
-        if len(files) > len(digests) or not (of_run or trained or digests):
-            told = files[0] if files else "it does not say what"
+        own = Path(str(folder)).name if folder else ""
+        self.by_name.extend(Lost(name, version.folder, why) for name in named if name != own)
+        digests = {str(key): str(one) for key, one in (facts.get("data_sha256") or {}).items()}
+        self.digests.update(dict.fromkeys(digests.values(), why))
+        unknown = _without_digest(files, digests)
+        if unknown or not (of_run or trained or digests):
+            told = min(unknown, default="it does not say what")
             why = f"it may be what {version.name} {version.label} was fitted to ({told})"
             serial = str(facts.get("serial") or "")
-            self.vague.append(Vague(frozenset(files), serial, version.registered, why))
+            self.vague.append(Vague(unknown, serial, version.registered, why))
+
+
+def _without_digest(files: Iterable[str], digests: Iterable[str]) -> frozenset[str]:
+    """Names of recordings of which fewer have a digest than a model was fitted to."""
+    known = Counter(Path(name).name.removesuffix(PARTIAL_SUFFIX) for name in digests)
+    return frozenset(Counter(files) - known)
 
 
 def origins(registries: Iterable[Path]) -> Origins:

@@ -12,11 +12,11 @@ from typing import Any
 
 from hil.catalogue.facts import facts_of
 from hil.catalogue.origins import origins
-from hil.catalogue.retention import Decision, Policy, guard
+from hil.catalogue.retention import Decision, Policy, guard, why_link
 from hil.errors import DataError, RecordingError
 from hil.record.files import fsync_directory
 from hil.record.lock import hold_run
-from hil.record.numbering import folders_in, run_folders
+from hil.record.numbering import folders_in
 from hil.record.provenance import operator, utc_now
 from hil.record.rundir import PRUNED, RunDirectory
 
@@ -63,21 +63,29 @@ def remove(
 
 def leftovers(runs: Path) -> list[Path]:
     """What a deletion that was killed has left."""
-    robots = [robot for day in folders_in(runs) for robot in folders_in(day)]
-    places = [*robots, *run_folders(runs)]
+    robots = [robot for day in _own(runs) for robot in _own(day)]
+    places = [*robots, *(run for robot in robots for run in _own(robot))]
     return [path for place in places for path in _trash_in(place)]
+
+
+def _own(folder: Path) -> list[Path]:
+    """Folders in a folder, without links: what they lead to is no business of a policy."""
+    return [path for path in folders_in(folder) if not path.is_symlink()]
 
 
 def _trash_in(folder: Path) -> list[Path]:
     try:
-        return [path for path in folder.iterdir() if path.name.startswith(TRASH)]
+        found = [path for path in folder.iterdir() if path.name.startswith(TRASH)]
     except OSError:
         return []
+    return [path for path in found if not path.is_symlink()]
 
 
 def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
     """Delete a run; or why it stays after all."""
-    with _refused(run):
+    if why := why_link(run, policy):
+        return why
+    with _refused(run, "nothing of it is deleted yet"):
         try:
             with hold_run(run):
                 # Held by us it counts as live; whoever held it before has let it go.
@@ -87,9 +95,10 @@ def _remove(run: Path, policy: Policy, registries: list[Path]) -> str:
                 gone = _take_recordings(run, policy) if policy.recordings_only else _take(run)
         except DataError as error:
             return error.message
+    with _refused(gone, "what is left of it counts no more and goes with the next hil prune --yes"):
         shutil.rmtree(gone)
-        if not policy.recordings_only:
-            _tidy(run)
+    if not policy.recordings_only:
+        _tidy(run)
     return ""
 
 
@@ -128,11 +137,11 @@ def _tidy(run: Path) -> None:
 
 
 @contextlib.contextmanager
-def _refused(run: Path) -> Iterator[None]:
+def _refused(folder: Path, state: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise RecordingError(
-            f"cannot delete {run}: {error.strerror or error}",
-            hint="see whether the folder may be written to; nothing is half deleted",
+            f"cannot delete {folder}: {error.strerror or error}",
+            hint=f"see whether it may be written to; {state}",
         ) from error

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.series_folder import SeriesFolder, is_series_folder
 from hil.catalogue.facts import started_s
+from hil.catalogue.newest import measured_after
 from hil.catalogue.origins import Lost, Origins, origins
+from hil.catalogue.together import groups
 from hil.catalogue.trained_rows import why_by_rows
 from hil.catalogue.view import find_runs
-from hil.errors import DataError, SpecError
-from hil.record.numbering import folders_in, run_folders
+from hil.errors import SpecError
+from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
 from hil.spec.durations import duration_text
 
@@ -28,7 +28,7 @@ class Policy:
     Attributes:
         terms: Of a query: no other run is looked at.
         older: Runs that were started longer ago.
-        keep: Runs after which so many of the same robot and experiment were completed.
+        keep: Runs after which so many of the same robot and experiment were measured in full.
         interrupted: Also runs that were interrupted.
         recordings_only: Documents, models and reports stay.
     """
@@ -100,17 +100,30 @@ def decide(
     known = origins(registries)
     asked = {run["run"] for run in find_runs(*policy.terms, runs=runs)}
     entries = find_runs(runs=runs)
-    newer = _completed_after(entries)
+    newer = measured_after(entries)
     at = time.time() if now is None else now
     found = [
-        _guarded(Path(run["run"]), run, known, policy)
+        _linked(Path(run["run"]), policy)
+        or _guarded(Path(run["run"]), run, known, policy)
         or _by_policy(Path(run["run"]), run, policy, newer[run["run"]], at)
         for run in entries
     ]
     known_by_rows = why_by_rows(_lost(known, runs))
     found = [_unless(one, known_by_rows) if one.goes else one for one in found]
-    together = _with_their_series(found, _series(runs))
+    together = _with_their_others(found, groups(runs, [one.run for one in found]))
     return [one for one in together if str(one.run) in asked]
+
+
+def why_link(run: Path, policy: Policy) -> str:
+    """Why a run that is reached over a link stays; empty where none is on the way.
+
+    What a link leads to is no policy's business, and if it lies here it is a run of its own.
+    """
+    if any(part.is_symlink() for part in (run, *run.parents[:2])):  # DAY/ROBOT/RUN
+        return "it is a link"
+    if policy.recordings_only and (run / "recording").is_symlink():
+        return "its recordings are a link"
+    return ""
 
 
 def guard(run: Path, facts: Mapping[str, Any], known: Origins, policy: Policy) -> str:
@@ -128,6 +141,11 @@ def guard(run: Path, facts: Mapping[str, Any], known: Origins, policy: Policy) -
     if facts["status"] == "interrupted" and not policy.interrupted:
         return f"it was interrupted: hil resume {run}, or let it go with --interrupted"
     return ""
+
+
+def _linked(run: Path, policy: Policy) -> Decision | None:
+    why = why_link(run, policy)
+    return Decision(run, why) if why else None
 
 
 def _guarded(
@@ -167,43 +185,13 @@ def size_of(run: Path, policy: Policy) -> int:
     return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file())
 
 
-def _completed_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:
-    """Run → how many of its robot and experiment were completed after it."""
-    count: Counter[tuple[str, str]] = Counter()
-    newer: dict[str, int] = {}
-    for run in sorted(entries, key=lambda one: (started_s(one) or 0.0, one["number"]))[::-1]:
-        kind = (run["robot"], run["name"])
-        newer[run["run"]] = count[kind]
-        count[kind] += run["status"] == "completed"
-    return newer
-
-
-def _series(runs: Path) -> list[tuple[str, set[Path]]]:
-    """Name and runs of every series.
-
-    Raises:
-        DataError: One cannot be read.
-    """
-    found = []
-    folders = [path for day in folders_in(runs) for path in folders_in(day / "series")]
-    for path in filter(is_series_folder, folders):
-        try:
-            folder, members = SeriesFolder.open(path)
-        except DataError as error:
-            hint = "nothing is deleted before; its folder is a view and may be moved away"
-            raise DataError(error.message, hint=hint) from error
-        paths = {Path(one["run"]).resolve() for one in members if isinstance(one.get("run"), str)}
-        found.append((folder.path.name, paths))
-    return found
-
-
-def _with_their_series(
-    decisions: list[Decision], series: list[tuple[str, set[Path]]]
+def _with_their_others(
+    decisions: list[Decision], belonging: list[tuple[str, set[Path]]]
 ) -> list[Decision]:
-    """Runs of a series of which one has to stay, stay with it."""
+    """Runs of a series or fleet of which one has to stay, stay with it."""
     guarded = {one.run.resolve(): one for one in decisions if one.guarded}
     kept: dict[Path, str] = {}
-    for name, members in series:
+    for name, members in belonging:
         for member in members & guarded.keys():
             run = guarded[member]
             kept |= dict.fromkeys(members, f"it is of {name}, as {run.run.name}: {run.why}")

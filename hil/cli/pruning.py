@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, size
-from hil.errors import SpecError
+from hil.errors import RegistryError, SpecError
 
 if TYPE_CHECKING:
     from hil.catalogue.retention import Decision
@@ -48,10 +48,13 @@ def prune(
         list[Path] | None,
         typer.Option(
             "--registry",
-            help="Folder of registered models beside $HIL_REGISTRY, `registry` here and beside the "
-            "runs. Repeatable.",
+            help="Folder of registered models beside those noted in the runs, $HIL_REGISTRY, "
+            "`registry` here and beside the runs. Repeatable.",
         ),
     ] = None,
+    no_registry: Annotated[
+        bool, typer.Option("--no-registry", help="Delete although no registry is known.")
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Delete; otherwise it is only said.")] = False,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
@@ -62,6 +65,11 @@ def prune(
 
     policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only)
     registries = known_registries(runs, registry or ())
+    if yes and not registries and not no_registry:
+        raise RegistryError(
+            "no registry is known: runs that models came from would go",
+            hint="name it with --registry DIR; if there is none: --no-registry",
+        )
     decisions = decide(runs, policy, registries)
     left = leftovers(runs)
     if yes:
@@ -80,10 +88,16 @@ def prune(
 
 
 def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[Path]:
-    """Those that are named, which must be there, and those at the usual places that are."""
+    """Those that are named or noted in the runs, which must be there, and the usual ones that are.
+
+    Raises:
+        RegistryError: One that is noted is not there.
+    """
+    from hil.registry.pointers import pointed
+
     given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
     usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]
-    return list({one.resolve(): one for one in (*usual, *given)}.values())
+    return list({one.resolve(): one for one in (*usual, *given, *pointed(runs))}.values())
 
 
 def _age(text: str) -> timedelta | None:
@@ -106,7 +120,7 @@ def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
     for why, count in others.items():
         say(f"{count} more stay{'s' if count == 1 else ''}: {why}")
     if not told["registries"]:
-        say("no registry is known: no run is kept for the sake of a model")
+        say("no registry is known: no run is kept for the sake of a model, --yes asks which")
     what = "the recordings of " if told["policy"]["recordings_only"] else ""
     total = f"{what}{len(gone)} run{'s'[: len(gone) != 1]}, {size(told['bytes'])}"
     if told["deleted"]:

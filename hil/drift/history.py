@@ -28,6 +28,7 @@ from hil.identify.model_file import plain
 from hil.record.files import read_json, sha256_of
 from hil.registry.lock import writing
 from hil.registry.log import append_line, read_lines
+from hil.registry.pointers import leave_pointer
 from hil.registry.registry import Registry
 from hil.validation import require_unseen
 
@@ -135,6 +136,7 @@ def assess(
             uid, at, str(source), program, version.number, false_alarm, features,
             bool(chart.alarm.any()), found, _least(chart), chart.reference,
         )  # fmt: skip
+        leave_pointer(registry.root, [source])
         append_line(registry.root / name / PROBES_FILE, plain(probe.to_dict()))
     return probe
 

@@ -45,6 +45,7 @@ def facts_of(model: Path, sources: Iterable[Path] = ()) -> dict[str, Any]:
         "effort_kind": fitted.get("effort_kind", ""),
         "serial": training.get("serial", ""),
         "trained_on": training.get("sources", []),
+        "data": [str(source.resolve()) for source in sources],
         "data_sha256": _digests(run, sources),
         "run": _run(run),
         "evaluation": _evaluation(model),

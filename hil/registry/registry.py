@@ -20,6 +20,7 @@ from hil.identify.model_file import json_bytes, load_model_file, write_whole
 from hil.record.provenance import operator, utc_now
 from hil.registry.lock import writing
 from hil.registry.log import Entry, Event, append, read_log
+from hil.registry.pointers import leave_pointer
 from hil.registry.version import (
     VERSION_FILE,
     ModelVersion,
@@ -172,6 +173,8 @@ class Registry:
             digest = digest_of(files)
             known = [read_version(home, number) for number in numbers_in(home)]
             found = next((one for one in known if one.digest == digest), None)
+            # Before the version: what it came from must not go in between.
+            leave_pointer(self.root, _sources(model, facts))
             if found is None:
                 number = max(numbers_in(home), default=0) + 1
                 named = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
@@ -284,6 +287,12 @@ class Registry:
     ) -> Aliases:
         append(home, Entry(event, number, utc_now(), operator(), reason, evidence or {}))
         return _view(home)
+
+
+def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
+    """Where a model lies and came from, as far as known."""
+    folder = (facts.get("run") or {}).get("folder")
+    return [model, *(Path(str(one)) for one in (folder, *facts.get("data", ())) if one)]
 
 
 def _view(home: Path) -> Aliases:
