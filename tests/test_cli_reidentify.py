@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pipeline_parts import CAMPAIGN, SCHEDULE, write_schedule
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.errors import DataError
+from hil.schedule.ledger import kept
+from hil.schedule.occasion import Occasion
 
 
 def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
@@ -31,7 +36,37 @@ def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
     assert "ur5: v1 is champion: the first one: there are no criteria" in again.stdout
     assert f"campaign: {first['runs']['campaign']}" in again.stdout
     assert len(list(tmp_path.glob("runs/*/*/*/start.json"))) == 1
-    assert len(list(folder.parent.iterdir())) == 1
+    assert len(list(folder.parent.glob("2*"))) == 1
+
+
+def test_two_at_once_do_not_go_on_with_the_same(tmp_path: Path) -> None:
+    file, state = write_schedule(tmp_path), tmp_path / "state"
+    command = ["run", str(file), "--state", str(state), "--runs", str(tmp_path / "runs")]
+    with kept(state / "by-hand", "weekly"):
+        told = CliRunner().invoke(app, command)
+    assert isinstance(told.exception, DataError)
+    assert "is run by" in str(told.exception)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(("hours", "begun"), [(23, True), (25, False)])
+def test_what_was_cut_off_too_long_ago_is_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hours: int, begun: bool
+) -> None:
+    cut = Occasion(datetime.now(UTC) - timedelta(hours=hours), "probe")
+    (tmp_path / "state" / "by-hand" / cut.id).mkdir(parents=True)
+    chosen = []
+
+    def work(*given: object, **named: object) -> Any:
+        return lambda occasion, folder: chosen.append(occasion.id) or {
+            "name": "ur5", "text": "", "errors": None, "runs": {}
+        }  # fmt: skip
+
+    monkeypatch.setattr("hil.pipeline.reidentify.reidentification", work)
+    file = write_schedule(tmp_path)
+    told = CliRunner().invoke(app, ["run", str(file), "--state", str(tmp_path / "state")])
+    assert told.exit_code == 0, told.output
+    assert (chosen == [cut.id]) is begun
 
 
 @pytest.mark.parametrize(

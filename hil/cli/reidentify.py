@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,6 @@ from hil.cli.output import print_json, print_table, print_warnings, say
 from hil.cli.schedule import STATES
 
 if TYPE_CHECKING:
-    from hil.pipeline.bound import Bound
     from hil.schedule.occasion import Job, Occasion
 
 BY_HAND = "by-hand"
@@ -22,8 +21,9 @@ BY_HAND = "by-hand"
 def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
     """Check a schedule with everything it names; all problems at once."""
     from hil.campaign.extras import missing_extras
+    from hil.pipeline.bound import bind_file
 
-    bound = _bound(path, station)
+    bound = bind_file(path, station)
     missing = dict.fromkeys(told for one in bound.experiments for told in missing_extras(one.spec))
     told = {
         "schedule": str(path),
@@ -56,7 +56,7 @@ def run_schedule(
     campaign: bool,
     json: bool,
 ) -> None:
-    """Do once and now what a schedule is about; goes on with what was cut off.
+    """Do once and now what a schedule is about; goes on with what was cut off not too long ago.
 
     Args:
         path: Its file.
@@ -66,40 +66,35 @@ def run_schedule(
         state: Of the schedule; by default `schedules/NAME`.
         campaign: Whether the full program is run whatever the probe says.
         json: Whether to print one document and nothing else.
+
+    Raises:
+        DataError: Another process does the same now.
     """
     from hil.campaign.extras import require_extras
     from hil.cli.progress import ProgressLines
     from hil.engine.signals import ignore_from_now_on
+    from hil.pipeline.bound import bind_file
     from hil.pipeline.reidentify import reidentification
     from hil.registry.registry import Registry
+    from hil.schedule.ledger import kept
 
-    bound = _bound(path, station)
+    bound = bind_file(path, station)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
     home = (state or STATES / bound.spec.name) / BY_HAND
-    occasion = _left(home, job) or _now(job)
     work = reidentification(
         bound.spec, registry=Registry(registry), runs=runs, station=station,
         observers=(ProgressLines(),), tell=lambda stage: typer.echo(f"stage: {stage}", err=True),
     )  # fmt: skip
-    told = dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
+    with kept(home, bound.spec.name):
+        occasion = _left(home, job, bound.spec.missed_within) or _now(job)
+        told = dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
     ignore_from_now_on()
     if json:
         print_json(told)
     else:
         _tell(told)
-
-
-def _bound(path: Path, station: Path | None) -> Bound:
-    from hil.campaign.driver_check import check_driver
-    from hil.pipeline.bound import bind
-    from hil.spec.schedule import load_schedule_spec
-
-    bound = bind(load_schedule_spec(path), station, path)
-    for experiment in bound.experiments:
-        check_driver(experiment)
-    return bound
 
 
 def _now(job: Job) -> Occasion:
@@ -108,15 +103,16 @@ def _now(job: Job) -> Occasion:
     return Occasion(datetime.now(UTC).replace(microsecond=0), job)
 
 
-def _left(home: Path, job: Job) -> Occasion | None:
-    """The newest occasion of that kind, if it was cut off."""
+def _left(home: Path, job: Job, within: timedelta) -> Occasion | None:
+    """The newest occasion of that kind, if it was cut off; days later the robot is another one."""
     from hil.pipeline.stages import kept_document
     from hil.schedule.ledger import occasion_of
 
     for folder in sorted(home.glob(f"*-{job}"), reverse=True)[:1]:
-        if kept_document(folder, "summary") is None:
+        left = occasion_of(folder.name)
+        if kept_document(folder, "summary") is None and left.due >= datetime.now(UTC) - within:
             say(f"going on with {folder}")
-            return occasion_of(folder.name)
+            return left
     return None
 
 

@@ -22,7 +22,6 @@ from hil.cli.schedule_words import held_words, next_words, print_ledger, print_p
 from hil.errors import DataError, SpecError
 
 if TYPE_CHECKING:
-    from hil.pipeline.bound import Bound
     from hil.schedule.ledger import Ledger
     from hil.spec.schedule import ScheduleSpec
 
@@ -56,6 +55,7 @@ def run(
 ) -> None:
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
     from hil.campaign.extras import require_extras
+    from hil.pipeline.bound import bind_file
     from hil.pipeline.reidentify import reidentification
     from hil.registry.registry import Registry
     from hil.schedule.clocks import WallClock
@@ -66,7 +66,7 @@ def run(
     from hil.schedule.notify import Command
     from hil.schedule.preconditions import RobotReady
 
-    bound = _bound(file, station)
+    bound = bind_file(file, station)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
     spec, took = bound.spec, Motions()
@@ -112,11 +112,12 @@ def plan(
     json: JsonFlag = False,
 ) -> None:
     """What would happen when, if nothing is found; does nothing."""
+    from hil.pipeline.bound import bind_file
     from hil.schedule.forecast import forecast
     from hil.schedule.ledger import Ledger
     from hil.schedule.motions import motions, require_room
 
-    bound, now = _bound(file, station), datetime.now(UTC)
+    bound, now = bind_file(file, station), datetime.now(UTC)
     spec = bound.spec
     zone = ZoneInfo(spec.timezone)
     end = until.replace(tzinfo=zone) if until else now + timedelta(weeks=weeks)
@@ -212,9 +213,10 @@ def systemd(
     json: JsonFlag = False,
 ) -> None:
     """Write units that run it, with the paths of these options; installs nothing."""
+    from hil.pipeline.bound import bind_file
     from hil.schedule.systemd import next_words, units_of, write_units
 
-    spec = _bound(file, station).spec
+    spec = bind_file(file, station).spec
     arguments = [str(file.resolve())]
     given = {"--state": _state(spec, state), "--registry": registry, "--runs": runs}
     for option, path in (given | ({"--station": station} if station else {})).items():
@@ -232,18 +234,6 @@ def systemd(
     typer.echo("to install them:")
     for command in commands:
         typer.echo(f"  {command}")
-
-
-def _bound(file: Path, station: Path | None) -> Bound:
-    """The schedule with all that it names, checked."""
-    from hil.campaign.driver_check import check_driver
-    from hil.pipeline.bound import bind
-    from hil.spec.schedule import load_schedule_spec
-
-    bound = bind(load_schedule_spec(file), station, file)
-    for experiment in bound.experiments:
-        check_driver(experiment)
-    return bound
 
 
 def _state(spec: ScheduleSpec, given: Path | None) -> Path:

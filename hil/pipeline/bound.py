@@ -13,7 +13,7 @@ from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.errors import PluginError, SpecError
 from hil.identify.base import HONEST, estimator
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
-from hil.spec.schedule import ScheduleSpec
+from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from hil.spec.source import Path as SourcePath
 from hil.spec.source import Problem, Source, dotted
 from hil.spec.yaml_source import read_source
@@ -78,6 +78,23 @@ def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = No
     fit = next(_wanted(spec, campaign.spec))
     name = spec.model or campaign.spec.robot
     return Bound(spec, name, loaded.get("probe"), campaign, fit)
+
+
+def bind_file(file: Path, station: Path | None = None) -> Bound:
+    """A schedule's file bound to all that it names, drivers included.
+
+    Args:
+        file: The schedule (YAML).
+        station: In place of the one it names.
+
+    Raises:
+        SpecError: With a line for every problem of the schedule and of the files it names.
+        PluginError: A driver is missing or does not load.
+    """
+    bound = bind(load_schedule_spec(file), station, file)
+    for experiment in bound.experiments:
+        check_driver(experiment)
+    return bound
 
 
 def _line(source: Source | None, place: SourcePath, message: str) -> str:
