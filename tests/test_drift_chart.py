@@ -159,3 +159,24 @@ def test_probes_of_different_robots_are_not_charted_together() -> None:
     other = replace(probe, names=("x friction", *NAMES[1:]))
     with pytest.raises(DataError, match="different robots"):
         charted([probe, other], SIGMA)
+
+
+def test_copies_of_a_probe_are_one_probe() -> None:
+    """A mock on the same day gives the same bits."""
+    dice = np.random.default_rng(6)
+    probe = robot(dice)
+    one = probe(25.0)
+    assert charted([one] * 6, SIGMA).reference == 0
+    others = [probe(25.0) for _ in range(REFERENCE)]
+    with_copies = charted([one, one, *others, others[-1], probe(25.0)], SIGMA)
+    assert with_copies.reference == REFERENCE
+    assert not with_copies.alarm.any()
+
+
+def test_probes_without_any_noise_can_be_charted() -> None:
+    probe = robot(np.random.default_rng(7))(25.0)
+    silent = [
+        replace(probe, values=probe.values * k, std=0 * probe.std, blocks=0 * probe.blocks)
+        for k in (1.0, 1.0 + 1e-12, 1.0 + 2e-12)
+    ]
+    assert np.all(np.isfinite(charted(silent, SIGMA).p))

@@ -41,6 +41,9 @@ changes by 0.2 to 1 % per kelvin, and models follow most of it."""
 NOISE_DOF = 4.0
 """Probes that the prior of the noise is worth, which is what blocks of the probes say of it."""
 
+LEAST_NOISE = 1e-6
+"""Share of the priors below which nothing is told apart."""
+
 LEVER_M = 0.1
 
 
@@ -87,6 +90,7 @@ def charted(
             "probes of different robots cannot be charted together",
             hint="keep the history of each robot by itself",
         )
+    probes = _distinct(probes)
     count = min(REFERENCE, len(probes) - 1)
     values, celsius = (np.array([getattr(one, name) for one in probes]) for name in _ARRAYS)
     centre = np.nan_to_num(np.nanmean(celsius, axis=0)) if np.isfinite(celsius).any() else 0.0
@@ -102,6 +106,16 @@ def charted(
     limit = std * student.isf(share / 2, dof)
     alarm = (p < share) | (p_mean < share)
     return Charted(deviation, std, p, p_mean, mean, limit, alarm, count)
+
+
+def _distinct(probes: Sequence[Features]) -> Sequence[Features]:
+    """Without those that say what another says to the last bit: copies, or a mock's same day."""
+    *before, newest = probes
+    found: dict[bytes, Features] = {}
+    for probe in before:
+        found.setdefault(probe.values.tobytes(), probe)
+    found.pop(newest.values.tobytes(), None)
+    return [*found.values(), newest]
 
 
 def _noise(probes: Sequence[Features]) -> FloatArray:
@@ -142,6 +156,7 @@ def _feature(
     """
     X = np.column_stack([np.ones_like(warm), warm])
     known, y = X[:count], values[:count]
+    noise = max(noise, LEAST_NOISE * float(prior[0]))
     # In units of the noise: normal-inverse-gamma, the conjugate prior of a regression.
     precision = np.diag((noise / prior) ** 2)
     spread = np.linalg.inv(precision + known.T @ known)
