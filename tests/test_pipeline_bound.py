@@ -10,8 +10,10 @@ import pytest
 from pipeline_parts import CAMPAIGN, FOURIER, PROBE, SCHEDULE, write_schedule
 from typer.testing import CliRunner
 
+from hil import plugins
 from hil.cli.app import app
 from hil.errors import SpecError
+from hil.identify.base import estimator
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind
 from hil.spec.load import load_station
@@ -81,7 +83,46 @@ def test_a_probe_that_says_too_little_is_refused(tmp_path: Path) -> None:
     odd = FOURIER | {"seed": 21, "trajectories": 3, "fundamental_hz": 1 / 7}
     assert len(problems(tmp_path, probe=PROBE | {"excitation": odd})) == 1
     twice = FOURIER | {"seed": 21, "trajectories": 2, "periods": 2}
-    assert bound(tmp_path, probe=PROBE | {"excitation": twice})
+    more = CAMPAIGN | {"validate": {"hold_out": {"trajectories": 2}}}
+    assert bound(tmp_path, probe=PROBE | {"excitation": twice}, campaign=more)
+
+
+def test_a_schedule_that_could_never_compare_two_models_is_refused(tmp_path: Path) -> None:
+    alone = SCHEDULE | {"probe": None, "campaign": {"spec": "campaign.yaml", "every": "7d"}}
+    (told,) = problems(tmp_path, schedule=alone)
+    assert told.startswith(
+        "campaign.spec: what campaign holds out makes 1 different blocks of 5 s to compare two "
+        "models on, and 4 are needed"
+    )
+    more = CAMPAIGN | {"validate": {"hold_out": {"trajectories": 4}}}
+    assert bound(tmp_path, schedule=alone, campaign=more)
+    # The second period comes by the same places.
+    longer = FOURIER | {"seed": 7, "trajectories": 5, "periods": 2}
+    two = {"excitation": longer, "validate": {"hold_out": {"trajectories": 2}}}
+    (told,) = problems(tmp_path, schedule=alone, campaign=CAMPAIGN | two)
+    assert "makes 2 different blocks" in told
+    # Of loads alone every trajectory is held out.
+    loads = {"loads": [{"mass_kg": 0}, {"mass_kg": 2}], "validate": {"hold_out": {"loads": [1]}}}
+    assert bound(tmp_path, schedule=alone, campaign=CAMPAIGN | loads)
+
+
+def test_a_model_that_does_not_tell_friction_apart_is_no_champion_of_probes(tmp_path: Path) -> None:
+    dwell = {"kind": "dwell", "waypoints": 40}
+    parts = {"fit": [{"estimator": "static-wls"}], "validate": {"hold_out": {"poses_percent": 20}}}
+    still = CAMPAIGN | parts | {"excitation": dwell | {"seed": 7}}
+    probe = PROBE | {"excitation": dwell | {"seed": 21}}
+    (told,) = problems(tmp_path, campaign=still, probe=probe)
+    assert told.startswith("campaign.estimator: static-wls does not tell friction apart")
+    alone = {"probe": None, "campaign": {"spec": "campaign.yaml", "every": "7d"}}
+    assert bound(tmp_path, schedule=SCHEDULE | alone, campaign=still)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in plugins.names("hil.estimators") if not name.startswith("test")]
+)
+def test_estimators_say_whether_they_tell_friction_apart(name: str) -> None:
+    silent = {"static-wls", "static-linear", "static-inverse"}
+    assert estimator(name).tells_friction is (name not in silent)
 
 
 def test_nobody_answers_at_night(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ class RobotEstimator(Parametrised):
     Attributes:
         estimator: Name under which the class is registered.
         series_kinds: Which series it learns from, the preferred kinds first.
+        tells_friction: Whether its predictions say which part of them is friction.
         robot_: The robot model it was fitted for.
         joint_names_: Joints, in the order of every array.
         effort_kind_: `current` or `torque`, the unit of predictions.
@@ -55,6 +56,7 @@ class RobotEstimator(Parametrised):
 
     estimator: ClassVar[str] = ""
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
+    tells_friction: ClassVar[bool] = True
 
     robot_: RobotModel
     joint_names_: tuple[str, ...]

@@ -56,6 +56,7 @@ class StaticFriction(StaticModel):
     """
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",),)
+    tells_friction: ClassVar[bool] = True
 
     load_gravity_: FloatArray
     load_limit_: FloatArray

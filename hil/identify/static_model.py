@@ -42,6 +42,7 @@ class StaticModel(WlsEstimator):
     """
 
     series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("dwell",), ("trajectory",))
+    tells_friction: ClassVar[bool] = False
 
     form: Form
     current_term: bool

@@ -81,6 +81,7 @@ class StaticMlpLm(StaticModel):
     """
 
     estimator: ClassVar[str] = "static-mlp-lm"
+    tells_friction: ClassVar[bool] = True
     callback: Callback | None = None
 
     def __init__(

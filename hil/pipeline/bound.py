@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
-from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
-from hil.errors import PluginError, SpecError
-from hil.identify.base import HONEST, estimator
-from hil.spec.experiment import ExperimentSpec, Fit, Fourier
+from hil.errors import SpecError
+from hil.pipeline.fitting_together import problems as problems_of
+from hil.pipeline.fitting_together import wanted
+from hil.spec.experiment import Fit
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 from hil.spec.source import Path as SourcePath
 from hil.spec.source import Problem, Source, dotted
 from hil.spec.yaml_source import read_source
-
-Finding = tuple[SourcePath, str]
-"""Where in the schedule, and what is wrong there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +64,13 @@ def bind(spec: ScheduleSpec, station: Path | None = None, file: Path | None = No
             problems += error.message.splitlines()
             hint = hint or error.hint
     if "campaign" in loaded:
-        found = _problems(spec, loaded["campaign"], loaded.get("probe"))
+        found = problems_of(spec, loaded["campaign"], loaded.get("probe"))
         source = read_source(file) if file is not None else None
         problems += [_line(source, place, message) for place, message in found]
     if problems:
         raise SpecError("\n".join(dict.fromkeys(problems)), hint=hint)
     campaign = loaded["campaign"]
-    fit = next(_wanted(spec, campaign.spec))
+    fit = next(wanted(spec, campaign.spec))
     name = spec.model or campaign.spec.robot
     return Bound(spec, name, loaded.get("probe"), campaign, fit)
 
@@ -101,99 +96,3 @@ def _line(source: Source | None, place: SourcePath, message: str) -> str:
     if source is None:
         return f"{dotted(place)}: {message}"
     return str(Problem(source.mark(place), place, message))
-
-
-def _problems(
-    spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
-) -> Iterator[Finding]:
-    yield from _of_the_model(spec, campaign.spec)
-    yield from _needs_somebody("campaign", campaign)
-    if probe is None:
-        return
-    yield from _needs_somebody("probe", probe)
-    yield from _says_enough(probe.spec)
-    robots = probe.spec.robot, campaign.spec.robot
-    if robots[0] != robots[1] or probe.robot != campaign.robot:
-        yield (
-            ("probe", "spec"),
-            f"drives {robots[0]} ({probe.station_source}), and the campaign "
-            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot",
-        )
-    if _motion(probe.spec) == _motion(campaign.spec):
-        yield (
-            ("probe", "spec"),
-            "its motion is that of the campaign, so that no model could be judged on "
-            "it: give it another excitation.seed",
-        )
-    if probe.spec.excitation.kind != campaign.spec.excitation.kind:
-        yield (
-            ("probe", "spec"),
-            f"its excitation is {probe.spec.excitation.kind}, that of the campaign "
-            f"{campaign.spec.excitation.kind}: the champion could not be compared with it",
-        )
-
-
-def _of_the_model(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Finding]:
-    """What keeps the campaign from having the one model that challenges."""
-    names = [fit.estimator for fit in campaign.fit]
-    wanted = spec.campaign.estimator
-    if not names:
-        yield ("campaign", "spec"), f"{campaign.name} has no `fit`: there would be no model"
-        return
-    if wanted and wanted not in names:
-        told = f"{campaign.name} fits {', '.join(names)}, not {wanted!r}"
-        yield ("campaign", "estimator"), told
-        return
-    fits = list(_wanted(spec, campaign))
-    if len(fits) > 1:
-        told = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
-        yield ("campaign", "spec"), told
-    with contextlib.suppress(AttributeError):  # some know it only when they are fitted
-        protocol = estimator(fits[0].estimator, **fits[0].parameters).protocol
-        if protocol != HONEST:
-            yield ("campaign", "estimator"), not_honest(fits[0].estimator, protocol)
-
-
-def not_honest(name: str, protocol: str) -> str:
-    """What is wrong with a model that is never judged."""
-    return f"the model of {name} is not honest and never judged ({protocol}): name another"
-
-
-def _wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
-    name = spec.campaign.estimator or campaign.fit[0].estimator
-    return (fit for fit in campaign.fit if fit.estimator == name)
-
-
-def _needs_somebody(part: str, experiment: Experiment) -> Iterator[Finding]:
-    """Prompts that only a person could answer; a mock on a virtual clock mounts by itself."""
-    asked = [load.prompt for load in experiment.spec.loads if load.prompt]
-    if not asked:
-        return
-    try:
-        alone = check_driver(experiment).clock == "virtual"
-    except (SpecError, PluginError):
-        return  # told where drivers are checked
-    if not alone:
-        yield (
-            (part, "spec"),
-            f"{experiment.spec.name} asks for something to be done "
-            f"({asked[0]!r}), and nobody attends a schedule",
-        )
-
-
-def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
-    """What keeps a probe from saying what has changed, as far as the spec tells."""
-    program = probe.excitation
-    if not isinstance(program, Fourier):
-        return
-    each_s = program.periods / program.fundamental_hz
-    if program.trajectories * max(1, round(each_s / BLOCK_S)) < FEWEST_BLOCKS:
-        yield (
-            ("probe", "spec"),
-            f"{program.trajectories} trajectories of {each_s:g} s say too little: "
-            f"make them {FEWEST_BLOCKS * BLOCK_S:g} s together, by more excitation.trajectories",
-        )
-
-
-def _motion(spec: ExperimentSpec) -> dict[str, object]:
-    return spec.excitation.model_dump(exclude={"trajectories", "waypoints"})

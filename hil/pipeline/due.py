@@ -16,8 +16,9 @@ from hil.campaign.experiment import Experiment
 from hil.errors import FitError
 from hil.identify.base import HONEST
 from hil.identify.model_folder import models_below
-from hil.pipeline.bound import Bound, not_honest
+from hil.pipeline.bound import Bound
 from hil.pipeline.deciding import Decision, decided
+from hil.pipeline.fitting_together import not_honest
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage

@@ -1,0 +1,157 @@
+"""What keeps a schedule and its experiments from fitting together, as far as specs tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import gcd
+
+from hil.campaign.driver_check import check_driver
+from hil.campaign.experiment import Experiment
+from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
+from hil.errors import PluginError, SpecError
+from hil.identify.base import HONEST, estimator
+from hil.registry.blocks import BLOCK_S as COMPARED_S
+from hil.registry.compare import FEWEST_BLOCKS as FEWEST_COMPARED
+from hil.spec.experiment import ExperimentSpec, Fit, Fourier
+from hil.spec.schedule import ScheduleSpec
+from hil.spec.source import Path as SourcePath
+
+Finding = tuple[SourcePath, str]
+"""Where in the schedule, and what is wrong there."""
+
+
+def problems(
+    spec: ScheduleSpec, campaign: Experiment, probe: Experiment | None
+) -> Iterator[Finding]:
+    """Where in a schedule something is wrong, and what.
+
+    Args:
+        spec: The schedule.
+        campaign: The full program that it names.
+        probe: The short one, if it names one.
+    """
+    yield from _of_the_model(spec, campaign.spec, probed=probe is not None)
+    yield from _compares_enough(campaign.spec, None if probe is None else probe.spec)
+    yield from _needs_somebody("campaign", campaign)
+    if probe is None:
+        return
+    yield from _needs_somebody("probe", probe)
+    yield from _says_enough(probe.spec)
+    robots = probe.spec.robot, campaign.spec.robot
+    if robots[0] != robots[1] or probe.robot != campaign.robot:
+        yield (
+            ("probe", "spec"),
+            f"drives {robots[0]} ({probe.station_source}), and the campaign "
+            f"{robots[1]} ({campaign.station_source}): a probe tells nothing of another robot",
+        )
+    if _motion(probe.spec) == _motion(campaign.spec):
+        yield (
+            ("probe", "spec"),
+            "its motion is that of the campaign, so that no model could be judged on "
+            "it: give it another excitation.seed",
+        )
+    if probe.spec.excitation.kind != campaign.spec.excitation.kind:
+        yield (
+            ("probe", "spec"),
+            f"its excitation is {probe.spec.excitation.kind}, that of the campaign "
+            f"{campaign.spec.excitation.kind}: the champion could not be compared with it",
+        )
+
+
+def _of_the_model(
+    spec: ScheduleSpec, campaign: ExperimentSpec, *, probed: bool
+) -> Iterator[Finding]:
+    """What keeps the campaign from having the one model that challenges."""
+    names = [fit.estimator for fit in campaign.fit]
+    named = spec.campaign.estimator
+    if not names:
+        yield ("campaign", "spec"), f"{campaign.name} has no `fit`: there would be no model"
+        return
+    if named and named not in names:
+        told = f"{campaign.name} fits {', '.join(names)}, not {named!r}"
+        yield ("campaign", "estimator"), told
+        return
+    fits = list(wanted(spec, campaign))
+    if len(fits) > 1:
+        told = f"{campaign.name} fits {fits[0].estimator} {len(fits)} times: keep one"
+        yield ("campaign", "spec"), told
+    model = estimator(fits[0].estimator, **fits[0].parameters)
+    protocol = getattr(model, "protocol", HONEST)  # some know it only when they are fitted
+    if protocol != HONEST:
+        yield ("campaign", "estimator"), not_honest(fits[0].estimator, protocol)
+    elif probed and not model.tells_friction:
+        told = f"{fits[0].estimator} does not tell friction apart: no probe says what has changed"
+        yield ("campaign", "estimator"), f"{told}; name another, or leave the probe out"
+
+
+def not_honest(name: str, protocol: str) -> str:
+    """What is wrong with a model that is never judged."""
+    return f"the model of {name} is not honest and never judged ({protocol}): name another"
+
+
+def wanted(spec: ScheduleSpec, campaign: ExperimentSpec) -> Iterator[Fit]:
+    """The campaign's entries whose model challenges; one where nothing is wrong."""
+    name = spec.campaign.estimator or campaign.fit[0].estimator
+    return (fit for fit in campaign.fit if fit.estimator == name)
+
+
+def _needs_somebody(part: str, experiment: Experiment) -> Iterator[Finding]:
+    """Prompts that only a person could answer; a mock on a virtual clock mounts by itself."""
+    asked = [load.prompt for load in experiment.spec.loads if load.prompt]
+    if not asked:
+        return
+    try:
+        alone = check_driver(experiment).clock == "virtual"
+    except (SpecError, PluginError):
+        return  # told where drivers are checked
+    if not alone:
+        yield (
+            (part, "spec"),
+            f"{experiment.spec.name} asks for something to be done "
+            f"({asked[0]!r}), and nobody attends a schedule",
+        )
+
+
+def _says_enough(probe: ExperimentSpec) -> Iterator[Finding]:
+    """What keeps a probe from saying what has changed, as far as the spec tells."""
+    program = probe.excitation
+    if not isinstance(program, Fourier):
+        return
+    each_s = program.periods / program.fundamental_hz
+    if program.trajectories * max(1, round(each_s / BLOCK_S)) < FEWEST_BLOCKS:
+        yield (
+            ("probe", "spec"),
+            f"{program.trajectories} trajectories of {each_s:g} s say too little: "
+            f"make them {FEWEST_BLOCKS * BLOCK_S:g} s together, by more excitation.trajectories",
+        )
+
+
+def _compares_enough(campaign: ExperimentSpec, probe: ExperimentSpec | None) -> Iterator[Finding]:
+    """What keeps a challenger from ever being compared: found at night, after all the motion."""
+    program = campaign.excitation
+    if not campaign.fit or not isinstance(program, Fourier):
+        return
+    held = campaign.hold_out
+    motions = held.trajectories_of(program.trajectories)
+    count = _places(program, motions or program.trajectories)
+    if probe is not None and isinstance(probe.excitation, Fourier):
+        count += _places(probe.excitation, probe.excitation.trajectories)
+    if count < FEWEST_COMPARED:
+        beside = " and the probe" if probe is not None else ""
+        yield (
+            ("campaign", "spec"),
+            f"what {campaign.name} holds out{beside} makes {count} different blocks of "
+            f"{COMPARED_S:g} s to compare two models on, and {FEWEST_COMPARED} are needed: raise "
+            "validate.hold_out.trajectories",
+        )
+
+
+def _places(program: Fourier, trajectories: int) -> int:
+    """Blocks of a comparison at different places: the next period comes by the same ones."""
+    each_s = program.periods / program.fundamental_hz
+    count = max(1, round(each_s / COMPARED_S))
+    return trajectories * (count // gcd(count, program.periods))
+
+
+def _motion(spec: ExperimentSpec) -> dict[str, object]:
+    return spec.excitation.model_dump(exclude={"trajectories", "waypoints"})
