@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from textwrap import dedent
 
 import pytest
+from typer.testing import CliRunner
 
 from hil import plugins
+from hil.cli.app import app
 from hil.errors import SpecError
 from hil.spec import spec_from_text
 from hil.spec.judgeable import require_judgeable
+from hil.spec.load import load_station
+from hil.spec.schedule import load_schedule_spec
+from hil.spec.series import load_series_spec
 
 GOOD = """\
 hil: 1
@@ -391,8 +398,25 @@ def test_the_hint_says_where_all_keys_are_listed() -> None:
     with pytest.raises(SpecError) as caught:
         spec_from_text(GOOD + "zzz: 1\n")
 
-    assert "hil schema" in caught.value.hint
+    assert "`hil schema experiment`" in caught.value.hint
     assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "load"),
+    [("series", load_series_spec), ("schedule", load_schedule_spec), ("station", load_station)],
+)
+def test_the_hint_is_of_the_kind_of_file(
+    kind: str, load: Callable[[Path], object], tmp_path: Path
+) -> None:
+    path = tmp_path / "f.yaml"
+    path.write_text(f"hil_{kind}: 1\nzzz: 1\n")
+    with pytest.raises(SpecError) as caught:
+        load(path)
+    assert caught.value.hint is not None
+    asked = caught.value.hint.split("`")[1].removeprefix("hil ").split()
+    assert asked == ["schema", kind]
+    assert f'"hil_{kind}"' in CliRunner().invoke(app, asked).stdout
 
 
 def test_a_hopeless_file_gets_fifty_lines_and_a_count() -> None:

@@ -33,7 +33,6 @@ __all__ = ["load_spec", "load_station", "resolve_robot", "spec_from_text", "spec
 M = TypeVar("M", bound=Strict)
 
 _NO_OVERRIDES: Mapping[str, str] = {}
-_HINT = "`hil schema` lists every key with its unit and meaning"
 
 
 def load_spec(
@@ -135,7 +134,9 @@ def validated(source: Source, model: type[M]) -> M:
         findings = findings_of(error.errors(include_url=False), model, source)
         problems = [explain(finding, model, source) for finding in findings[:MOST_PROBLEMS]]
         more = len(findings) - len(problems)
-        raise refuse(source.problems + problems, hint=_HINT, more=more) from None
+        kind = model.__name__.removesuffix("Spec").lower()  # one that `hil schema` knows
+        hint = f"`hil schema {kind}` lists every key with its unit and meaning"
+        raise refuse(source.problems + problems, hint=hint, more=more) from None
     if source.problems:
         raise refuse(source.problems)
     return spec
