@@ -19,11 +19,17 @@ from hil.spec import (
     spec_hash,
 )
 from hil.spec.experiment import Dwell, Fourier
+from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 from hil_drivers.cia402.options import options_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-SHIPPED = [path for path in sorted(EXPERIMENTS.glob("*.yaml")) if not is_series(path)]
+SHIPPED = [
+    path
+    for path in sorted(EXPERIMENTS.glob("*.yaml"))
+    if not (is_series(path) or is_schedule(path))
+]
+STATIONS = {"lab6_can": "lab6_can_mock.yaml", "ur5-001": "fleet_mock.yaml"}
 
 GOOD = """\
 hil: 1
@@ -81,10 +87,9 @@ def test_the_loaded_experiment_judges_on_the_load_it_did_not_fit() -> None:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_experiment_runs_at_the_shipped_station(path: Path) -> None:
     spec = load_spec(path)
-    on_can = spec.robot == "lab6_can"
-    file = "lab6_can_mock.yaml" if on_can else "mock.yaml"
-    station = load_station(EXPERIMENTS / "stations" / file)
+    station = load_station(EXPERIMENTS / "stations" / STATIONS.get(spec.robot, "mock.yaml"))
 
+    on_can = spec.robot == "lab6_can"
     assert resolve_robot(spec, station).driver == ("cia402" if on_can else "mock")
     assert spec.name == path.stem.replace("_", "-")
 
