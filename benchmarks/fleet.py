@@ -1,15 +1,19 @@
 """Fits of a fleet: local processes against a Dask cluster, bit for bit, with a worker killed.
 
 A hundred mock UR5s, each another individual, are recorded (three short trajectories); every one is
-fitted by itself by `hil.fleet`, with `rigid-wls`: by one process, by two, by a Dask scheduler with
-two worker processes on this computer, and by such a cluster of which one worker is killed (-9) when
-half of the fits are done; all of it twice, the shorter time counts. Times are those of the whole
-call, processes of this computer being started in it; a cluster is there before, and its workers
-import hil in it (`again` is the same cluster once more).
+fitted by itself with `rigid-wls`: bare, one after another in this process; by one process and by
+two; by a Dask scheduler with two worker processes on this computer; on the same cluster again; and
+by such a cluster of which one worker is killed (-9) when half of the fits are done. All of it
+twice, the shorter time counts, with the processor time of all processes of that round.
+
+What is started counts: processes, or scheduler and workers, with the imports of each, are in the
+times of `one`, `two`, `dask` and `killed`, and by themselves `empty_one`, `empty_two` and
+`dask_empty`. Nothing is started for `bare` and `dask_again`.
 """
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -19,9 +23,11 @@ from typing import Any
 
 from benchmarks.fleets.dask_processes import dask_processes
 from benchmarks.fleets.recorded import ROBOTS, recordings
-from hil.executor import processes
-from hil.fleet.fit_task import FitResult, How
-from hil.fleet.fitting import Tell, fit_runs
+from benchmarks.fleets.timed import Clock, Fits, Took, nothing, timed
+from hil.drift.history import identity
+from hil.executor import one_thread, processes
+from hil.fleet.fit_task import FitResult, How, fit_at
+from hil.fleet.fitting import computed, fit_runs
 from hil.registry.version import digest_of
 
 HOW = How("rigid-wls")
@@ -30,8 +36,8 @@ ROUNDS = 2
 
 
 def run(*, quick: bool = False) -> dict[str, Any]:
-    """Record the fleet, fit it four times and compare."""
-    count = QUICK_ROBOTS if quick else ROBOTS
+    """Record the fleet, fit it in every way and compare."""
+    count, load = QUICK_ROBOTS if quick else ROBOTS, os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="hil-fleet-") as name:
         folder = Path(name)
         begin = time.perf_counter()
@@ -40,49 +46,75 @@ def run(*, quick: bool = False) -> dict[str, Any]:
         recording_s = time.perf_counter() - begin
         size = sum(f.stat().st_size for one in runs for f in (one / "recording").iterdir())
         rounds = [_round(folder, runs) for _ in range(1 if quick else ROUNDS)]
-    seconds = {key: min(one[key][1] for one in rounds) for key in rounds[0]}
-    one_s, two_s, dask_s = (seconds[key] for key in ("one", "two", "dask"))
-    first = rounds[0]["one"][0]
+    best = {way: min((one[way] for one in rounds), key=lambda t: t.seconds) for way in rounds[0]}
+    took = {way: one.seconds for way, one in best.items()}
+    made = [one.fits for each in rounds for one in each.values() if one.fits]
     return {
         "name": "fleet",
         "figures": {
             "robots": count,
+            "load_before": load,
             "recording_s": recording_s,
             "recording_mb": size / 1e6,
-            "one_process_s": one_s,
-            "two_processes_s": two_s,
-            "dask_two_workers_s": dask_s,
-            "dask_again_s": seconds["again"],
-            "dask_one_killed_s": seconds["killed"],
-            "workers_killed": sum(one["killed"][2] for one in rounds),
-            "models_compared": sum(len(made[0]) for one in rounds for made in one.values()),
-            "models_that_differ": sum(_differ(first, m[0]) for one in rounds for m in one.values()),
-            "models_lost": sum(not f.files for one in rounds for m in one.values() for f in m[0]),
+            **{f"{way}_s": seconds for way, seconds in took.items()},
+            **{f"{way}_cpu_s": one.cpu_s for way, one in best.items()},
+            "workers_killed": sum(each["killed"].killed for each in rounds),
+            "models_compared": sum(map(len, made)),
+            "models_that_differ": sum(_differ(made[0], fits) for fits in made),
+            "models_lost": sum(not one.files for fits in made for one in fits),
         },
         "ratios": {
-            "two_processes_faster_than_one": one_s / two_s,
-            "dask_faster_than_one_process": one_s / dask_s,
-            "dask_takes_of_two_processes": dask_s / two_s,
-            "dask_again_takes_of_two_processes": seconds["again"] / two_s,
-            "dask_one_killed_takes_of_dask": seconds["killed"] / dask_s,
+            "two_processes_faster_than_one": took["one"] / took["two"],
+            "dask_faster_than_one_process": took["one"] / took["dask"],
+            "dask_takes_of_two_processes": took["dask"] / took["two"],
+            "dask_again_takes_of_bare": took["dask_again"] / took["bare"],
+            "dask_one_killed_takes_of_dask": took["killed"] / took["dask"],
         },
     }
 
 
-Made = tuple[list[FitResult], float, int]
-"""Results, seconds, and how many workers were killed."""
-
-
-def _round(folder: Path, runs: Sequence[Path]) -> dict[str, Made]:
+def _round(folder: Path, runs: Sequence[Path]) -> dict[str, Took]:
     """Every way once, one after the other, so that what else the computer does meets all alike."""
-    made = {"one": _fitted(runs, workers=1), "two": _fitted(runs, workers=2)}
-    with dask_processes(folder, 2) as (address, _):
-        made["dask"] = _fitted(runs, dask=address)
-        made["again"] = _fitted(runs, dask=address)
-    with dask_processes(folder, 2) as (address, workers):
-        results, seconds, _ = _fitted(runs, dask=address, tell=_Kill(workers[0], len(runs) // 2))
-        deaths = sum(worker.poll() == -9 for worker in workers)
-    return made | {"killed": (results, seconds, deaths)}
+    nothing()
+    made = {
+        "bare": timed(lambda: _bare(runs)),
+        "empty_one": timed(lambda: _empty(1)),
+        "one": timed(lambda: fit_runs(runs, HOW, workers=1)),
+        "empty_two": timed(lambda: _empty(2)),
+        "two": timed(lambda: fit_runs(runs, HOW, workers=2)),
+    }
+    clock = Clock()
+    with dask_processes(folder, 2) as (address, cluster):
+        fits = fit_runs(runs, HOW, workers=1, dask=address)
+        made["dask"] = clock.took(fits, cluster)
+        made["dask_again"] = timed(lambda: fit_runs(runs, HOW, workers=1, dask=address), cluster)
+    clock = Clock()
+    with dask_processes(folder, 2) as (address, cluster):
+        _import_there(address)
+        made["dask_empty"] = clock.took((), cluster)
+        kill = _Kill(cluster[0], len(runs) // 2)
+        fits = fit_runs(runs, HOW, workers=1, dask=address, tell=kill)
+        deaths = sum(process.poll() == -9 for process in cluster)
+        made["killed"] = clock.took(fits, cluster, deaths)
+    return made
+
+
+def _bare(runs: Sequence[Path]) -> Fits:
+    with one_thread():
+        found = [fit_at(run, identity(run)[0], HOW) for run in runs]
+    return [one for one in found if one is not None]
+
+
+def _empty(workers: int) -> Fits:
+    computed([nothing] * workers, workers, None, lambda done: None)
+    return ()
+
+
+def _import_there(address: str) -> None:
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        client.run(nothing)
 
 
 class _Kill:
@@ -95,14 +127,6 @@ class _Kill:
         if done >= self._at and self._worker.poll() is None:
             self._worker.kill()
             self._worker.wait()
-
-
-def _fitted(
-    runs: Sequence[Path], *, workers: int = 1, dask: str | None = None, tell: Tell = lambda done: 0
-) -> Made:
-    begin = time.perf_counter()
-    found = fit_runs(runs, HOW, workers=workers, dask=dask, tell=tell)
-    return found, time.perf_counter() - begin, 0
 
 
 def _differ(ours: Sequence[FitResult], theirs: Sequence[FitResult]) -> int:

@@ -18,6 +18,7 @@ FILES = (
     "tests/test_proof.py",
     "tests/test_proof_drift_null.py",
     "tests/test_proof_fleet.py",
+    "tests/test_proof_fleet_mock.py",
     "tests/test_proof_identification.py",
     "tests/test_proof_inverse_dynamics.py",
     "tests/test_proof_loads.py",

@@ -14,5 +14,5 @@ def test_models_are_the_same_wherever_they_are_fitted_and_none_is_lost() -> None
     figures = benchmarking.measure("fleet")["figures"]
     assert figures["robots"] == 100
     assert figures["workers_killed"] == 2
-    assert figures["models_compared"] == 2 * 5 * 100
+    assert figures["models_compared"] == 2 * 6 * 100
     assert figures["models_that_differ"] == figures["models_lost"] == 0

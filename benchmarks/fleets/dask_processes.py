@@ -20,7 +20,7 @@ PATIENCE_S = 60.0
 def dask_processes(
     folder: Path, workers: int
 ) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Address of a scheduler on 127.0.0.1, and its workers with one thread each.
+    """Address of a scheduler on 127.0.0.1; its workers with one thread each, and itself as last.
 
     Nobody starts a worker again that has died.
 
@@ -37,7 +37,7 @@ def dask_processes(
         _started("dask_worker", *each, "--local-directory", str(folder)) for _ in range(workers)
     ]
     try:
-        yield _address(found, scheduler, workers), started
+        yield _address(found, scheduler, workers), [*started, scheduler]
     finally:
         for process in (*started, scheduler):
             process.terminate()
