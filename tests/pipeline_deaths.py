@@ -18,6 +18,7 @@ from hil.fitting import usable_part
 from hil.pipeline.stages import FOLDER
 from hil.record.rundir import RunDirectory
 from hil.registry.registry import Registry
+from hil.schedule.ledger import Ledger
 from hil.typing import FloatArray
 
 SCRIPT = Path(__file__).with_name("pipeline_dies.py")
@@ -60,6 +61,13 @@ def require_once(folder: Path) -> dict[str, Any]:
     stages = {path.stem for path in (folder / "occasions" / SECOND / FOLDER).glob("*.json")}
     assert len(stages) == 9
     return told
+
+
+def require_accounted(folder: Path) -> None:
+    """Both occasions were done once by the ledger, however often they were begun."""
+    lines = Ledger.read(folder).lines
+    done = [line["occasion"] for line in lines if line["event"] not in ("started", "begun")]
+    assert done == [occasion(0).id, SECOND]
 
 
 def attempts(folder: Path) -> int:

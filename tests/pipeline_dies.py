@@ -1,10 +1,11 @@
-"""The work of two occasions; in the second one it is killed again and again until it is through.
+"""A schedule with two occasions; in the second one it is killed again and again until it is done.
 
 python pipeline_dies.py FOLDER SEED LIVES
 
-Children do the work; they are forked from a process that has imported everything, so that a life
-costs little. A child dies by SIGKILL at a random operation on files below FOLDER or, every third
-time, at a random moment. Says as JSON how many lives it took, and what the work returned.
+Children run the schedule's loop, which does the work; they are forked from a process that has
+imported everything, so that a life costs little. A child dies by SIGKILL at a random operation on
+files below FOLDER or, every third time, at a random moment. Says as JSON how many lives it took;
+what the work returned is beside it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pipeline_parts import occasion, write_schedule
+from pipeline_parts import SCHEDULE, occasion, write_schedule
 
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment
@@ -28,6 +29,9 @@ from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
 from hil.pipeline.reidentify import reidentification
 from hil.registry.registry import Registry
+from hil.schedule.clocks import VirtualClock
+from hil.schedule.ledger import kept
+from hil.schedule.loop import Scheduler
 from hil.schedule.occasion import Occasion
 from hil.spec.schedule import load_schedule_spec
 
@@ -36,6 +40,11 @@ MOST_OPERATIONS = 200
 LONGEST_S = 3.0
 WORN = [1.0, 1.6, 1.0, 1.0, 1.0, 1.0]
 DAYS = {"probe": 0, "campaign": 1, "check": 2}
+TWICE = SCHEDULE | {
+    "probe": {"spec": "probe.yaml", "cron": "0 3 2 1 *"},
+    "campaign": {"spec": "campaign.yaml", "cron": "0 3 9 1 *"},
+}
+"""Due when the two occasions are."""
 
 
 def die_at(folder: Path, operation: int) -> None:
@@ -68,11 +77,16 @@ def adapt(experiment: Experiment, due: Occasion, stage: str) -> Experiment:
 
 
 def do(folder: Path, due: Occasion) -> None:
-    """The work; what it returns is kept beside it."""
+    """What is due then; what the work returns is kept beside it."""
     spec = load_schedule_spec(folder / "weekly.yaml")
     registry, runs = Registry(folder / "registry"), folder / "runs"
     work = reidentification(spec, registry=registry, runs=runs, adapt=adapt)
-    told = work(due, folder / "occasions" / due.id)
+    with kept(folder, spec.name) as ledger:
+        loop = Scheduler(spec, ledger, work, VirtualClock(due.due))
+        loop.run_due()
+        if loop.failure is not None:
+            raise loop.failure
+        told = next(line["result"] for line in ledger.lines[::-1] if line["event"] == "done")
     (folder / f"{due.id}.json").write_text(json.dumps(told), "utf-8")
 
 
@@ -101,7 +115,8 @@ def life(folder: Path, due: Occasion, operation: int = 0, seconds: float = 0.0) 
 def main() -> None:
     folder, lives = Path(sys.argv[1]), int(sys.argv[3])
     dice = random.Random(int(sys.argv[2]))
-    for one in bind(load_schedule_spec(write_schedule(folder))).experiments:
+    file = write_schedule(folder, schedule=TWICE)
+    for one in bind(load_schedule_spec(file)).experiments:
         check_driver(one)
     np.linalg.inv(np.eye(3))
     life(folder, occasion(0))
