@@ -316,6 +316,15 @@ def test_nothing_is_deleted_unasked(runs: Path) -> None:
     assert not (runs / "2026-11-11" / "ur5").exists()
 
 
+@pytest.mark.parametrize(
+    ("robot", "stays"), [("ur10", "1 more stays"), ("ur5", "4 more stay, each")]
+)
+def test_how_many_stay_and_the_age_as_it_was_typed(robot: str, stays: str, runs: Path) -> None:
+    asked = [f"robot={robot}", "--older-than", "36500d"]
+    told = CliRunner().invoke(app, ["prune", *asked, "--runs", str(runs)])
+    assert f"{stays} because it is younger than 36500d" in told.stdout.splitlines(), told.stdout
+
+
 def test_recordings_go_and_documents_stay(runs: Path) -> None:
     policy = Policy(older=timedelta(days=1), recordings_only=True)
     (run_number(runs, 2) / "report.html").write_text("with plots")

@@ -111,6 +111,17 @@ def test_tables_keep_to_the_columns_and_numbers_whole(
     assert sum(len(re.findall(r"\b1\.23456\b", line)) for line in lines) == 3
 
 
+def test_what_is_empty_is_not_told_where_a_table_comes_row_by_row(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.cli.output.width_of", lambda stream: 40)
+    rows = [("2026-11-22 16:34:01", "started", "", "x" * 30), ("2026-11-22 16:34:02", "", "", "")]
+    print_table(("when", "event", "occasion", "what"), rows)
+    assert capsys.readouterr().out.splitlines() == [
+        "2026-11-22 16:34:01", "  event: started, what:", f"    {'x' * 30}", "2026-11-22 16:34:02",
+    ]  # fmt: skip
+
+
 def test_zero_has_no_sign() -> None:
     assert [fixed(x, 3) for x in (-0.0001, 0.0, -0.002)] == ["0.000", "0.000", "-0.002"]
 

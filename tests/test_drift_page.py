@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,6 +96,8 @@ def test_at_the_command_line(registry, tmp_path: Path) -> None:
     where = ["--registry", str(registry.root), "--page", str(page)]
     done = CliRunner().invoke(app, ["drift", "ur5", *where])
     assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines()[-1] == f"page: {page}"
+    assert json.loads(CliRunner().invoke(app, ["drift", "ur5", *where, "--json"]).stdout)
     assert "friction up on shoulder_lift_joint" in page.read_text("utf-8")
 
 

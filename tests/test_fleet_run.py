@@ -34,10 +34,15 @@ def outcomes(document: dict[str, Any]) -> dict[str, str]:
 
 def test_robots_are_chosen_by_pattern_in_the_order_of_the_station() -> None:
     bench = mock_bench()
-    assert robots_like(bench, ["ur10*", "ur3"]) == ("ur10", "ur10e", "ur3")
-    with pytest.raises(SpecError, match="no robot 'urr5'") as caught:
-        robots_like(bench, ["ur3", "urr5"])
+    assert robots_like(bench, ["ur10*", "ur3"], "lab.yaml") == ("ur10", "ur10e", "ur3")
+    with pytest.raises(SpecError, match=r"^lab\.yaml has no robot 'urr5'") as caught:
+        robots_like(bench, ["ur3", "urr5"], "lab.yaml")
     assert "did you mean" in caught.value.hint
+    assert caught.value.hint.endswith(", ".join(bench.robots))
+    many = bench.model_copy(update={"robots": {f"r{i}": bench.robots["ur5"] for i in range(99)}})
+    with pytest.raises(SpecError) as caught:
+        robots_like(many, ["x*"], "lab.yaml")
+    assert caught.value.hint == "it has 99, the first is 'r0'"
 
 
 def test_only_the_robot_of_a_spec_is_replaced() -> None:

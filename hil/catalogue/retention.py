@@ -31,6 +31,7 @@ class Policy:
         keep: Runs after which so many of the same robot and experiment were measured in full.
         interrupted: Also runs that were interrupted.
         recordings_only: Documents, models and reports stay.
+        typed: `older` as somebody typed it, if so.
     """
 
     terms: tuple[str, ...] = ()
@@ -38,12 +39,18 @@ class Policy:
     keep: int | None = None
     interrupted: bool = False
     recordings_only: bool = False
+    typed: str = ""
+
+    @property
+    def age(self) -> str:
+        """The age that is asked for, in words; empty where none is."""
+        return self.typed or ("" if self.older is None else duration_text(self.older))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
             "query": list(self.terms),
-            "older_than": None if self.older is None else duration_text(self.older),
+            "older_than": self.age or None,
             "keep": self.keep,
             "interrupted": self.interrupted,
             "recordings_only": self.recordings_only,
@@ -162,7 +169,7 @@ def _by_policy(
         return Decision(run, f"it is among the newest {policy.keep} of {facts['name']}")
     begun = started_s(facts)
     if policy.older is not None and (begun is None or now - begun < policy.older.total_seconds()):
-        return Decision(run, f"it is younger than {duration_text(policy.older)}")
+        return Decision(run, f"it is younger than {policy.age}")
     if policy.recordings_only and not RunDirectory(run).recordings:
         return Decision(run, "it has no recording")
     return Decision(run, size=size_of(run, policy))

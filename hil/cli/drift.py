@@ -56,9 +56,12 @@ def drift(
     if json:
         print_json({"name": name, "probes": documents})
     elif told:
-        print_table(("taken", "probe", "champion", "changed", "what"), [_row(d) for d in documents])
+        header = ("taken (UTC)", "probe", "champion", "changed", "what")
+        print_table(header, [_row(document) for document in documents])
     else:
         typer.echo(f"no probes of {name} yet: hil drift {name} PROBE")
+    if page is not None and not json:
+        typer.echo(f"page: {page}")
 
 
 def _row(told: dict[str, Any]) -> tuple[str, ...]:

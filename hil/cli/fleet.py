@@ -50,7 +50,7 @@ def run(
 
     bench, _, where = find_station(spec.resolve().parent, station)
     text = spec.read_text("utf-8")
-    specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, robots)}
+    specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, robots, where)}
     file = where if Path(where).is_file() else ""
     first = next(iter(specs.values()))
     named = Path(file) if file else None

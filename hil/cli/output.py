@@ -41,7 +41,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Columns as wide as needed, the first of them names; in a pipe nothing is broken.
 
     A table wider than the terminal comes in blocks of columns, each with the names; where names
-    leave no room for that, row by row.
+    leave no room for that, row by row, without what is empty.
     """
     table = [list(header), *[list(row) for row in rows]]
     padded = [
@@ -53,10 +53,9 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     if width is not None and len(padded[0][0]) + APART + widest > width:
         for name, *cells in table[1:]:
             typer.echo(name)
-            told = ", ".join(
-                f"{title} {cell}" for title, cell in zip(header[1:], cells, strict=True)
-            )
-            typer.echo(indent(fold(told, width - APART), " " * APART))
+            said = zip(header[1:], cells, strict=True)
+            if told := ", ".join(f"{title}: {cell}" for title, cell in said if cell):
+                typer.echo(indent(fold(told, width - APART), " " * APART))
         return
     for line in lines_of(padded, width):
         typer.echo(line)

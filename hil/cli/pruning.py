@@ -63,7 +63,8 @@ def prune(
     from hil.catalogue.removal import leftovers, remove
     from hil.catalogue.retention import Policy, decide
 
-    policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only)
+    policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only,
+                    older_than)  # fmt: skip
     registries = known_registries(runs, registry or ())
     if yes and not registries and not no_registry:
         raise RegistryError(
@@ -118,7 +119,7 @@ def _print(told: dict[str, Any], decisions: list[Decision], left: int) -> None:
         print_table(("stays", "because"), [(str(one.run), one.why) for one in guarded])
     others = Counter(one.why for one in decisions if one.why and not one.guarded)
     for why, count in others.items():
-        say(f"{count} more stay{'s' if count == 1 else ''}: {why}")
+        say(f"{count} more {'stays' if count == 1 else 'stay, each'} because {why}")
     if not told["registries"]:
         say("no registry is known: no run is kept for the sake of a model, --yes asks which")
     what = "the recordings of " if told["policy"]["recordings_only"] else ""

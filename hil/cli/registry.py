@@ -72,7 +72,7 @@ def show(
         return
     role = {aliases.champion: "champion", aliases.challenger: "challenger"}
     print_table(
-        ("version", "is", "estimator", "registered", "by", "of run"),
+        ("version", "is", "estimator", "registered (UTC)", "by", "of run"),
         [(one.label, role.get(one.number, ""), str(one.facts.get("estimator", "")),
           one.registered[:16], one.by, _run(one.facts)) for one in versions],
     )  # fmt: skip
@@ -205,7 +205,7 @@ def log(name: NameArgument, registry: RegistryOption = HERE, json: JsonFlag = Fa
         print_json({"name": name, "log": [entry.to_dict() for entry in entries]})
         return
     print_table(
-        ("when", "version", "what", "by", "why"),
+        ("when (UTC)", "version", "what", "by", "why"),
         [(one.at[:19], f"v{one.version}", one.event, one.by, one.reason) for one in entries],
     )
 

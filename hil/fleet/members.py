@@ -15,27 +15,32 @@ from hil.spec.load import resolve_robot, spec_from_text
 from hil.spec.station import Station
 from hil.suggest import closest
 
+FEW = 12
+"""Of the names of robots a hint lists."""
 
-def robots_like(station: Station, patterns: Sequence[str]) -> tuple[str, ...]:
+
+def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[str, ...]:
     """Names of a station's robots that match any of the patterns, in the station's order.
 
     Args:
         station: With the robots.
         patterns: As of files: `ur5-*`, `ur5-00[1-9]`, or whole names.
+        where: The station's file, for errors.
 
     Raises:
         SpecError: One of the patterns matches no robot.
     """
-    count, first = len(station.robots), next(iter(station.robots))
+    names = list(station.robots)
+    known = ", ".join(names) if len(names) <= FEW else f"{len(names)}, the first is {names[0]!r}"
     for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in station.robots):
-            guess = closest(pattern, list(station.robots))
+        if not any(fnmatchcase(name, pattern) for name in names):
+            guess = closest(pattern, names)
             like = f"did you mean {guess!r}? " if guess else ""
             raise SpecError(
-                f"the station {station.name!r} has no robot {pattern!r}",
-                hint=f"{like}it has {count}, the first is {first!r}",
+                f"{where} has no robot {pattern!r}",
+                hint=f"{like}it has {known}",
             )
-    return tuple(name for name in station.robots if any(fnmatchcase(name, one) for one in patterns))
+    return tuple(name for name in names if any(fnmatchcase(name, one) for one in patterns))
 
 
 def spec_for(text: str, name: str, robot: str) -> str:
