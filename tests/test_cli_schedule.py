@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import pytest
 from schedule_parts import at
@@ -140,6 +142,28 @@ def test_a_plan_says_what_would_happen_and_does_nothing(folder: Path) -> None:
     assert told.splitlines()[-1].startswith("of motion: probe ")
 
 
+def test_a_plan_until_a_day_goes_on_to_its_end() -> None:
+    today = datetime.now(ZoneInfo("Europe/Berlin")).date()
+    _, told, _ = hil_schedule("plan", "nightly.yaml", "--until", f"{today}", "--json")
+    assert json.loads(told)["until"][:19] == f"{today + timedelta(days=1)}T00:00:00"
+    tomorrow = f"{today + timedelta(days=1)}T04:00"
+    _, told, _ = hil_schedule("plan", "nightly.yaml", "--until", tomorrow, "--json")
+    assert json.loads(told)["until"][:16] == tomorrow
+
+
+def test_of_a_dense_plan_the_first_of_each_kind_are_shown() -> None:
+    write("nightly.yaml", SCHEDULE.format(every="1min") + "missed: skip\n")
+    words = ("plan", "nightly.yaml", "--weeks", "0.02")
+    expected = json.loads(hil_schedule(*words, "--json")[1])["expected"]
+    assert len(expected) > 200
+    _, told, _ = hil_schedule(*words)
+    *rows, rest, _ = told.splitlines()[1:]
+    assert len(rows) == 40
+    count = re.match(r"… and (\d+) more: probe, until ", rest)
+    assert count is not None
+    assert abs(int(count[1]) + 40 - len(expected)) <= 1  # a minute may begin in between
+
+
 def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
     with kept(Path("schedules/nightly"), "nightly") as ledger:
         ledger.start("nightly", at("01 00:00"))
@@ -155,7 +179,8 @@ def test_a_plan_says_what_would_be_done_about_what_was_missed() -> None:
 @pytest.mark.parametrize(
     ("words", "keys", "told"),
     [
-        (("plan", "--until", "2020-01-01"), "", "--until 2020-01-01T00:00 is past"),
+        (("plan", "--until", "2020-01-01"), "", "--until 2020-01-01 is past"),
+        (("plan", "--until", "soon"), "", "--until 'soon' is no date"),
         (("plan",), 'blackout: [{begin: "00:01", end: "00:00"}]\n', "never so much time between"),
         (("run",), "notify: tee\n", "notify"),
         (("run",), "missed_within: soon\n", "missed_within"),

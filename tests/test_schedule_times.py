@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from schedule_parts import HOUR, MINUTE, MONDAY, at, schedule
 
+from hil.schedule import times
 from hil.schedule.times import moment_of, next_free, occasions, window_in
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -97,6 +98,31 @@ def test_where_both_are_due_the_campaign_is_done() -> None:
     spec = schedule(campaign={"spec": "c", "cron": "0 3 * * wed"})
     found = due(spec, MONDAY, MONDAY + 96 * HOUR)
     assert [o.id.split("-")[1] for o in found] == ["probe", "probe", "campaign", "probe"]
+
+
+def test_looking_again_in_between_finds_the_same() -> None:
+    for zone, begin in (
+        ("Europe/Berlin", datetime(2026, 3, 28, 23, tzinfo=UTC)),
+        ("Europe/Berlin", datetime(2026, 10, 24, 23, tzinfo=UTC)),
+        ("Pacific/Apia", datetime(2011, 12, 30, 8, tzinfo=UTC)),  # a whole day is skipped
+    ):
+        spec = schedule(probe={"spec": "p", "cron": "*/20 * * * *"}, timezone=zone)
+        whole = due(spec, begin, begin + 5 * HOUR, begin)
+        for minutes in range(0, 300, 7):
+            after = begin + minutes * MINUTE + timedelta(seconds=13)
+            left = [each for each in whole if each.due > after]
+            assert due(spec, begin, begin + 5 * HOUR, after) == left
+
+
+def test_a_dense_calendar_is_walked_no_further_than_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, moment = [], times.moment_of
+    monkeypatch.setattr(times, "moment_of", lambda *a, **k: asked.append(a) or moment(*a, **k))
+    spec = schedule(probe={"spec": "p", "cron": "* * * * *"}, timezone="Asia/Tokyo")
+    for minutes in range(60):
+        now = MONDAY + minutes * MINUTE
+        for _ in range(3):
+            assert next(occasions(spec, MONDAY, now)).due == now + MINUTE
+    assert len(asked) < 70
 
 
 def test_a_calendar_that_ends_ends() -> None:

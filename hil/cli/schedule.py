@@ -104,8 +104,12 @@ def plan(
         float, typer.Option("--weeks", min=0, max=520, help="How far to look ahead.")
     ] = 4.0,
     until: Annotated[
-        datetime | None,
-        typer.Option("--until", formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M"], help="In place of weeks."),
+        str | None,
+        typer.Option(
+            "--until",
+            metavar="DATE",
+            help="In place of weeks: a day, itself included, or 2026-11-28T03:00.",
+        ),
     ] = None,
     state: StateOption = None,
     station: StationOption = None,
@@ -120,9 +124,9 @@ def plan(
     bound, now = bind_file(file, station), datetime.now(UTC)
     spec = bound.spec
     zone = ZoneInfo(spec.timezone)
-    end = until.replace(tzinfo=zone) if until else now + timedelta(weeks=weeks)
+    end = _end(until, zone) if until else now + timedelta(weeks=weeks)
     if end <= now:
-        raise SpecError(f"--until {until:%Y-%m-%dT%H:%M} is past", hint="give a later one")
+        raise SpecError(f"--until {until} is past", hint="give a later one")
     took = motions(spec, bound.probe, bound.campaign)
     require_room(spec, took, now)
     ledger = Ledger.read(_state(spec, state))
@@ -270,6 +274,19 @@ def _coming(spec: ScheduleSpec, ledger: Ledger, now: datetime) -> datetime | Non
     after = max(now, standing.until or now)
     coming = next(occasions(spec, standing.anchor or now, after), None)
     return coming.due if coming else None
+
+
+def _end(text: str, zone: ZoneInfo) -> datetime:
+    """The end of a day, or a time of day there."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise SpecError(
+            f"--until {text!r} is no date", hint="such as 2026-11-28 or 2026-11-28T03:00"
+        ) from None
+    if len(text) <= len("2026-11-28"):
+        moment += timedelta(days=1)
+    return moment if moment.tzinfo else moment.replace(tzinfo=zone)
 
 
 def _tell_stage(text: str) -> None:

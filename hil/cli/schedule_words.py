@@ -15,13 +15,22 @@ if TYPE_CHECKING:
     from hil.spec.schedule import ScheduleSpec
 
 
+SHOWN = 40
+"""Rows of a plan that are alike: a probe every minute is none to be read to its end."""
+
+
 def print_plan(spec: ScheduleSpec, expected: list[Expected], zone: ZoneInfo) -> None:
-    """What would happen when, as a table."""
+    """What would happen when, as a table; of each kind the first ones, and how many more."""
     if not expected:
         say("nothing is due until then")
         return
     rows = []
+    alike: dict[tuple[str, str], list[Expected]] = {}
     for one in expected:
+        kind = alike.setdefault((one.job, one.what), [])
+        kind.append(one)
+        if len(kind) > SHOWN:
+            continue
         times = f" ({one.count} times)" if one.count > 1 else ""
         begins = "not done" if one.begins is None else f"{one.begins.astimezone(zone):%a %H:%M:%S}"
         motion = duration(one.motion.total_seconds()) if one.motion else ""
@@ -29,6 +38,12 @@ def print_plan(spec: ScheduleSpec, expected: list[Expected], zone: ZoneInfo) -> 
         rows.append((f"{one.due.astimezone(zone):%a %Y-%m-%d %H:%M}", one.job + times, begins,
                      motion, why))  # fmt: skip
     print_table((f"due ({spec.timezone})", "what", "begins", "motion", "why not then"), rows)
+    for (job, what), kind in alike.items():
+        if rest := kind[SHOWN:]:
+            count = f"{sum(one.count for one in rest)} more: {job}"
+            left = ", not done" if what == "missed" else ""
+            until = f"{rest[-1].due.astimezone(zone):%a %Y-%m-%d %H:%M}"
+            say(f"… and {count}{left}, until {until}")
 
 
 def print_ledger(lines: list[Line], zone: ZoneInfo) -> None:

@@ -21,6 +21,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -41,7 +42,7 @@ class Standing:
     """How things stand after some lines.
 
     Attributes:
-        anchor: When the schedule was first started, None before that.
+        anchor: The minute in which the schedule was first started, None before that.
         until: Everything due until then is settled, but for what is open.
         open: An occasion that was begun or put off, and has not ended.
         begun: Whether it was begun.
@@ -100,6 +101,7 @@ def closed(standing: Standing) -> Standing:
     return replace(standing, open=None, begun=False, why="", touched=None)
 
 
+@lru_cache(maxsize=1024)
 def occasion_of(text: str) -> Occasion:
     """Inverse of `Occasion.id`. Raises `ValueError`."""
     moment, _, job = text.partition("-")

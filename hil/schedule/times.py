@@ -11,7 +11,9 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
+from functools import cache, lru_cache
 from itertools import groupby
+from typing import Any
 from zoneinfo import ZoneInfo
 
 from hil.schedule.occasion import Job, Occasion
@@ -19,8 +21,6 @@ from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _MINUTE, _DAY = timedelta(minutes=1), timedelta(days=1)
-_SHIFTED = timedelta(hours=30)
-"""More than a clock is ever put forward or back: Samoa has skipped a day."""
 
 
 def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator[Occasion]:
@@ -28,7 +28,7 @@ def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator
 
     Args:
         spec: The schedule.
-        anchor: When it was first started: nothing before that is due, and intervals count from it
+        anchor: The minute of its first start: nothing before that is due, and intervals count from it
             unless the schedule says from when.
         after: Only what is due later.
     """
@@ -85,18 +85,32 @@ def _intervals(every: timedelta, start: datetime, after: datetime) -> Iterator[d
 
 
 def _by_calendar(cron: str, zone: ZoneInfo, after: datetime) -> Iterator[datetime]:
-    from apscheduler.triggers.cron import CronTrigger
-
-    # The calendar is walked as if it were UTC's: where clocks are never put forward or back.
-    calendar = CronTrigger.from_crontab(cron, timezone=UTC)
-    wall = after.astimezone(zone).replace(tzinfo=UTC) - _SHIFTED
-    before = after
-    while (found := calendar.get_next_fire_time(None, wall)) is not None:
-        due = moment_of(found.replace(tzinfo=None), zone)
+    # What the wall shows then was shown at `after` or before; later times of day come later.
+    shown = after.astimezone(zone).replace(tzinfo=None)
+    wall, before = shown.replace(second=0, microsecond=0), after
+    while (found := _shown_next(cron, zone, wall)) is not None:
+        wall, due = found[0] + _MINUTE, found[1]
         if due > before:
             yield due
             before = due
-        wall = found + _MINUTE
+
+
+@cache
+def _calendar(cron: str) -> Any:
+    """It is walked as if it were UTC's: where clocks are never put forward or back."""
+    from apscheduler.triggers.cron import CronTrigger
+
+    return CronTrigger.from_crontab(cron, timezone=UTC)
+
+
+@lru_cache(maxsize=1024)  # the loop asks for the same minutes again and again
+def _shown_next(cron: str, zone: ZoneInfo, wall: datetime) -> tuple[datetime, datetime] | None:
+    """The first due time from then on: as the wall shows it, and UTC."""
+    found = _calendar(cron).get_next_fire_time(None, wall.replace(tzinfo=UTC))
+    if found is None:
+        return None
+    shown = found.replace(tzinfo=None)
+    return shown, moment_of(shown, zone)
 
 
 def moment_of(wall: datetime, zone: ZoneInfo, *, last: bool = False) -> datetime:
