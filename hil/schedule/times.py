@@ -28,8 +28,8 @@ def occasions(spec: ScheduleSpec, anchor: datetime, after: datetime) -> Iterator
 
     Args:
         spec: The schedule.
-        anchor: The minute of its first start: nothing before that is due, and intervals count from it
-            unless the schedule says from when.
+        anchor: The minute of its first start: nothing before that is due, and intervals count from
+            it unless the schedule says from when.
         after: Only what is due later.
     """
     after = max(after, anchor - timedelta(seconds=1))
