@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from hil.campaign.experiment import mock_bench
+from hil.arms import arm_names
+from hil.campaign.bench import bench
+from hil.campaign.experiment import NOT_MOCKED, mock_bench
+from hil.campaign.robots import opened
 from hil.errors import SpecError
 from hil.payload import Payload
 from hil.spec import (
@@ -21,6 +24,7 @@ from hil.spec import (
 from hil.spec.experiment import Dwell, Fourier
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
+from hil.spec.station import StationRobot
 from hil_drivers.cia402.options import options_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -92,6 +96,15 @@ def test_every_shipped_experiment_runs_at_the_shipped_station(path: Path) -> Non
     on_can = spec.robot == "lab6_can"
     assert resolve_robot(spec, station).driver == ("cia402" if on_can else "mock")
     assert spec.name == path.stem.replace("_", "-")
+
+
+def test_the_built_in_bench_has_every_arm_that_can_be_mocked(tmp_path: Path) -> None:
+    robots = bench(folder=tmp_path)
+    assert [robot.problem for robot in robots if robot.problem] == []
+    assert {robot.name for robot in robots} >= set(arm_names()) - set(NOT_MOCKED)
+    for name in NOT_MOCKED:
+        with pytest.raises(SpecError), opened(name, StationRobot(driver="mock", model=name)):
+            pass
 
 
 def test_the_built_in_bench_has_the_drives_of_the_shipped_station() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hil import arms
 from hil.errors import SpecError
@@ -26,6 +26,12 @@ MOCK_DRIVES = {
     "pace": "free",
 }
 """Options of the driver `cia402` for what `hil mock can` starts: see lab6_can_mock.yaml."""
+
+NOT_MOCKED = ("panda",)
+"""Built-in arms that the embedded mock cannot be: its drives are of six joints."""
+
+MOCK_STARTS = {"kr300": [0, -90, 90, 0, 0, 0]}
+"""Where mocks of arms begin for which all zeros is no pose [deg]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,7 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
     """Load a spec and the station it runs at.
 
     The station is, in this order: `station_path`, $HIL_STATION, `station.yaml` beside the spec,
-    or a bench with every built-in arm on the embedded mock, and one on mock CAN drives. A real
+    or a bench with every built-in arm that can be mocked, and one on mock CAN drives. A real
     robot is never chosen by default.
 
     Raises:
@@ -111,17 +117,25 @@ def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str,
 
 
 def mock_bench() -> Station:
-    """A bench with every built-in arm on the embedded mock, seed 0, and `lab6_can`.
+    """A bench with every built-in arm that the embedded mock can be, seed 0, and `lab6_can`.
 
     The latter meets the drives of `hil mock can` on a bus that no other computer can reach.
     """
-    embedded = {name: StationRobot(driver="mock", model=name) for name in arms.arm_names()}
+    embedded = {
+        name: StationRobot(driver="mock", model=name, options=_mock_options(name))
+        for name in arms.arm_names()
+        if name not in NOT_MOCKED
+    }
     return Station(
         hil_station=1,
         name="mock-bench",
         robots=embedded
         | {"lab6_can": StationRobot(driver="cia402", model="lab6", options=MOCK_DRIVES)},
     )
+
+
+def _mock_options(arm: str) -> dict[str, Any]:
+    return {"start_q_deg": MOCK_STARTS[arm]} if arm in MOCK_STARTS else {}
 
 
 def _station_nearby(folder: Path) -> Path | None:
