@@ -12,7 +12,7 @@ from synthetic_motion import LOAD
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.drift.history import PROBES_FILE, assess, probes_of
+from hil.drift.history import PROBES_FILE, assess, identity, probes_of
 from hil.errors import DataError, RegistryError
 from hil.fitting import fit_sources
 from hil.identify.model_file import plain
@@ -123,3 +123,13 @@ def test_at_the_command_line(registry, quiet) -> None:
     assert done.stdout.count("no ") >= 3
     told = json.loads(CliRunner().invoke(app, ["drift", "ur5", *where, "--json"]).stdout)
     assert [one["reference"] for one in told["probes"]] == [0, 1, 2]
+
+
+def test_a_program_is_the_same_wherever_the_arm_stood_before_it(tmp_path: Path) -> None:
+    """Its plan is another one: the way from there to the first pose belongs to it."""
+    for number, plan in enumerate(("from here", "from there")):
+        run = tmp_path / str(number)
+        run.mkdir()
+        start = {"uid": str(number), "started": "", "plan_hash": plan, "spec_hash": "probe"}
+        (run / "start.json").write_text(json.dumps(start), "utf-8")
+        assert identity(run)[2] == "probe"

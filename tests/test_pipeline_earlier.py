@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def probe(folder: Path, day: int, champion: int = 1, *, changed: bool = False) -
 
 
 @pytest.fixture
-def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
     """The days that are looked at, given the history; today is the 28th."""
 
     def found(*probes: Probe) -> list[str]:
@@ -39,19 +40,21 @@ def days(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return found
 
 
-def test_the_last_ones_before_today_whoever_was_champion(tmp_path: Path, days) -> None:
+def test_the_last_ones_before_today_whoever_was_champion(
+    tmp_path: Path, days: Callable[..., list[str]]
+) -> None:
     history = [probe(tmp_path, day, champion=1 + day // 24) for day in range(20, 29)]
     assert days(*history) == ["27", "26", "25", "24", "23"]
     assert MOST == 5
 
 
-def test_as_far_back_as_nothing_has_changed(tmp_path: Path, days) -> None:
+def test_as_far_back_as_nothing_has_changed(tmp_path: Path, days: Callable[..., list[str]]) -> None:
     history = [probe(tmp_path, day, changed=day == 25) for day in (24, 25, 26, 27, 28)]
     assert days(*history) == ["27", "26"]
 
 
 def test_one_probe_under_two_champions_is_one_and_changed_if_either_says_so(
-    tmp_path: Path, days
+    tmp_path: Path, days: Callable[..., list[str]]
 ) -> None:
     twice = probe(tmp_path, 26)
     again = replace(twice, champion=2)
@@ -60,7 +63,7 @@ def test_one_probe_under_two_champions_is_one_and_changed_if_either_says_so(
     assert days(probe(tmp_path, 25), changed, twice, probe(tmp_path, 27)) == ["27"]
 
 
-def test_what_was_pruned_is_left_out(tmp_path: Path, days) -> None:
+def test_what_was_pruned_is_left_out(tmp_path: Path, days: Callable[..., list[str]]) -> None:
     gone, there = probe(tmp_path, 26), probe(tmp_path, 27)
     Path(gone.source).unlink()
     run = tmp_path / "run"

@@ -43,7 +43,7 @@ class Probe:
         uid: Identity of its run or recording.
         at: When it was taken, ISO 8601.
         source: Where it was then.
-        program: Hash of the plan that was driven; empty for a recording, which does not tell it.
+        program: Hash of its spec (a plan depends on where the arm stood); empty for a recording.
         champion: Version it was compared with.
         false_alarm: Probability, at most, with which a robot that has not changed is called so.
         features: What it says.
@@ -155,7 +155,7 @@ def identity(source: Path) -> tuple[str, str, str]:
     """
     if (source / "start.json").is_file():
         start = read_json(source / "start.json")
-        uid, at, program = (str(start.get(key, "")) for key in ("uid", "started", "plan_hash"))
+        uid, at, program = (str(start.get(key, "")) for key in ("uid", "started", "spec_hash"))
         return uid, at, program
     if not source.is_file():
         raise DataError(f"{source} does not exist", hint="give a run directory or an MCAP file")
