@@ -85,6 +85,7 @@ class Robot:
     schedule: dict[str, Any] = field(default_factory=dict)
     taken: Taken = field(default_factory=lambda: Taken({}))
     meanwhile: dict[str, Callable[[], object]] = field(default_factory=dict)
+    told: list[str] = field(default_factory=list)
 
     def due(self, week: int, job: Job = "probe", **runs: str) -> dict[str, Any]:
         """An occasion with these runs; probes and campaigns are as good as new by default."""
@@ -96,7 +97,8 @@ class Robot:
         file = write_schedule(self.home, PROBE, self.campaign, told)
         bound = bind(load_schedule_spec(file))
         measuring: Any = self.taken
-        work = Reidentification(bound, self.registry, measuring, as_it_is, lambda stage: None)
+        self.told = []
+        work = Reidentification(bound, self.registry, measuring, as_it_is, self.told.append)
         due = occasion(week, job)
         return work(due, self.home / due.id)
 
@@ -134,6 +136,7 @@ def events(robot: Robot) -> list[tuple[str, int]]:
 def test_the_first_model_is_champion_without_a_probe(robot: Robot) -> None:
     told = robot.due(0)
     assert robot.taken.asked == ["campaign"]
+    assert robot.told == ["campaign", "fit", "register", "challenge"]
     assert (told["outcome"], told["before"], told["champion"]) == ("promoted", None, "v1")
     assert told["text"] == "v1 is champion: the first one: there are no criteria"
     assert told["errors"] is None
@@ -144,6 +147,7 @@ def test_a_quiet_probe_starts_nothing(robot: Robot) -> None:
     robot.due(0)
     told = robot.due(1)
     assert robot.taken.asked == ["probe"]
+    assert robot.told == ["probe", "drift"]  # and nothing of what is left out
     assert (told["outcome"], told["champion"], told["decision"]) == ("quiet", "v1", None)
     assert told["errors"]["before"] == told["errors"]["after"]
     assert len(events(robot)) == 3
@@ -167,6 +171,7 @@ def test_a_change_is_identified_and_the_challenger_promoted(robot: Robot) -> Non
     robot.due(0)
     told = robot.due(1, probe="worn probe", campaign="worn campaign", check="worn probe")
     assert robot.taken.asked == ["probe", "campaign", "check"]
+    assert robot.told == ["probe", "drift", "campaign", "fit", "register", "check", "challenge"]
     assert (told["outcome"], told["before"], told["champion"]) == ("promoted", "v1", "v2")
     assert told["text"].startswith("v2 is champion: friction up on J2: the challenger errs less")
     assert told["errors"]["after"][1] < 0.7 * told["errors"]["before"][1]

@@ -45,6 +45,7 @@ class Due:
         measuring: How runs are made.
         adapt: Changes an experiment for an occasion.
         occasion: What is due.
+        tell: Told the name of every stage that has something to do, when it begins.
     """
 
     bound: Bound
@@ -52,6 +53,7 @@ class Due:
     measuring: Measuring
     adapt: Adapt
     occasion: Occasion
+    tell: Callable[[str], object] = lambda stage: None
 
     def stages(self) -> list[Stage]:
         """In order; every one needs those whose documents it looks at."""
@@ -102,6 +104,7 @@ class Due:
 
         if SKIPPED in done["probe"]:
             return done["probe"]
+        self.tell("drift")
         bound = self.bound
         run, alarm = Path(done["probe"]["run"]), bound.spec.false_alarm
         champion = f"v{done['begin']['champion']}"
@@ -127,6 +130,7 @@ class Due:
         """The model that the run has fitted."""
         if SKIPPED in done["campaign"]:
             return done["campaign"]
+        self.tell("fit")
         run, name = Path(done["campaign"]["run"]), self.bound.fit.estimator
         found = [folder for folder in models_below(run) if _is_of(folder, name)]
         verdict = read_json(run / "verdict.json")
@@ -155,6 +159,7 @@ class Due:
 
         if SKIPPED in done["fit"]:
             return done["fit"]
+        self.tell("register")
         model, name = Path(done["fit"]["model"]), self.bound.name
         facts, registry = facts_of(model), self.registry
         version = registry.register(name, model, facts)
@@ -174,6 +179,7 @@ class Due:
         """Promoted, or kept out, by the registry's rules; once."""
         if SKIPPED in done["register"]:
             return done["register"]
+        self.tell("challenge")
         decision = Decision(self.registry, self.bound.name, self.key, done)
         told = decision.made()
         return told | {"champion": self.registry.aliases(self.bound.name).champion or None}
@@ -184,6 +190,7 @@ class Due:
         return summary(self.bound.name, done, errors)
 
     def _measured(self, experiment: Experiment, stage: str) -> str:
+        self.tell(stage)
         adapted = self.adapt(experiment, self.occasion, stage)
         return str(self.measuring.measure(adapted, f"{self.key}/{stage}").resolve())
 

@@ -41,7 +41,7 @@ def reidentification(
         station: In place of the one the schedule names.
         adapt: Changes an experiment for an occasion, for simulations; see `with_options`.
         observers: Told about the progress of runs.
-        tell: Told the name of every stage that begins.
+        tell: Told the name of every stage that has something to do, when it begins.
 
     Returns:
         A `Work`. Its document has `outcome` (`quiet`, `drift`, `promoted`, `kept`), `text`, `name`,
@@ -65,7 +65,7 @@ class Reidentification:
         registry: Where models are.
         measuring: How runs are made.
         adapt: Changes an experiment for an occasion.
-        tell: Told the name of every stage that begins.
+        tell: Told the name of every stage that has something to do, when it begins.
     """
 
     bound: Bound
@@ -76,5 +76,5 @@ class Reidentification:
 
     def __call__(self, occasion: Occasion, folder: Path) -> Document:
         """Do what is due, or what is left of it; see `hil.schedule.occasion.Work`."""
-        due = Due(self.bound, self.registry, self.measuring, self.adapt, occasion)
-        return run_stages(due.stages(), folder, self.tell)["summary"]
+        due = Due(self.bound, self.registry, self.measuring, self.adapt, occasion, self.tell)
+        return run_stages(due.stages(), folder)["summary"]

@@ -45,15 +45,12 @@ class Stage:
     inputs: Mapping[str, Any] = field(default_factory=dict)
 
 
-def run_stages(
-    stages: Sequence[Stage], folder: Path, tell: Callable[[str], object] = lambda name: None
-) -> dict[str, Document]:
+def run_stages(stages: Sequence[Stage], folder: Path) -> dict[str, Document]:
     """Do what is not done yet, in the order of needs.
 
     Args:
         stages: Of distinct names.
         folder: Their documents are kept in `stages` below it.
-        tell: Told the name of every stage that is about to be done.
 
     Returns:
         The documents of all, by name.
@@ -71,7 +68,6 @@ def run_stages(
         path = home / f"{stage.name}.json"
         document = _kept(path, key)
         if document is None:
-            tell(stage.name)
             document = _plain(stage.do({name: done[name] for name in stage.needs}))
             _keep(path, stage.name, key, document)
         done[stage.name] = document
