@@ -11,7 +11,7 @@ from fleet_walk import walked
 
 WORN = ("ur5-017", 1)
 PROBE = SPEC.replace("fundamental_hz: 0.5, seed: 3", "fundamental_hz: 0.2, seed: 21")
-PROBE = PROBE.replace("trajectories: 1", "trajectories: 3")
+PROBE = PROBE.replace("trajectories: 1", "trajectories: 4")
 
 
 @pytest.mark.wire
