@@ -10,7 +10,7 @@ import sys
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from typing import Any
 
 
@@ -46,8 +46,12 @@ class Holder:
 
     def __str__(self) -> str:
         """For example `pid 4711 (hil run spec.yaml, since 10:42, run runs/…/0042-dwell)`."""
-        run = self.content.get("run")
-        told = (self.content.get("command"), since_words(self.content), f"run {run}" if run else "")
+        return self.told()
+
+    def told(self, zone: tzinfo | None = None) -> str:
+        """The same in a time zone; by default this computer's."""
+        run, since = self.content.get("run"), since_words(self.content, zone)
+        told = (self.content.get("command"), since, f"run {run}" if run else "")
         inside = ", ".join(plain(text) for text in told if text)
         return self.process + (f" ({inside})" if inside else "")
 
@@ -72,13 +76,16 @@ def user_name() -> str:
         return "unknown"
 
 
-def since_words(content: Mapping[str, Any]) -> str:
-    """`since 10:42` in local time, with the day when it is another one; empty when unknown."""
+def since_words(content: Mapping[str, Any], zone: tzinfo | None = None) -> str:
+    """`since 10:42` in a time zone, with the day when it is another one; empty when unknown.
+
+    By default the time is local.
+    """
     try:
-        since = datetime.fromisoformat(str(content["since"])).astimezone()
+        since = datetime.fromisoformat(str(content["since"])).astimezone(zone)
     except (KeyError, ValueError, OverflowError, OSError):
         return ""
-    today = since.date() == datetime.now().astimezone().date()
+    today = since.date() == datetime.now(UTC).astimezone(zone).date()
     return f"since {since:%H:%M}" if today else f"since {since:%Y-%m-%d %H:%M}"
 
 

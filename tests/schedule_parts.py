@@ -16,7 +16,7 @@ from hil.schedule.ledger import Ledger
 from hil.schedule.loop import Scheduler
 from hil.schedule.occasion import Occasion
 from hil.schedule.times import occasions
-from hil.spec.schedule import ScheduleSpec
+from hil.spec.schedule import ProbeJob, ScheduleSpec
 
 MONDAY = datetime(2026, 11, 23, tzinfo=UTC)
 HOUR, MINUTE = timedelta(hours=1), timedelta(minutes=1)
@@ -27,6 +27,12 @@ def schedule(**keys: Any) -> ScheduleSpec:
     daily: dict[str, Any] = {"spec": "probe.yaml", "cron": "0 3 * * *"}
     given = {"name": "nightly", "probe": daily, "campaign": {"spec": "campaign.yaml"}}
     return ScheduleSpec.model_validate({"hil_schedule": 1, **given, **keys})
+
+
+def never_due() -> ScheduleSpec:
+    """As if the last day of a calendar were past; a file is not accepted that says so."""
+    job = ProbeJob.model_construct(spec="p", cron="0 0 31 feb *", every=None)
+    return schedule().model_copy(update={"probe": job})
 
 
 def at(text: str) -> datetime:

@@ -216,6 +216,39 @@ def test_a_schedule_that_runs_says_so_and_is_not_run_twice() -> None:
         assert "is run by pid" in str(error)
 
 
+def test_times_are_those_of_the_schedules_zone() -> None:
+    zone = ZoneInfo("Asia/Kolkata")
+    write("nightly.yaml", SCHEDULE.format(every="1d").replace("Europe/Berlin", zone.key))
+    with kept(Path("schedules/nightly"), "nightly") as ledger:
+        ledger.start("nightly", datetime.now(UTC))
+        before = datetime.now(zone)
+        _, told, _ = hil_schedule("show", "nightly.yaml")
+    assert told.startswith("when (Asia/Kolkata)  event")
+    since = re.search(r"since (\d\d:\d\d)\)", told.splitlines()[-1])
+    assert since is not None
+    assert since[1] in {f"{before - late:%H:%M}" for late in (timedelta(), timedelta(minutes=1))}
+    assert re.search(r"next: \w+ [\d-]+ 03:00 \(Asia/Kolkata\)", told)
+
+
+@pytest.mark.parametrize(
+    ("cron", "mistake"),
+    [
+        ("0 3 31 feb *", "never due in the next eight years"),
+        ("0 3 31 apr,jun *", "never due in the next eight years"),
+        ("0 3 29 feb *", ""),
+        ("0 3 31 * *", ""),
+    ],
+)
+def test_a_calendar_without_such_a_day_is_refused(cron: str, mistake: str) -> None:
+    text = SCHEDULE.format(every="1d").replace("every: 1d", f'cron: "{cron}"')
+    write("nightly.yaml", text)
+    _, _, error = hil_schedule("show", "nightly.yaml")
+    if mistake:
+        assert mistake in str(error)
+    else:
+        assert error is None
+
+
 def test_a_trip_is_shown_until_it_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
     write("nightly.yaml", SCHEDULE.format(every="1min") + "notify: [sh, -c, 'cat >> notices']\n")
     done = working(monkeypatch, InterlockTripped("elbow: 31 A"))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import SpecError
+from hil.errors import RecordingError, SpecError
 from hil.schedule.notify import Command
 from hil.schedule.systemd import next_words, units_of, write_units
 
@@ -55,6 +55,15 @@ def test_paths_are_themselves_whatever_is_in_them(tmp_path: Path) -> None:
     assert "WorkingDirectory=/100%%\n" in unit.text
     with pytest.raises(SpecError, match="cannot have"):
         units_of("nightly", ("/a\nb",), tmp_path, timer=False, user=True)
+
+
+def test_the_folder_of_units_is_made(tmp_path: Path) -> None:
+    units = units_of("nightly", ("/n.yaml",), tmp_path, timer=True, user=True)
+    for path in write_units(units, tmp_path / "new" / "units"):
+        assert path.read_text()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot make"):
+        write_units(units, tmp_path / "file")
 
 
 def test_leases_are_looked_for_where_they_are(

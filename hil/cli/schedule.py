@@ -161,7 +161,7 @@ def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) 
     holder, coming = holder_of(folder / LOCK), _coming(spec, ledger, now)
     if json:
         print_json({
-            "schedule": spec.name, "state": str(folder), "run_by": str(holder) if holder else None,
+            "schedule": spec.name, "state": str(folder), "run_by": holder and holder.told(zone),
             "held": dict(standing.held) if standing.held else None,
             "open": standing.open.id if standing.open else None,
             "next": coming and _iso(coming, zone), "lines": [dict(line) for line in ledger.lines],
@@ -175,7 +175,7 @@ def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) 
         say(held_words(standing.held, file, zone) if standing.held else wrong)
     else:
         say(next_words(coming, zone))
-    say(f"run by {holder}" if holder else f"nobody runs it: hil schedule run {file}")
+    say(f"run by {holder.told(zone)}" if holder else f"nobody runs it: hil schedule run {file}")
 
 
 @app.command()

@@ -48,7 +48,9 @@ def print_plan(spec: ScheduleSpec, expected: list[Expected], zone: ZoneInfo) -> 
 
 def print_ledger(lines: list[Line], zone: ZoneInfo) -> None:
     """Every line, as a table."""
-    print_table(("when", "event", "occasion", "what"), [_cells(line, zone) for line in lines])
+    print_table(
+        (f"when ({zone})", "event", "occasion", "what"), [_cells(line, zone) for line in lines]
+    )
 
 
 def words(line: Line, zone: ZoneInfo) -> str:
@@ -59,14 +61,16 @@ def words(line: Line, zone: ZoneInfo) -> str:
 def next_words(moment: datetime | None, zone: ZoneInfo) -> str:
     """When something is due next."""
     return (
-        f"next: {moment.astimezone(zone):%a %Y-%m-%d %H:%M}" if moment else "nothing is due again"
+        f"next: {moment.astimezone(zone):%a %Y-%m-%d %H:%M} ({zone})"
+        if moment
+        else "nothing is due again"
     )
 
 
 def held_words(line: Line, file: Path, zone: ZoneInfo) -> str:
     """That nothing happens any more, why, and how to change that."""
     return (
-        f"held since {_at(line, zone)}: {line['why']}\n"
+        f"held since {_at(line, zone)} ({zone}): {line['why']}\n"
         f"  → when somebody has looked: hil schedule release {file} --reason TEXT"
     )
 

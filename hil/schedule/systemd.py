@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.errors import SpecError
+from hil.errors import RecordingError, SpecError
 from hil.holder import user_name
 from hil.record.files import write_replacing
 
@@ -79,11 +79,17 @@ def units_of(
 
 
 def write_units(units: list[Unit], folder: Path) -> list[Path]:
-    """Write them into a folder that exists.
+    """Write them into a folder, which is made when missing.
 
     Raises:
         RecordingError: They cannot be written.
     """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make {folder}: {error.strerror or error}", hint="name another with --out"
+        ) from error
     for unit in units:
         write_replacing(folder / unit.name, unit.text.encode())
     return [folder / unit.name for unit in units]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import date, datetime
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 from zoneinfo import ZoneInfo
@@ -19,6 +19,8 @@ from hil.spec.yaml_source import read_source
 KEY = "hil_schedule"
 
 Day = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
+_FORESEEN = timedelta(days=8 * 366)
+"""29 February comes within that, 31 February never does."""
 _CLOCK = re.compile(r"([01]\d|2[0-3]):[0-5]\d|24:00")
 
 
@@ -40,9 +42,13 @@ def _cron(text: str) -> str:
         # To cron 0 is Sunday, to others Monday: a robot moves on the day that was meant.
         raise mistake("the weekday must be given by name, such as sat or mon-fri")
     try:
-        CronTrigger.from_crontab(text, timezone="UTC")
+        trigger = CronTrigger.from_crontab(text, timezone="UTC")
     except ValueError as error:
         raise mistake(f"cannot be read: {error}") from None
+    now = datetime.now(UTC)
+    due = trigger.get_next_fire_time(None, now)
+    if due is None or due > now + _FORESEEN:
+        raise mistake("is never due in the next eight years: no such day comes")
     return text
 
 
