@@ -61,9 +61,7 @@ def run_paths(runs_root: Path) -> list[Path]:
             hint="give the folder that holds them: --runs DIR",
         )
     return [
-        path
-        for path in run_folders(runs_root)
-        if number_of(path) or (path / "start.json").exists()
+        path for path in run_folders(runs_root) if number_of(path) or (path / "start.json").exists()
     ]
 
 
