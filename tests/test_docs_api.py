@@ -27,7 +27,7 @@ def signature(name: str) -> str:
     """As the page shows it: names and defaults, without types."""
     given = inspect.signature(getattr(api, name))
     bare = [p.replace(annotation=p.empty) for p in given.parameters.values()]
-    return f"hil.{name}{inspect.Signature(bare)}".replace("'", '"')  # as ruff formats it
+    return f"hil.{name}{inspect.Signature(bare)}"
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
