@@ -42,6 +42,15 @@ def test_what_is_due_is_done_when_it_is() -> None:
     assert begun == [f"2026-11-{day}T03:00:00+00:00" for day in (23, 24, 25)]
 
 
+def test_work_that_takes_longer_than_its_interval_has_an_end() -> None:
+    """Something is always due then; the loop ends all the same when it should."""
+    loop, worker, clock = scheduler(schedule(probe={"spec": "probe.yaml", "every": "1min"}))
+    worker.lasting = timedelta(seconds=94)
+    loop.run(MONDAY + HOUR)
+    assert clock.now() < MONDAY + HOUR + 2 * MINUTE
+    assert 30 <= len(worker.done) <= 3600 / 94 + 1
+
+
 def test_what_was_started_within_the_minute_is_due(tmp_path: Path) -> None:
     loop, worker, _ = scheduler(schedule(), at("23 03:00") + timedelta(seconds=2))
     loop.run_due()

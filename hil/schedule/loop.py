@@ -87,7 +87,7 @@ class Scheduler:
         """
         try:
             while end is None or self.clock.now() < end:
-                self.run_due()
+                self.run_due(end)
                 moments = [each for each in (self.next_moment(), end) if each is not None]
                 if not moments:
                     return
@@ -95,13 +95,15 @@ class Scheduler:
         except KeyboardInterrupt:
             raise Stopped("stopped between two occasions", by_signal=True) from None
 
-    def run_due(self) -> None:
-        """Do everything that is due now, as far as it can be done now.
+    def run_due(self, end: datetime | None = None) -> None:
+        """Do everything that is due now, as far as it can be done now, and before `end`.
+
+        What takes longer than its interval is always due again.
 
         Raises:
             Stopped, DataError, RecordingError, RegistryError: See `run`.
         """
-        while self._one():
+        while (end is None or self.clock.now() < end) and self._one():
             pass
 
     def next_moment(self) -> datetime | None:
