@@ -17,9 +17,12 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def signals_are_put_back() -> Iterator[None]:
-    """The command line ignores late signals once its work is done; in here it is not the end."""
-    before = {number: signal.getsignal(number) for number in WATCHED}
+def signals_are_heard() -> Iterator[None]:
+    """The command line ignores late signals once its work is done; in here it is not the end.
+
+    Fixtures of modules call it, too, before a test is asked what it found.
+    """
+    for number in WATCHED:
+        default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        signal.signal(number, default)
     yield
-    for number, handler in before.items():
-        signal.signal(number, handler)

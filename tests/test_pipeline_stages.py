@@ -107,13 +107,6 @@ def test_a_document_is_the_same_the_first_time_as_read_back(tmp_path) -> None:
     assert json.loads((tmp_path / FOLDER / "a.json").read_bytes())["stage"] == "a"
 
 
-def test_stages_are_told_as_they_begin(work, tmp_path) -> None:
-    told: list[str] = []
-    run_stages(work.stages()[1:], tmp_path, told.append)
-    run_stages(work.stages(), tmp_path, told.append)
-    assert told == ["a", "b", "c"]
-
-
 def test_needs_that_cannot_be_are_refused(work, tmp_path) -> None:
     with pytest.raises(ValueError, match="there is no stage a"):
         run_stages(work.stages()[:2], tmp_path)
