@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 
 import pytest
 
@@ -17,7 +16,7 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def signals_are_heard() -> Iterator[None]:
+def signals_are_heard() -> None:
     """The command line ignores late signals once its work is done; in here it is not the end.
 
     Fixtures of modules call it, too, before a test is asked what it found.
@@ -25,4 +24,3 @@ def signals_are_heard() -> Iterator[None]:
     for number in WATCHED:
         default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
         signal.signal(number, default)
-    yield
