@@ -177,6 +177,15 @@ def test_a_line_that_is_cut_wakes_who_receives_on_it(ends: tuple[Line, socket.so
         line.receive(5.0)
 
 
+def test_who_is_gone_is_gone_whatever_is_sent_next(ends: tuple[Line, socket.socket]) -> None:
+    """A line that has ended is not one that is out of step: the next call asks who died."""
+    line, other = ends
+    other.close()
+    for _ in range(3):
+        with pytest.raises(EndOfLine):
+            line.send(pack({"call": "stop"}))
+
+
 def test_what_the_other_side_does_not_take_times_out(ends: tuple[Line, socket.socket]) -> None:
     line, _ = ends
     with pytest.raises(RobotTimeout, match="has not taken"):

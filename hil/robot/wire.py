@@ -48,6 +48,7 @@ class Line:
                 f"the driver's process has not taken a message within {timeout_s:g} s"
             ) from error
         except OSError as error:
+            self.torn = False  # nobody is there to be out of step with
             raise EndOfLine(f"the line is cut: {error}") from error
         self.torn = False
 
