@@ -190,7 +190,7 @@ def test_a_segment_becomes_set_points_of_the_drives():
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (segment(np.full((2, 6), 0.001)), "begins 0.0010 rad from"),
+        (segment(np.full((2, 6), 0.003)), "begins 0.0030 rad from where the arm stands"),
         (segment([[0.0] * 6, [0.0] * 5 + [0.1]]), "joint 5 that are 25.000 rad/s apart"),
         (segment([[0.0] * 6, [0.0] * 5 + [7.0]]), "joint range"),
     ],
@@ -255,6 +255,13 @@ def test_an_arm_led_by_a_spring_first_goes_to_where_the_segment_begins():
     assert q[-1] == pytest.approx(asked.q[-1], abs=1e-7)
     assert np.abs(np.diff(q, axis=0)).max() * 250.0 < 0.2
     assert SCALING.velocity(made.velocity) == pytest.approx(np.gradient(q, axis=0) * 250, abs=5e-3)
+
+
+def test_what_a_brake_gave_since_the_plan_was_made_is_made_good_first():
+    asked, standing = segment(np.full((2, 6), 0.001)), np.zeros(6)
+    q = SCALING.position(track(asked, standing).position)
+    assert q[0] == pytest.approx(standing, abs=1e-7)
+    assert q[-1] == pytest.approx(asked.q[-1], abs=1e-7)
 
 
 # -- torques and loads

@@ -13,11 +13,14 @@ from hil_drivers.cia402.torque_model import TorqueModel
 from hil_drivers.cia402.track import Track
 
 AT_SET_POINT_RAD = 1e-4
-"""Set-points are followed without being smoothed: a segment begins where the last one ended."""
+"""Set-points are followed without being smoothed: farther away, a segment's begin is reached first.
+"""
+
+GIVEN_RAD = 2e-3
+"""A brake gives when its axis is switched on, after the plan was made from where the arm stood."""
 
 LED_RAD = 0.05
-"""Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it; a segment
-that was planned from there is reached first."""
+"""Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
 
 REACHED_S = 0.4
 
@@ -41,12 +44,12 @@ def track_of(
         rate_hz: Rows per second of device time.
         scaling: Of the drives.
         model: Says the feed-forward torque; none is sent without.
-        led: The master leads the joints; it may have to be reached.
+        led: The master leads the joints; its begin may be farther from there.
 
     Raises:
         CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
     """
-    tolerance = LED_RAD if led else AT_SET_POINT_RAD
+    tolerance = LED_RAD if led else GIVEN_RAD
     require_executable(segment, limits, standing, at_set_point_rad=tolerance)
     require_smooth(segment, limits, rate_hz)
     q, qd, qdd = segment.q, segment.qd, segment.qdd
