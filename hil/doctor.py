@@ -24,6 +24,7 @@ EXTRAS = {
     "fleet": ("distributed",),
     "bags": ("rosbags",),
     "live": ("foxglove",),
+    "web": ("starlette", "uvicorn", "sse_starlette"),
 }
 LOW_DISK_BYTES = 2e9
 

@@ -40,6 +40,9 @@ EXTRA_OF_MODULE = {
     "distributed": "fleet",
     "rosbags": "bags",
     "foxglove": "live",
+    "starlette": "web",
+    "uvicorn": "web",
+    "sse_starlette": "web",
     "cvxpy": "identify",
 }
 """The extra of this distribution that brings an optional top-level module."""

@@ -34,6 +34,7 @@ from hil.cli import (
     running,
     runs,
     schedule,
+    serving,
     specs,
     studies,
     system,
@@ -65,7 +66,8 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
-    loads, studies, registry, drift, fleet, schedule, resting, exports, trying, data, system, bench,
+    loads, studies, registry, drift, fleet, schedule, serving, resting, exports, trying, data,
+    system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

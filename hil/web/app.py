@@ -1,0 +1,61 @@
+"""The application: routes of all pages behind the guard."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.resources import files
+from urllib.parse import quote
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from hil.errors import HilError
+from hil.web.rendering import WHO, back, refused
+from hil.web.security import Guard, form_of
+from hil.web.settings import Settings
+
+PAGES = ("hil.web.overview",)
+"""Modules with pages; each has `routes`."""
+
+YEAR_S = 365 * 24 * 3600
+
+
+def create_app(settings: Settings) -> Starlette:
+    """The dashboard as an ASGI application.
+
+    Args:
+        settings: What it shows, and who may do what.
+    """
+    app = Starlette(
+        routes=_routes(),
+        middleware=[Middleware(Guard, settings=settings)],
+        exception_handlers={HilError: _refused, PermissionError: _refused, 404: _refused},
+    )
+    app.state.settings = settings
+    return app
+
+
+def _routes() -> list[BaseRoute]:
+    static = StaticFiles(directory=str(files("hil.web").joinpath("static")))
+    pages = [route for module in PAGES for route in import_module(module).routes]
+    return [*pages, Route("/who", _who, methods=["POST"]), Mount("/static", static)]
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    return await run_in_threadpool(refused, request, error)
+
+
+async def _who(request: Request) -> Response:
+    """Keep who sits here; it is recorded with what they ask."""
+    name = (await form_of(request)).get("who", "").strip()[:80]
+    answer = RedirectResponse(back(request), 303)
+    if name:
+        answer.set_cookie(WHO, quote(name), max_age=YEAR_S, httponly=True, samesite="strict")
+    else:
+        answer.delete_cookie(WHO)
+    return answer

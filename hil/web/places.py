@@ -1,0 +1,41 @@
+"""Addresses of runs, and the runs at addresses; nothing outside the folder of runs has one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import quote
+
+from hil.errors import DataError
+from hil.record.lock import is_live
+from hil.record.numbering import run_folders
+from hil.web.settings import Settings
+
+
+def name_of(run: Path, settings: Settings) -> str:
+    """A run below the folder of runs, such as `2026-11-22/ur5/0042-dwell`."""
+    return run.resolve().relative_to(settings.runs.resolve()).as_posix()
+
+
+def address_of(run: Path, settings: Settings) -> str:
+    """Path of the page of a run."""
+    return f"/runs/{quote(name_of(run, settings))}"
+
+
+def run_at(name: str, settings: Settings) -> Path:
+    """The run directory of an address.
+
+    Raises:
+        DataError: There is none, or it is outside the folder of runs.
+    """
+    root = settings.runs.resolve()
+    path = (root / name).resolve()
+    if not path.is_relative_to(root) or path == root or not path.is_dir():
+        raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
+    return path
+
+
+def live_runs(settings: Settings) -> list[Path]:
+    """The runs that processes hold at the moment."""
+    if not settings.runs.is_dir():
+        return []
+    return [run for run in run_folders(settings.runs) if is_live(run)]

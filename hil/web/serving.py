@@ -1,0 +1,82 @@
+"""Listening: the dashboard on a port, until somebody ends it."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Callable
+from dataclasses import replace
+
+from hil.errors import RobotConnectionError
+from hil.web.app import create_app
+from hil.web.settings import DEFAULT_PORT, Settings, is_loopback
+
+PORTS_TRIED = 10
+CLOSED_WITHIN_S = 1
+
+
+def listen(host: str, port: int | None) -> socket.socket:
+    """A socket that listens.
+
+    Args:
+        host: Address or name of this computer.
+        port: TCP port, 0 for any; None for 8350 or, where that is taken, one of the next nine.
+
+    Raises:
+        RobotConnectionError: Nobody can listen there.
+    """
+    ports = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else [port]
+    problem: OSError | None = None
+    for one in ports:
+        try:
+            return socket.create_server((host, one), family=_family(host), backlog=128)
+        except OSError as error:
+            problem = error
+    assert problem is not None
+    where = f"{host}:{port}" if port is not None else f"{host}, ports {ports[0]} to {ports[-1]}"
+    raise RobotConnectionError(
+        f"cannot listen on {where}: {problem.strerror or problem}",
+        hint="give another port: hil serve --port 8400 (0 takes any)",
+    ) from problem
+
+
+def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], object]) -> None:
+    """Serve until SIGINT or SIGTERM; runs that were started go on.
+
+    Args:
+        settings: What is shown, and who may do what; its port is that of the socket.
+        listening: Where, see `listen`.
+        tell: Is given the address to open, token included.
+    """
+    import uvicorn
+
+    settings = replace(settings, port=listening.getsockname()[1])
+    config = uvicorn.Config(
+        create_app(settings),
+        lifespan="off",
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=CLOSED_WITHIN_S,
+    )
+    tell(address(settings))
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def address(settings: Settings) -> str:
+    """What to open in a browser."""
+    host = settings.host
+    if not is_loopback(host) and host in ("0.0.0.0", "::"):  # noqa: S104 - compared, not bound
+        host = settings.names[0] if settings.names else socket.gethostname()
+    if ":" in host and not host.startswith("["):
+        host = f"[{host}]"
+    token = f"/?token={settings.token}" if settings.token else "/"
+    return f"http://{host}:{settings.port}{token}"
+
+
+def _family(host: str) -> socket.AddressFamily:
+    try:
+        six = ipaddress.ip_address(host).version == 6
+    except ValueError:
+        six = False
+    return socket.AF_INET6 if six else socket.AF_INET
