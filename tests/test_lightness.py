@@ -12,7 +12,7 @@ EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 HEAVY = (
     "torch", "mujoco", "numba", "sklearn", "scipy", "plotly", "pinocchio", "rtde_control",
     "rtde_receive", "can", "canopen", "distributed", "mcap", "foxglove", "matplotlib",
-    "hil_mock_robot", "hil_drivers",
+    "starlette", "uvicorn", "playwright", "hil_mock_robot", "hil_drivers",
 )  # fmt: skip
 
 
