@@ -1,4 +1,4 @@
-"""`hil.plan` is a package and a function of the API; `hil.evaluate` and `hil.study` too.
+"""`hil.plan` is a package and a function of the API; so are `evaluate`, `study` and `registry`.
 
 Importing a subpackage binds it as an attribute of its parent, over the function of the same name.
 So these packages are made callable: a call goes to the function in `hil.api`

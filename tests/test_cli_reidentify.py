@@ -62,7 +62,7 @@ def test_what_was_cut_off_too_long_ago_is_begun_anew(
             "name": "ur5", "text": "", "errors": None, "runs": {}
         }  # fmt: skip
 
-    monkeypatch.setattr("hil.pipeline.reidentify.reidentification", work)
+    monkeypatch.setattr("hil.pipeline.by_hand.reidentification", work)
     file = write_schedule(tmp_path)
     told = CliRunner().invoke(app, ["run", str(file), "--state", str(tmp_path / "state")])
     assert told.exit_code == 0, told.output

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from hil.cli.output import print_json, print_table, print_warnings, say
-from hil.cli.schedule import STATES
-
-if TYPE_CHECKING:
-    from hil.schedule.occasion import Job, Occasion
-
-BY_HAND = "by-hand"
-"""Below the schedule's state: occasions that somebody asked for."""
 
 
 def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
@@ -70,50 +62,19 @@ def run_schedule(
     Raises:
         DataError: Another process does the same now.
     """
-    from hil.campaign.extras import require_extras
+    from hil import api
     from hil.cli.progress import ProgressLines
     from hil.engine.signals import ignore_from_now_on
-    from hil.pipeline.bound import bind_file
-    from hil.pipeline.reidentify import reidentification
-    from hil.registry.registry import Registry
-    from hil.schedule.ledger import kept
 
-    bound = bind_file(path, station)
-    for experiment in bound.experiments:
-        require_extras(experiment.spec)
-    job: Job = "campaign" if campaign or bound.probe is None else "probe"
-    home = (state or STATES / bound.spec.name) / BY_HAND
-    work = reidentification(
-        bound.spec, registry=Registry(registry), runs=runs, station=station,
-        observers=(ProgressLines(),), tell=lambda stage: typer.echo(f"stage: {stage}", err=True),
+    told = api.reidentify(
+        path, station=station, runs=runs, registry=registry, state=state, campaign=campaign,
+        observers=(ProgressLines(),), tell=lambda text: typer.echo(text, err=True),
     )  # fmt: skip
-    with kept(home, bound.spec.name):
-        occasion = _left(home, job, bound.spec.missed_within) or _now(job)
-        told = dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
     ignore_from_now_on()
     if json:
         print_json(told)
     else:
         _tell(told)
-
-
-def _now(job: Job) -> Occasion:
-    from hil.schedule.occasion import Occasion
-
-    return Occasion(datetime.now(UTC).replace(microsecond=0), job)
-
-
-def _left(home: Path, job: Job, within: timedelta) -> Occasion | None:
-    """The newest occasion of that kind, if it was cut off; days later the robot is another one."""
-    from hil.pipeline.stages import kept_document
-    from hil.schedule.ledger import occasion_of
-
-    for folder in sorted(home.glob(f"*-{job}"), reverse=True)[:1]:
-        left = occasion_of(folder.name)
-        if kept_document(folder, "summary") is None and left.due >= datetime.now(UTC) - within:
-            say(f"going on with {folder}")
-            return left
-    return None
 
 
 def _tell(told: dict[str, Any]) -> None:

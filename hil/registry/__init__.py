@@ -3,4 +3,10 @@
 ``REGISTRY/NAME/v0001/`` is a version: model files, and `version.json`, what it is, with digests.
 ``REGISTRY/NAME/log.jsonl`` says what was done, line by line: the truth about champions.
 ``REGISTRY/NAME/aliases.json`` names champion and challenger for people; it is made from the log.
+
+`hil.registry("registry")` is the function of the API (`hil.api.registry`) and gives the `Registry`.
 """
+
+from hil.callable_module import make_callable
+
+make_callable(__name__)

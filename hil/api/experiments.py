@@ -1,0 +1,168 @@
+"""An experiment: planned, run, resumed, studied and printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.api.arguments import AnyPath
+from hil.campaign.desk import Desk
+from hil.campaign.experiment import Experiment, load_experiment
+from hil.campaign.run import RunReport, resume_experiment, run_experiment
+from hil.engine import Observer
+from hil.plan.plan import Plan
+
+if TYPE_CHECKING:
+    from hil.study.result import StudyResult
+
+
+def load(spec: AnyPath, station: AnyPath | None = None) -> Experiment:
+    """Load and check an experiment spec and its station.
+
+    Raises:
+        SpecError: With every problem of both files.
+    """
+    return load_experiment(Path(spec), Path(station) if station else None)
+
+
+def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
+    """What the robot would do; nothing moves.
+
+    A robot on a virtual clock is asked where it stands. One in wall time is not connected to: its
+    plan begins in the roomiest pose of its range.
+
+    Args:
+        experiment: From `load`.
+        connect: Plan from where a robot in wall time stands now, too.
+
+    Raises:
+        PlanError: No safe plan follows from the spec.
+        RobotError: The robot cannot be asked where it stands, or another process holds it.
+    """
+    from hil.campaign.robots import planned
+
+    with planned(experiment, connect=connect) as (_, made, _):
+        return made
+
+
+def run(
+    experiment: Experiment,
+    *,
+    runs: AnyPath = "runs",
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+) -> RunReport:
+    """Plan, run, record, fit, judge and report.
+
+    Args:
+        experiment: From `load`.
+        runs: Where run directories are kept.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+
+    Returns:
+        The report; a run that ended early says so in `outcome` and `error` and is not raised.
+
+    Raises:
+        HilError: What went wrong before there was a run directory.
+    """
+    return run_experiment(
+        experiment,
+        runs=Path(runs),
+        operator=operator,
+        observers=observers,
+        waivers=waivers,
+        desk=desk,
+    )
+
+
+def resume(
+    run: AnyPath,
+    *,
+    operator: str = "",
+    observers: Sequence[Observer] = (),
+    waivers: Mapping[str, str] | None = None,
+    desk: Desk | None = None,
+) -> RunReport:
+    """Go on with a run that ended early: what is whole stays, the rest is measured and judged.
+
+    Args:
+        run: The run directory.
+        operator: Who is at the robot; by default the user of this process.
+        observers: Told about progress, each on its own thread.
+        waivers: Preflight check → why its failure is accepted; recorded.
+        desk: Where prompts are answered and pauses are ended; by default the console.
+
+    Returns:
+        The report over all attempts.
+
+    Raises:
+        DataError: The run has nothing left to do, or its plan or spec was changed.
+        PreflightFailed: It is another robot.
+        HilError: What else keeps the run from going on.
+    """
+    return resume_experiment(
+        Path(run), operator=operator, observers=observers, waivers=waivers, desk=desk
+    )
+
+
+def study(
+    run: AnyPath,
+    name: str | None = None,
+    *,
+    parameters: dict[str, Any] | None = None,
+    watch: Callable[[str, str, int, int], None] | None = None,
+) -> tuple[StudyResult, ...]:
+    """Make the studies of a run's spec again, or another one; also refreshes its report.
+
+    Args:
+        run: The run directory.
+        name: Name in `hil.studies`; by default all that the run's spec names.
+        parameters: The study's own parameters, over those in the spec.
+        watch: Told the study, what it is doing, and how many of how many steps of that are done.
+
+    Returns:
+        What they found, as it was written into the run directory.
+
+    Raises:
+        SpecError, PluginError: There is no such study or parameter.
+        DataError, FitError: The run does not allow it; studies beside it have been made.
+    """
+    from hil.campaign.studies import entries_for, run_studies, unwatched
+    from hil.report import render_report
+
+    path = Path(run)
+    found = run_studies(path, entries_for(path, name, parameters or {}), watch or unwatched)
+    render_report(path)
+    if found.error is not None:
+        raise found.error
+    return tuple(result for _, result in found.made)
+
+
+def figures(
+    run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
+) -> list[Path]:
+    """Write the figures and tables of a run's studies as files for papers.
+
+    Args:
+        run: The run directory.
+        out: Folder for the files; made when missing.
+        formats: Of the figures: `pdf`, `svg`, `png`.
+        width: `column` (88 mm) or `page` (181 mm).
+
+    Returns:
+        What was written.
+
+    Raises:
+        PluginError: matplotlib is not installed.
+        DataError: The run has no studies, or one is damaged.
+        SpecError: There is no such format or width.
+    """
+    from hil.report.paper import write_papers
+
+    return write_papers(Path(run), Path(out), formats=formats, width=width)
