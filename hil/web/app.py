@@ -19,8 +19,11 @@ from hil.web.rendering import WHO, back, refused
 from hil.web.security import Guard, form_of
 from hil.web.settings import Settings
 
-PAGES = ("hil.web.overview",)
-"""Modules with pages; each has `routes`."""
+PAGES = (
+    "hil.web.overview",
+    "hil.web.run_files",
+)
+"""Modules with pages; each has `routes`. Of routes that match, the first answers."""
 
 YEAR_S = 365 * 24 * 3600
 

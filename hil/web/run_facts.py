@@ -1,0 +1,164 @@
+"""What a run was, how it ended and what its models are worth: the part of its page that stays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hil.identify.model_folder import MODEL_FILE, models_below
+from hil.record.files import sha256_of
+from hil.report.documents import Document, as_float, as_object, as_objects
+from hil.report.facts import RunFacts, read_facts
+from hil.report.fit_facts import FitFacts
+from hil.report.judgement import badge_of, failed_fits, next_command, sentence_of, verdict_words
+from hil.report.words import (
+    counted,
+    criterion_text,
+    duration,
+    joint_title,
+    number,
+    when,
+    with_unit,
+)
+from hil.web.registered import registered_models
+from hil.web.run_files import listed_files, report_address, require_run
+from hil.web.settings import Settings
+
+
+def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
+    """What `run_facts.html.j2` shows, as `facts`; of a damaged run what can still be read.
+
+    Args:
+        run: The run directory.
+        settings: What is served.
+
+    Raises:
+        DataError: It is no run directory, or was written by a newer hil.
+    """
+    require_run(str(run.resolve().relative_to(settings.runs.resolve())), settings)
+    files = {"files": listed_files(run, settings), "report": report_address(run, settings)}
+    if not (run / "start.json").is_file() and not (run / "plan.json").is_file():
+        told = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
+        return {"unreadable": told, "name": run.name, **files}
+    facts = read_facts(run)
+    badge = badge_of(facts)
+    return {
+        "unreadable": "",
+        "name": facts.name,
+        "badge": {"text": badge.text.lower(), "mark": badge.mark or "quiet"},
+        "sentence": sentence_of(facts),
+        "hint": str(facts.stop.get("hint") or ""),
+        "command": next_command(facts, facts.run_name),
+        "warnings": _warnings(facts),
+        "details": [(label, text) for label, text in _details(facts) if text],
+        "complete": list(_complete(facts)),
+        "fits": [_fit(fit) for fit in facts.listed_fits],
+        "criteria": [_criterion(row) for row in as_objects(facts.verdict.get("rows"))],
+        "models": list(_models(run, settings)),
+        "studies": [
+            {"name": one.study, "title": one.title, "summary": one.summary}
+            for one in facts.studies.made
+        ],
+        **files,
+    }
+
+
+def _warnings(facts: RunFacts) -> list[str]:
+    told = facts.stop.get("problems")
+    ending = [str(one) for one in told] if isinstance(told, list) else []
+    return [*facts.problems, *ending, *failed_fits(facts), *facts.studies.warnings]
+
+
+def _details(facts: RunFacts) -> Iterator[tuple[str, str]]:
+    start, identity = facts.start, as_object(facts.robot.get("identity"))
+    code = facts.stop.get("exit_code")
+    yield "description", str(facts.spec.get("description") or "")
+    yield "started", when(start.get("started"))
+    yield "ended", when(facts.stop.get("stopped"))
+    yield "robot", str(start.get("robot_name") or facts.path.parent.name)
+    yield "arm", str(facts.robot.get("model") or "")
+    yield "serial number", str(identity.get("serial") or "")
+    yield "operator", str(start.get("operator") or "")
+    yield "part of the program", facts.commissioning
+    yield "loads", ", ".join(_load(load) for load in as_objects(start.get("loads")))
+    yield "occasion", str(start.get("occasion") or "")
+    yield "program", _program(facts)
+    yield "recorded", _recorded(facts)
+    yield "verdict", verdict_words(facts)
+    yield "reason of the end", str(facts.stop.get("reason") or "")
+    yield "exit code", "" if code is None else str(code)
+
+
+def _load(load: Document) -> str:
+    mass = as_float(load.get("mass_kg"))
+    return " ".join(filter(None, (str(load.get("name") or ""), f"{number(mass)} kg")))
+
+
+def _program(facts: RunFacts) -> str:
+    if not facts.steps:
+        return ""
+    kinds = [str(step.get("kind")) for step in facts.steps]
+    told = ", ".join(counted(kinds.count(kind), kind) for kind in dict.fromkeys(kinds))
+    ended = f"; ended in {facts.ended_in}" if facts.ended_in else ""
+    return f"{counted(len(kinds), 'step')}: {told}{ended}"
+
+
+def _recorded(facts: RunFacts) -> str:
+    told = facts.recorded
+    if "samples" not in told:
+        return ""
+    took = duration(as_float(told.get("device_s")))
+    missing = f"{told.get('missing', 0)} missing in {counted(told.get('gaps', 0), 'gap')}"
+    return f"{counted(told['samples'], 'sample')} in {took}; {missing}"
+
+
+def _complete(facts: RunFacts) -> Iterator[dict[str, Any]]:
+    """How much of what was to be measured was."""
+    for kind, told in as_object(facts.recorded.get("complete")).items():
+        done, of = (as_float(as_object(told).get(key)) for key in ("done", "of"))
+        if of > 0 and done >= 0:
+            yield {"kind": kind, "done": int(done), "of": int(of)}
+
+
+def _fit(fit: FitFacts) -> dict[str, Any]:
+    columns = [fit.values(metric) for metric in ("rmse_raw", "rmse_filtered", "nrmse")]
+    columns.append(fit.values("rmse_raw", "trained"))
+    means = [fit.mean(metric) for metric in ("rmse_raw", "rmse_filtered", "nrmse")]
+    means.append(fit.mean("rmse_raw", "trained"))
+    joints = [
+        {"name": joint_title(j, name), "values": [number(column[j]) for column in columns]}
+        for j, name in enumerate(fit.joint_names)
+    ]
+    return {
+        "label": fit.label,
+        "unit": fit.unit,
+        "note": "" if fit.is_honest else f"Not judged: {fit.protocol}.",
+        "joints": [*joints, {"name": "mean", "values": [number(mean) for mean in means]}],
+    }
+
+
+def _criterion(row: Document) -> dict[str, Any]:
+    return {
+        "what": str(row.get("estimator") or "recording"),
+        "limit": criterion_text(row),
+        "of": str(row.get("what") or ""),
+        "found": with_unit(row.get("value"), row.get("unit")),
+        "passed": bool(row.get("passed")),
+    }
+
+
+def _models(run: Path, settings: Settings) -> Iterator[dict[str, Any]]:
+    """Its model folders, and the versions that were registered of them."""
+    folders = models_below(run)
+    known = registered_models(settings) if folders else {}
+    for folder in folders:
+        versions = known.get(_digest(folder / MODEL_FILE), [])
+        yield {"name": folder.relative_to(run).as_posix(), "versions": versions}
+
+
+def _digest(file: Path) -> str:
+    try:
+        return sha256_of(file)
+    except OSError:
+        return ""
