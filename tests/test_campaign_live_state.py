@@ -8,17 +8,23 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from interlock_parts import NAMES, made, rows
 
 from hil.campaign import live_state
+from hil.campaign.arm_view import ArmView
 from hil.campaign.live_state import LiveState, read_live, standing_in
+from hil.engine import Observers, observers
 from hil.errors import RecordingError
+from hil.robot import Capabilities
 
 PROGRESS: dict[str, Any] = {
     "kind": "progress", "step": 11, "steps": 50, "doing": "dwell", "pose": 5, "trajectory": -1,
     "device_s": 25.0, "wall_s": 25.0, "duration_s": 100.0, "samples": 3125, "state": "running",
     "gaps": 1, "missing": 2, "duplicates": 0, "overruns": 0, "behind_s": 0.1,
 }  # fmt: skip
+ROBOT = Capabilities(joint_names=NAMES, rate_hz=125.0, effort_kind="current")
 
 
 @pytest.fixture
@@ -42,7 +48,7 @@ def test_the_view_says_where_the_run_is(tmp_path: Path, clock: list[float]) -> N
     assert view["updated"].endswith("+00:00")
 
 
-def test_progress_is_written_once_a_second_and_news_at_once(
+def test_progress_is_written_four_times_a_second_and_news_at_once(
     tmp_path: Path, clock: list[float]
 ) -> None:
     live = LiveState(tmp_path)
@@ -50,7 +56,7 @@ def test_progress_is_written_once_a_second_and_news_at_once(
     for step in range(30):
         live.notify(PROGRESS | {"step": step})
         steps.append(read_live(tmp_path)["step"])
-        clock[0] += 0.1
+        clock[0] += 0.025
     assert len(set(steps)) == 3
     live.notify(PROGRESS | {"step": 30})
     live.notify({"kind": "state", "state": "paused", "reason": "asked by anna"})
@@ -73,6 +79,39 @@ def test_the_view_goes_with_the_run_and_does_not_come_back(tmp_path: Path) -> No
     live.close()
     assert list(tmp_path.iterdir()) == []
     assert read_live(tmp_path) == {}
+
+
+def test_the_view_says_how_the_arm_is_and_what_is_near_its_limit(tmp_path: Path) -> None:
+    live = LiveState(tmp_path, ArmView(ROBOT, [made(kind="speed", limit_deg_s=90)]))
+    live.notify({"kind": "state", "state": "running", "reason": ""})
+    block = rows(3, moving=True, q=0.5, qd=0.1, effort=1.5, temperature=np.nan)
+    block["qd"][-1, 2] = np.pi / 4
+    live.notify({"kind": "rows", "rows": block})
+    view = read_live(tmp_path)
+    arm, (speed,) = view["arm"], view["interlocks"]
+    assert (arm["joints"], arm["effort_unit"], arm["moving"]) == (list(NAMES), "A", True)
+    assert (arm["q_rad"], arm["effort"]) == ([0.5] * 6, [1.5] * 6)
+    assert arm["temperature_c"] == [None] * 6  # nobody measures it
+    assert arm["device_time_s"] == pytest.approx(2 / 125)
+    assert (speed["name"], speed["subject"], speed["unit"]) == ("speed", "j3", "°/s")
+    assert (speed["value"], speed["limit"], speed["share"]) == pytest.approx((45, 90, 0.5))
+    live.notify({"kind": "state", "state": "done", "reason": "completed"})
+    assert "arm" not in read_live(tmp_path)
+
+
+def test_the_view_is_given_four_blocks_a_second_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(observers.time, "monotonic", lambda: now[0])
+    live, given = LiveState(tmp_path), []
+    monkeypatch.setattr(live, "notify", given.append)
+    watching = Observers((live,))
+    for _ in range(500):
+        watching.publish_rows(rows(1))
+        now[0] += 0.002
+    watching.close()
+    assert len(given) == 4
 
 
 def test_a_full_disk_does_not_end_the_watching(

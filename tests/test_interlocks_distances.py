@@ -97,6 +97,9 @@ class Lever:
     def distances(self, q: FloatArray) -> FloatArray:
         return np.asarray(1.0 - self.reach @ q.T)
 
+    def own(self) -> Lever:
+        return self
+
 
 @pytest.mark.parametrize(("joint", "trips_at"), [(0, 1.8), (1, 2.25), (2, np.inf)])
 @pytest.mark.parametrize("step", [0.011, 0.13, 0.7])

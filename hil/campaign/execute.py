@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hil.campaign.arm_view import ArmView
 from hil.campaign.attempt import Attempt, Recorded, finish
 from hil.campaign.beginning import open_recorder
 from hil.campaign.control import Control
@@ -121,7 +122,7 @@ def _engine(
         stale_after_s=interlocks.stale_after_s,
         steps=len(attempt.plan),
     )
-    live = LiveState(directory.path)
+    live = LiveState(directory.path, ArmView(robot.capabilities, interlocks))
     attendance.until_judged.callback(live.close)
     attendance.observers.add(live)
     around.enter_context(Control(directory.path, engine, sink.event, prompt))

@@ -1,7 +1,8 @@
 """The live view of a run: a small file others may look at while it is going on.
 
-`RUN/.live.json` is replaced whole, at most once a second for progress and at once when the state
-changes or something is asked. It is a view: nothing depends on it, and it goes when the run ends.
+`RUN/.live.json` is replaced whole, at most four times a second for progress and for how the arm
+is, and at once when the state changes or something is asked. It is a view: nothing depends on it,
+and it goes when the run ends.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.arm_view import ArmView
 from hil.errors import DataError, RecordingError
-from hil.live.standing import Standing
-from hil.record.files import json_document, read_json, write_replacing
+from hil.live.standing import ENDING, Standing
+from hil.record.files import json_line, read_json, write_replacing
 from hil.record.provenance import utc_now
 
 LIVE_FILE = ".live.json"
 LIVE_VERSION = 1
-EVERY_S = 1.0
+EVERY_S = 0.25
+"""Wall time between two views while nothing special happens [s]."""
 
 _NEWS = frozenset({"stage", "state", "prompt"})
 _PROGRESS = frozenset({"step", "progress"})
@@ -33,10 +36,15 @@ class LiveState:
 
     Args:
         run: The run directory.
+        arm: Tells how the arm is; None where nobody can.
     """
 
-    def __init__(self, run: Path) -> None:
+    wants_rows = True
+    rows_every_s = EVERY_S
+
+    def __init__(self, run: Path, arm: ArmView | None = None) -> None:
         self._path = run / LIVE_FILE
+        self._arm, self._shown = arm, dict[str, Any]()
         self._standing = Standing()
         self._next = 0.0
         self._writing = threading.Lock()
@@ -44,8 +52,15 @@ class LiveState:
 
     def notify(self, event: Mapping[str, Any]) -> None:
         """See `hil.engine.Observer`."""
-        self._standing.take(event)
         kind = event.get("kind")
+        if kind == "rows":
+            if self._arm is not None:
+                self._shown = self._arm.of(event["rows"])
+                self._write()
+            return
+        self._standing.take(event)
+        if self._standing.state in ENDING:
+            self._shown = {}  # the arm is not read any more
         if kind in _NEWS or (kind in _PROGRESS and time.monotonic() >= self._next):
             self._write()
 
@@ -59,10 +74,10 @@ class LiveState:
     def _write(self) -> None:
         self._next = time.monotonic() + EVERY_S
         about = {"pid": os.getpid(), "updated": utc_now(), "t": time.time()}
-        view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **about}
+        view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **self._shown, **about}
         with self._writing, contextlib.suppress(RecordingError):  # a full disk spoils no run here
             if not self._closed:
-                write_replacing(self._path, json_document(view))
+                write_replacing(self._path, json_line(view).encode() + b"\n")
 
 
 def read_live(run: Path) -> dict[str, Any]:

@@ -153,6 +153,10 @@ class CollisionModel:
             raise DataError("a path without samples has no clearance")
         return least_along(q, self.distances, self.reach)
 
+    def own(self) -> CollisionModel:
+        """The same: it keeps nothing from one call to the next."""
+        return self
+
     def distances(self, q: FloatArray) -> FloatArray:
         """(R, N) distance of every pair and obstacle at every sample [m], for `q` (N, n)."""
         out = np.empty((len(self.names), len(q)))

@@ -35,6 +35,10 @@ class FlangeSpace:
         reach = [self._chain.reach(0, point) for point in range(len(points))]
         self.reach = np.array(len(faces) * reach).reshape(-1, arm.n_joints)
 
+    def own(self) -> FlangeSpace:
+        """The same: it keeps nothing from one call to the next."""
+        return self
+
     def distances(self, q: FloatArray) -> FloatArray:
         """(R, N) distances [m] at `q` (N, n)."""
         axes = self._chain.axes(q)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
+import time
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -21,7 +22,8 @@ class Observer(Protocol):
     """Something that wants to know.
 
     One that also has a true attribute `wants_rows` is given every block as an event of the kind
-    `rows`; it must not change the array.
+    `rows`; it must not change the array. With `rows_every_s` it is given one block in that time,
+    and none of the others.
     """
 
     def notify(self, event: Event) -> None:
@@ -34,6 +36,8 @@ class ObserverThread:
     def __init__(self, observer: Observer, depth: int = 256) -> None:
         self._observer = observer
         self.wants_rows = bool(getattr(observer, "wants_rows", False))
+        self._rows_every_s = float(getattr(observer, "rows_every_s", 0.0))
+        self._next_rows = 0.0
         self._events: queue.Queue[Event | None] = queue.Queue(depth)
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self.dropped = 0
@@ -44,6 +48,17 @@ class ObserverThread:
     def has_room(self) -> bool:
         """Whether it keeps up; blocks must not push out of its queue what is told only once."""
         return self._events.qsize() < self._events.maxsize // 2
+
+    def offer_rows(self, rows: StructArray) -> None:
+        """Hand over a block if it wants one now and keeps up."""
+        if not (self.wants_rows and self.has_room):
+            return
+        if self._rows_every_s:
+            now = time.monotonic()
+            if now < self._next_rows:
+                return
+            self._next_rows = now + self._rows_every_s
+        self.offer({"kind": "rows", "rows": rows})
 
     def offer(self, event: Event | None) -> None:
         """Hand over an event without ever waiting."""
@@ -89,8 +104,7 @@ class Observers:
     def publish_rows(self, rows: StructArray) -> None:
         """Give a block to those who want blocks."""
         for thread in self._threads:
-            if thread.wants_rows and thread.has_room:
-                thread.offer({"kind": "rows", "rows": rows})
+            thread.offer_rows(rows)
 
     def close(self) -> list[str]:
         """End all observers; returns what went wrong with any of them."""

@@ -7,7 +7,7 @@ be seen is not safe (temperatures excepted, which not every arm measures).
 from hil.engine.interlocks.collection import Interlocks, Off
 from hil.engine.interlocks.context import Distances, InterlockContext
 from hil.engine.interlocks.from_spec import from_spec
-from hil.engine.interlocks.interlock import Action, Interlock, Trip
+from hil.engine.interlocks.interlock import Action, HasMargin, Interlock, Margin, Trip
 from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
 from hil.engine.interlocks.threshold import Threshold
@@ -17,10 +17,12 @@ __all__ = [
     "Backlog",
     "Distances",
     "FreeSpace",
+    "HasMargin",
     "Interlock",
     "InterlockContext",
     "Interlocks",
     "LeastDistance",
+    "Margin",
     "Off",
     "Threshold",
     "Trip",

@@ -29,6 +29,9 @@ class Distances(Protocol):
     def distances(self, q: FloatArray) -> FloatArray:
         """(R, N) distances [m] at `q` (N, n)."""
 
+    def own(self) -> Distances:
+        """The same distances for another thread."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InterlockContext:

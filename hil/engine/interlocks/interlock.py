@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from hil.errors import InterlockTripped
 from hil.typing import StructArray
@@ -55,6 +55,42 @@ class Trip:
             self.text(joint_names),
             hint="find the cause before running again; the data up to the trip is kept",
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """How far a quantity is from its limit at one moment; for people, nothing is judged by it.
+
+    Attributes:
+        value, limit: In `unit`; of what is nearest to its limit.
+        share: 1 where nothing is near, 0 at the limit and beyond.
+        joint: Index of the joint concerned, −1 when it is no joint's.
+        subject: What `value` is of, where it is not the joint's.
+        least: Whether the value must be above the limit instead of below.
+    """
+
+    value: float
+    limit: float
+    unit: str
+    share: float
+    joint: int = -1
+    subject: str = ""
+    least: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+@runtime_checkable
+class HasMargin(Protocol):
+    """An interlock that can also tell how far its quantity is from its limit."""
+
+    def margin(self, block: StructArray) -> Margin | None:
+        """For the last row of a block; None when nothing is known.
+
+        Asked a few times a second on another thread than `check`, at the same time.
+        """
 
 
 class Interlock(Protocol):

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from hil.engine.interlocks.context import Distances
-from hil.engine.interlocks.interlock import Action, Trip
+from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.engine.interlocks.moving import moving
 from hil.typing import FloatArray, StructArray
 
 CLEAR_BY_M = 0.005
 """Distances so much above the least are well inside again [m]."""
+
+ROOMY_M = 0.1
+"""With so much to spare a distance counts as not near its limit at all [m]."""
 
 
 class LeastDistance:
@@ -45,7 +48,7 @@ class LeastDistance:
         self.action = action
         self.watches = shown or f"{1e3 * least_m:.4g} mm"
         self.computed = 0
-        self._measured = measured
+        self._measured, self._looked = measured, measured.own()
         self._least = least_m
         self._before: StructArray | None = None
         self._n = measured.reach.shape[1]
@@ -63,6 +66,18 @@ class LeastDistance:
         q = block["q"]
         known = bool(np.isfinite(q).all())
         return known and bool((self._measured.distances(q) >= self._least + CLEAR_BY_M).all())
+
+    def margin(self, block: StructArray) -> Margin | None:
+        """See `HasMargin.margin`: that of the pair with the least distance."""
+        q = block["q"][-1:]
+        if not np.isfinite(q).all():
+            return None
+        distances = self._looked.distances(q)[:, 0]
+        pair = int(distances.argmin())
+        share = float(np.clip((distances[pair] - self._least) / ROOMY_M, 0.0, 1.0))
+        subject = " and ".join(self._measured.names[pair])
+        value, least = 1e3 * float(distances[pair]), 1e3 * self._least
+        return Margin(value, least, "mm", share, subject=subject, least=True)
 
     def _first(self, block: StructArray) -> Trip | None:
         """The first violation."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.engine.interlocks.interlock import Action, Trip
+from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.typing import StructArray
 
 POLL_S = 1.0
@@ -56,6 +57,11 @@ class Backlog:
     def clear(self, block: StructArray) -> bool:
         """See `Interlock.clear`."""
         return self._behind_s() <= 0.5 * self._limit_s
+
+    def margin(self, block: StructArray) -> Margin | None:
+        """See `HasMargin.margin`."""
+        behind, limit = self._behind_s(), self._limit_s
+        return Margin(behind, limit, "s", max(0.0, 1 - behind / limit), subject="backlog")
 
 
 class FreeSpace:
@@ -111,6 +117,14 @@ class FreeSpace:
     def clear(self, block: StructArray) -> bool:
         """See `Interlock.clear`."""
         return self.check(block) is None and self._free_mb >= CLEAR_FACTOR * self._least_mb
+
+    def margin(self, block: StructArray) -> Margin | None:
+        """See `HasMargin.margin`."""
+        free, least = self._free_mb, self._least_mb
+        if math.isinf(free):
+            return None
+        share = max(0.0, 1 - least / free) if free > 0 else 0.0
+        return Margin(free, least, "MB", share, subject="free space", least=True)
 
     def close(self) -> None:
         """End the thread; one that waits for a disk is left to it."""

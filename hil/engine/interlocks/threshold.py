@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.engine.interlocks.interlock import Action, Trip
+from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.engine.interlocks.moving import moving
 from hil.typing import BoolArray, FloatArray, StructArray
 
@@ -78,6 +78,18 @@ class Threshold:
         resume = CLEAR_SHARE * self.limit if self.resume is None else self.resume
         magnitude = self._magnitude(block)
         return not ((magnitude > resume) | self._missing(magnitude)).any()
+
+    def margin(self, block: StructArray) -> Margin | None:
+        """See `HasMargin.margin`: that of the joint which is nearest to its limit."""
+        magnitude = self._magnitude(block[-1:])[0]
+        limit, scale = (np.broadcast_to(x, magnitude.shape) for x in (self.limit, self.scale))
+        used = magnitude / limit
+        if np.isnan(used).all():
+            return None
+        joint = int(np.nanargmax(used))
+        value, most = float(magnitude[joint] * scale[joint]), float(limit[joint] * scale[joint])
+        share = max(0.0, 1.0 - float(used[joint]))
+        return Margin(value, most, self.unit, share, joint) if np.isfinite(most) else None
 
     def _magnitude(self, block: StructArray) -> FloatArray:
         values: FloatArray = block[self.field]
