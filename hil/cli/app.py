@@ -36,6 +36,7 @@ from hil.cli import (
     schedule,
     serving,
     specs,
+    starting,
     studies,
     system,
     trying,
@@ -66,8 +67,8 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
-    loads, studies, registry, drift, fleet, schedule, serving, resting, exports, trying, data,
-    system, bench,
+    starting, loads, studies, registry, drift, fleet, schedule, serving, resting, exports, trying,
+    data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

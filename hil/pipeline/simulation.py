@@ -120,7 +120,8 @@ def simulate(
     """
     bound = bind(spec, station)
     require_mock(bound)
-    begin = begin_of(spec, datetime.now(UTC))
+    # Whole minutes, as in the ledger: the first occasion is due at the begin, not before it.
+    begin = begin_of(spec, datetime.now(UTC).replace(second=0, microsecond=0))
     moving = motions(spec, bound.probe, bound.campaign)
     require_room(spec, moving, begin)
     clock = VirtualClock(begin)

@@ -56,8 +56,7 @@ class StationRobot(Strict):
     """One robot of the bench."""
 
     driver: str = Field(
-        description="Name under `hil.drivers`: `mock`, or what `hil plugins` lists; `ur` arrives "
-        "later."
+        description="Name under `hil.drivers`: `mock`, or what `hil plugins` lists."
     )
     model: str = Field(
         description="A built-in arm (`ur5`) or a path to a URDF; a relative path starts at the "

@@ -1,0 +1,155 @@
+"""`hil new`: first versions of specs, stations and schedules, with comments."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.cli.output import JsonFlag, print_json, print_table, print_warnings, say
+from hil.errors import SpecError
+
+if TYPE_CHECKING:
+    from hil.spec.new import Draft
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+USUAL_ROBOT = "ur5"
+URDF = "own-urdf"
+
+
+def register(app: typer.Typer) -> None:
+    """Add this group's verbs."""
+    app.command()(new)
+
+
+def new(
+    kind: Annotated[str, typer.Argument(help="What to begin; `--list` names them.")] = "",
+    file: Annotated[
+        Path | None,
+        typer.Argument(help="The file to write; by default NAME.yaml.", show_default=False),
+    ] = None,
+    robot: Annotated[
+        str, typer.Option("--robot", metavar="NAME", help="A robot of the station, or an arm.")
+    ] = USUAL_ROBOT,
+    name: Annotated[
+        str, typer.Option("--name", help="What it is called; by default after robot and kind.")
+    ] = "",
+    urdf: Annotated[
+        Path | None, typer.Option("--urdf", help="For own-urdf: the URDF of your arm.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder to write in, made when missing.")
+    ] = Path(),
+    list_: Annotated[bool, typer.Option("--list", help="Say what can be begun.")] = False,
+    json: JsonFlag = False,
+) -> None:
+    """Begin a spec, a schedule or a station: a valid file with comments; overwrites nothing."""
+    from hil.spec.new import KINDS, drafts
+    from hil.suggest import did_you_mean
+
+    if list_ or not kind:
+        _list(KINDS, json)
+        return
+    if kind not in KINDS:
+        raise SpecError(f"hil new makes no {kind!r}", hint=did_you_mean(kind, KINDS))
+    if (kind == URDF) != (urdf is not None):
+        raise SpecError(
+            f"hil new {URDF} needs --urdf ARM.urdf, and nothing else takes it",
+            hint=f"hil new {URDF} --urdf ARM.urdf",
+        )
+    robot = urdf.stem if urdf is not None and robot == USUAL_ROBOT else robot
+    name = name or (file.stem if file else "" if kind == "station" else f"{robot}-{kind}")
+    path = out / (file or f"{name or 'station'}.yaml")
+    _require_name("--robot", robot)
+    _require_name("--name", name := name or "bench")
+    notes: list[str] = []
+    if urdf is not None:
+        from hil.own_arm import own_arm_drafts
+
+        made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
+    else:
+        made = drafts(kind, path, robot=robot, name=name)
+        notes = _unknown_robot(kind, path, robot)
+    files = _write(made)
+    _tell(kind, files, made, notes, json)
+
+
+def _list(kinds: dict[str, str], json: bool) -> None:
+    if json:
+        print_json({"kinds": [{"kind": kind, "what": what} for kind, what in kinds.items()]})
+        return
+    print_table(("kind", "what it is"), kinds.items())
+    say("hil new KIND [FILE] writes one")
+
+
+def _require_name(option: str, name: str) -> None:
+    if not NAME.fullmatch(name):
+        raise SpecError(
+            f"{option} {name!r}: a name has letters, digits and `_.-`, and begins with a letter or "
+            "a digit",
+            hint=f"give another {option}",
+        )
+
+
+def _unknown_robot(kind: str, path: Path, robot: str) -> list[str]:
+    """What to say where the station that a spec would run at has no such robot."""
+    from hil.campaign.experiment import find_station
+    from hil.suggest import did_you_mean
+
+    if kind == "station":
+        return []
+    station, _, source = find_station(path.resolve().parent)
+    if robot in station.robots:
+        return []
+    told = did_you_mean(robot, station.robots)
+    return [f"{source} has no robot {robot!r}; {told} (or name another --station when you run it)"]
+
+
+def _write(made: list[Draft]) -> list[Path]:
+    """Write all files or none, and the schemas that they name where there are none yet."""
+    from hil.record.files import write_replacing
+    from hil.spec.new import schemas_beside
+
+    there = [str(draft.path) for draft in made if draft.path.exists()]
+    if there:
+        raise SpecError(
+            f"{', '.join(there)}: there is such a file already; nothing was written",
+            hint="give another FILE, --name or --out",
+        )
+    schemas = [draft for draft in schemas_beside(made) if not draft.path.exists()]
+    for draft in (*made, *schemas):
+        draft.path.parent.mkdir(parents=True, exist_ok=True)
+        write_replacing(draft.path, draft.text.encode())
+    return [draft.path for draft in (*made, *schemas)]
+
+
+def _tell(kind: str, files: list[Path], made: list[Draft], notes: list[str], json: bool) -> None:
+    first = made[0].path
+    commands = _next(kind, first)
+    if json:
+        told = {"kind": kind, "files": [str(file) for file in files]}
+        print_json({**told, "next": commands, "notes": notes})
+        return
+    for file in files:
+        typer.echo(file)
+    print_warnings(notes)
+    typer.echo("next:")
+    for command in commands:
+        typer.echo(f"  {command}")
+
+
+def _next(kind: str, file: Path) -> list[str]:
+    if kind == "station":
+        return [f"hil new fourier --out {file.parent}", f"hil run SPEC --station {file}"]
+    if kind == "re-identify":
+        return [
+            f"hil validate {file}",
+            f"hil schedule plan {file} --weeks 0.001",
+            f"hil run {file}",
+            f"hil schedule run {file}",
+        ]
+    named = file.with_name(f"{file.stem}-station.yaml")
+    station = f" --station {named}" if kind == URDF else ""
+    return [f"hil {verb} {file}{station}" for verb in ("validate", "plan", "run")]

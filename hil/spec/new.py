@@ -1,0 +1,84 @@
+"""First versions of specs, stations and schedules, for people to go on from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from hil.spec.commented import commented
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.model_tree import Model
+from hil.spec.schedule import ScheduleSpec
+from hil.spec.schema import schema_files
+from hil.spec.station import Station
+
+SCHEMA_FOLDER = "schema"
+"""Beside what is written: a relative path works with every editor, in every checkout, without a
+network, wherever hil is installed."""
+
+_MODELS: dict[str, tuple[str, Model]] = {
+    "hil": ("experiment", ExperimentSpec),
+    "hil_station": ("station", Station),
+    "hil_schedule": ("schedule", ScheduleSpec),
+}
+KINDS = {
+    "dwell": "gravity and static friction from poses at rest",
+    "fourier": "rigid body and friction from periodic trajectories",
+    "load-sweep": "a model of the bare arm under loads of known mass",
+    "re-identify": "a schedule with its probe and its campaign, in minutes, to try on the mock",
+    "own-urdf": "your own arm from its URDF (--urdf): its description, a station, a first spec",
+    "station": "a bench: robots, their drivers, what stands around them",
+}
+"""What `hil new` can begin, and what each is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A file that is yet to be written."""
+
+    path: Path
+    text: str
+
+
+def drafts(kind: str, file: Path, *, robot: str, name: str, model: str = "") -> list[Draft]:
+    """The files of a kind, the one that commands are given first.
+
+    Args:
+        kind: One of `KINDS`, but for `own-urdf`.
+        file: Where the first one goes; others stand beside it and begin with its name.
+        robot: A robot of the station that they are for.
+        name: What the experiment, station or schedule is called.
+        model: Built-in arm of a station's robot; by default what the robot is called.
+    """
+    words = {"robot": robot, "name": name, "file": str(file), "model": model or robot}
+    if kind != "re-identify":
+        return [Draft(file, render(kind, words))]
+    parts = {part: file.with_name(f"{file.stem}-{part}.yaml") for part in ("probe", "campaign")}
+    words |= {part: path.name for part, path in parts.items()}
+    words["wear"] = ", ".join(["1", "1.15", *["1"] * 4])
+    others = [Draft(path, render(f"{kind}.{part}", words)) for part, path in parts.items()]
+    return [Draft(file, render(kind, words)), *others]
+
+
+def render(template: str, words: dict[str, str]) -> str:
+    """A template with its words filled in and its comments made."""
+    text = files("hil.spec").joinpath(f"templates/{template}.yaml").read_text("utf-8")
+    for word, value in words.items():
+        text = text.replace(f"@{word}@", value)
+    key = next(key for key in _MODELS if f"\n{key}: 1\n" in text)
+    schema, model = _MODELS[key]
+    head = f"# yaml-language-server: $schema={SCHEMA_FOLDER}/{schema}.schema.json\n#\n"
+    return head + commented(text, model)
+
+
+def schemas_beside(drafts: list[Draft]) -> list[Draft]:
+    """The schema files that the first lines of drafts name."""
+    texts = schema_files()
+    named = dict.fromkeys(
+        (draft.path.parent / SCHEMA_FOLDER / file, file)
+        for draft in drafts
+        for file in texts
+        if f"$schema={SCHEMA_FOLDER}/{file}\n" in draft.text
+    )
+    return [Draft(path, texts[file]) for path, file in named]
