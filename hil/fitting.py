@@ -73,6 +73,27 @@ class FitReport:
     fitted: Fitted
     validation: tuple[Validation, ...]
 
+    def __repr__(self) -> str:
+        told = f"{len(self.validation)} held-out sources"
+        return f"<FitReport {self.fitted.folder}: {self.fitted.seconds:.1f} s, {told}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook: a row per held-out source."""
+        from hil.notebook import card, number
+
+        model = self.fitted.model
+        unit = "A" if model.effort_kind_ == "current" else "N·m"
+        head = (f"RMSE raw [{unit}] on", *model.joint_names_, "mean")
+        rows = [
+            (one.source, *map(number, one.errors.total.rmse_raw),
+             number(one.errors.total.mean("rmse_raw")))
+            for one in self.validation
+        ]  # fmt: skip
+        facts = {"model": self.fitted.folder, "fitted in": f"{self.fitted.seconds:.1f} s"}
+        notes = dict.fromkeys(note for one in self.validation for note in one.notes)
+        table = (head, rows) if rows else None
+        return card("Fit", model.estimator, facts, table=table, notes=notes)
+
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil fit --json`."""
         return {

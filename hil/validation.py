@@ -44,6 +44,15 @@ class Validation:
     notes: tuple[str, ...] = ()
     under_load: UnderLoad | None = None
 
+    def __repr__(self) -> str:
+        return f"<Validation on {self.source}: {self.errors!r}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card
+
+        return card("Validation on", self.source, {}, notes=self.notes) + self.errors._repr_html_()
+
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil fit --json` and `hil evaluate --json`."""
         total = self.errors.total.to_dict()

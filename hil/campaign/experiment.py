@@ -68,6 +68,23 @@ class Experiment:
         told = f", {self.commissioning}" if self.commissioning else ""
         return f"{self.spec.name} on {self.spec.robot}{self._which} ({self.station_source}){told}"
 
+    def __repr__(self) -> str:
+        return f"<Experiment {self.title}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card
+
+        facts = {
+            "robot": self.spec.robot,
+            "model": self.robot.model,
+            "driver": self.robot.driver + self._which,
+            "station": self.station_source,
+            "what": self.spec.description,
+            "part of it": self.commissioning or "",
+        }
+        return card("Experiment", self.spec.name, facts)
+
     @property
     def _which(self) -> str:
         """Which individual a mock is: models of one know nothing of the others."""

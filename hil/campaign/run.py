@@ -52,6 +52,26 @@ class RunReport:
     report: Path | None
     error: HilError | None = None
 
+    def __repr__(self) -> str:
+        return f"<RunReport {self.run}: {self.outcome}, {self.verdict}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import Tone, card
+
+        tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
+        facts = {
+            "outcome": self.outcome,
+            "samples": f"{self.samples:,}",
+            "gaps": self.gaps,
+            "duplicates": self.duplicates,
+            "models": ", ".join(folder.name for folder in self.models),
+            "report": self.report or "",
+        }
+        notes = [self.error.message] if self.error else []
+        badge = (self.verdict, tones.get(self.verdict, "warn"))
+        return card("Run", self.run, facts, badge=badge, notes=notes)
+
     def to_dict(self) -> dict[str, Any]:
         """The contract of `hil run --json`."""
         out: dict[str, Any] = {

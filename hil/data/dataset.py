@@ -123,6 +123,27 @@ class Dataset:
                 hint=f"it has {', '.join(sorted(self.columns))}",
             ) from None
 
+    def __repr__(self) -> str:
+        rows = f"{len(self)} × {self.n_joints} in {len(self.conditions)} series"
+        return f"<Dataset of {self.robot}: {rows} [{self.effort_unit}]>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card
+
+        facts = {
+            "samples": f"{len(self):,}",
+            "joints": self.n_joints,
+            "effort": f"{self.effort_kind} [{self.effort_unit}]",
+            "columns": ", ".join(sorted(self.columns)),
+            "gains": self.drive_gains_source,
+        }
+        rows = (
+            (one.id, one.kind, rows.stop - rows.start, f"{one.payload.mass:g} kg")
+            for one, rows in self.slices()
+        )
+        return card("Dataset", self.robot, facts, table=(("series", "kind", "rows", "load"), rows))
+
     @property
     def n_joints(self) -> int:
         """Number of joints n."""

@@ -99,6 +99,31 @@ class Evaluation:
     series: tuple[str, ...] = ()
     cutoff_hz: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        mean = f"{self.total.mean('rmse_raw'):.4g} {self.unit}"
+        return f"<Evaluation on {self.total.samples} samples: mean RMSE {mean}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card, number
+
+        total = self.total
+        facts = {
+            "samples": f"{total.samples:,}",
+            "judged": f"{100 * self.coverage:.3g} % of the rows",
+            "mean RMSE": f"{number(total.mean('rmse_raw'))} {self.unit}",
+        }
+        head = ("", *self.joint_names, "mean")
+        rows = [
+            (name, *map(number, getattr(total, metric)), number(total.mean(metric)))
+            for name, metric in (
+                (f"RMSE raw [{self.unit}]", "rmse_raw"),
+                (f"RMSE filtered [{self.unit}]", "rmse_filtered"),
+                ("NRMSE", "nrmse"),
+            )
+        ]
+        return card("Evaluation", "", facts, table=(head, rows))
+
     def table(self, by: str) -> tuple[Errors, ...]:
         """The groups of one grouping."""
         return tuple(errors for errors in self.tables if errors.by == by)

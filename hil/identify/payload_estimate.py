@@ -103,6 +103,26 @@ class PayloadEstimate:
     gain_share: float = 0.0
     other_arm: str = ""
 
+    def __repr__(self) -> str:
+        low, high = self.interval[0]
+        return f"<PayloadEstimate {self.values[0]:.3g} kg ({low:.3g} … {high:.3g})>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook: a row per parameter that shows."""
+        from hil.notebook import card, number
+
+        rows = [
+            (one["name"], number(one["value"]), number(one["std_error"]),
+             " … ".join(map(number, one["interval_95"])), "yes" if one["determined"] else "no")
+            for one in self.to_dict()["parameters"]
+            if one["value"] is not None
+        ]  # fmt: skip
+        head = ("parameter", "value", "± std", "95 % interval", "well determined")
+        warned = [f"Not to be relied on: {self.other_arm}"] if self.other_arm else []
+        facts = {"samples": self.samples, "independent": self.blocks, "friction": self.friction}
+        notes = [*warned, *self.notes]
+        return card("Load", f"{self.values[0]:.3g} kg", facts, table=(head, rows), notes=notes)
+
     def with_gains(self, share: float) -> PayloadEstimate:
         """The same with errors that know of the gains, independent from joint to joint.
 

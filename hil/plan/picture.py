@@ -38,6 +38,12 @@ def plan_picture(plan: Plan, path: Path) -> Path:
     Raises:
         RecordingError: The file cannot be written.
     """
+    write_replacing(path, picture_of(plan).encode())
+    return path
+
+
+def picture_of(plan: Plan) -> str:
+    """The same as the text of an SVG."""
     timeline = timeline_of(plan)
     n = len(plan.joint_names)
     y_close = 110.0 + n * STRIP + 70.0
@@ -54,9 +60,7 @@ def plan_picture(plan: Plan, path: Path) -> Path:
         _views(plan, timeline, y_bottom),
     ]
     frame = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": f"0 0 {WIDTH:g} {height:g}"}
-    picture = svg.tag("svg", "\n".join(parts), role="img", **frame) + "\n"
-    write_replacing(path, picture.encode())
-    return path
+    return svg.tag("svg", "\n".join(parts), role="img", **frame) + "\n"
 
 
 def _heading(plan: Plan) -> str:

@@ -134,6 +134,16 @@ class Plan:
     def __len__(self) -> int:
         return len(self.steps)
 
+    def __repr__(self) -> str:
+        told = f"{len(self)} steps, {self.duration_s:.0f} s, {self.hash[:12]}"
+        return f"<Plan {self.name} for {self.robot_model}: {told}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook, with its picture."""
+        from hil.plan.shown import plan_card
+
+        return plan_card(self)
+
     @property
     def waypoints(self) -> int:
         """Number of distinct poses that are dwelt at (reference visits not counted)."""

@@ -100,6 +100,27 @@ class Comparison:
             return f"{told}, though in all {spread}"
         return f"the challenger errs {'more' if self.worse else 'no less that is sure'}: {spread}"
 
+    def __repr__(self) -> str:
+        return f"<Comparison on {self.samples} samples: {self.words}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import Tone, card, number
+
+        badge: tuple[str, Tone] = ("not better for sure", "warn")
+        if self.better or self.worse:
+            badge = ("better", "pass") if self.better else ("worse", "fail")
+        rows = [
+            (f"champion [{self.unit}]", *map(number, self.champion)),
+            (f"challenger [{self.unit}]", *map(number, self.challenger)),
+            ("times as much", *(f"{one:.2f}" for one in self.ratio)),
+        ]
+        facts = {"samples": f"{self.samples:,}", "blocks of time": self.blocks}
+        head = ("RMSE", *self.joint_names)
+        return card(
+            "Comparison", self.words, facts, badge=badge, table=(head, rows), notes=self.sources
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """JSON form; the evidence of a promotion."""
         return {

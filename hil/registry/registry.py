@@ -89,6 +89,22 @@ class Registry:
     def __init__(self, root: Path) -> None:
         self.root = root
 
+    def __repr__(self) -> str:
+        return f"<Registry {self.root}: {', '.join(self.names()) or 'no models'}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook: a row per name."""
+        from hil.notebook import card
+
+        rows = []
+        for name in self.names():
+            now = self.aliases(name)
+            labels = (f"v{one}" if one else "–" for one in (now.champion, now.challenger))
+            rows.append((name, len(self.versions(name)), *labels))
+        head = ("name", "versions", "champion", "challenger")
+        notes = [] if rows else ["no models yet"]
+        return card("Registry", self.root, {}, table=(head, rows) if rows else None, notes=notes)
+
     def names(self) -> list[str]:
         """Names that have versions, in order."""
         if not self.root.is_dir():

@@ -52,6 +52,23 @@ class ModelVersion:
         """Such as `v3`."""
         return f"v{self.number}"
 
+    def __repr__(self) -> str:
+        return f"<ModelVersion {self.name} {self.label}: {self.facts.get('estimator', '')}>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card
+
+        facts = {
+            "estimator": self.facts.get("estimator"),
+            "robot": self.facts.get("robot"),
+            "serial": self.facts.get("serial"),
+            "registered": f"{self.registered[:16]} UTC by {self.by}",
+            "run": (self.facts.get("run") or {}).get("folder"),
+            "digest": self.digest[:12],
+        }
+        return card("Model", f"{self.name} {self.label}", facts)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON form: what `version.json` holds, and where it is."""
         return _document(self) | {"folder": str(self.folder)}

@@ -36,6 +36,22 @@ class Table:
     note: str = ""
     decimals: int | None = None
 
+    def _repr_html_(self) -> str:
+        """Itself in a notebook."""
+        from hil.notebook import card, number
+
+        def told(value: Value) -> str:
+            if isinstance(value, float) and self.decimals is not None:
+                return f"{value:.{self.decimals}f}"
+            return (
+                number(value) if isinstance(value, float) else str("–" if value is None else value)
+            )
+
+        rows = [tuple(map(told, row)) for row in self.rows]
+        table = (self.columns, rows)
+        notes = [self.note] if self.note else []
+        return card("Table", self.title, {}, table=table, most=len(rows), notes=notes)
+
 
 @dataclass(frozen=True, slots=True)
 class Curve:
@@ -132,6 +148,16 @@ class StudyResult:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<StudyResult {self.study}: {len(self.parts)} parts, {self.seconds:.0f} s>"
+
+    def _repr_html_(self) -> str:
+        """Itself in a notebook: what to take away; its tables show themselves."""
+        from hil.notebook import card
+
+        facts = {"study": self.study, "parts": ", ".join(part.title for part in self.parts)}
+        return card("Study", self.title, facts, notes=(*self.summary, *self.warnings))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form, but for NaN; `hil.identify.model_file.json_bytes` makes those null."""
