@@ -1,1 +1,1 @@
-"""For people who test drivers: the contract of a robot as checks."""
+"""For people who test: mock robots for their tests, and the contract of a robot as checks."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
 from hil.errors import HilError
 from hil.robot import Robot
@@ -25,6 +26,15 @@ from hil.testing.robot_checks import (
 )
 
 MakeRobot = Callable[[], Robot]
+
+
+class Conformance(Protocol):
+    """What the fixture `robot_conformance` gives: the function below."""
+
+    def __call__(
+        self, make_robot: MakeRobot, *, leave_out: Sequence[str] = (), bench: Bench | None = None
+    ) -> tuple[str, ...]:
+        """See `robot_conformance`."""
 
 
 class NotConforming(AssertionError):
@@ -68,6 +78,12 @@ def robot_conformance(
     if failures:
         raise NotConforming(failures)
     return tuple(check.__name__ for check in (*alone, *together, *faulty))
+
+
+def check_names() -> tuple[str, ...]:
+    """Names of all checks, in the order in which they are done."""
+    checks = (*BEFORE_AND_AFTER, *CONNECTED, *BENCH, *SEEN, *FAULTY)
+    return tuple(dict.fromkeys(check.__name__ for check in checks))
 
 
 def _at(bench: Bench, checks: Sequence[BenchCheck]) -> list[Check]:

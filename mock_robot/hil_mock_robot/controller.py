@@ -48,7 +48,7 @@ class Controller:
         self.rest = RestWatch(journal)
         self._journal = journal
         self._sampling = Sampling(arm)
-        self._schedule = Schedule(faults, arm.rate_hz) if faults else None
+        self._schedule = Schedule(faults, arm.rate_hz) if faults else None  # most have none
         self._spacing_s = spacing_s
 
     @property
@@ -90,6 +90,18 @@ class Controller:
         """Let the host go."""
         self.rest.finish()
         self.connected = False
+
+    def strike(self, fault: Fault) -> None:
+        """Let something go wrong that nobody has planned; what is due begins with the next row."""
+        self._schedule = self._schedule or Schedule((), self.arm.rate_hz)
+        self._schedule.add(fault)
+
+    def clear(self) -> None:
+        """End what is wrong with the line, and forget what is to come."""
+        if self._schedule:
+            self._schedule.clear()
+        for fault in self.line.mend():
+            self.note("fault_over", kind=fault.kind)
 
     def prepare(self, segment: Segment) -> None:
         """Check and keep the next segment.

@@ -214,6 +214,33 @@ class MockRobot:
             self._controller.require_connection()
             self._arm.on.disturbances.push[:] = torque
 
+    def fault(self, kind: str, **keys: Any) -> contextlib.ExitStack:
+        """Let something go wrong now; in a `with` statement until its end.
+
+        Args:
+            kind: As in the option `faults` (docs/reference/mock.md).
+            **keys: Its further keys, such as `for_s`; `at_s` or `segment` for later.
+
+        Raises:
+            SpecError: There is no such kind or key.
+            RobotConnectionError: Not connected.
+        """
+        with self._lock:
+            self._controller.require_connection()
+            self._clock.catch_up()
+            when = {} if {"at_s", "segment"} & set(keys) else {"at_s": self._arm.device_time}
+            for each in faults_of([{"kind": kind, **when, **keys}]):
+                self._controller.strike(each)
+        over = contextlib.ExitStack()
+        over.callback(self.clear)
+        return over
+
+    def clear(self) -> None:
+        """What goes wrong is over and nothing is to come; a stop is over after `connect`."""
+        with self._lock:
+            self._controller.clear()
+            self._lock.notify_all()
+
     def wear(self, factor: Sequence[float] | FloatArray) -> None:
         """Scale all friction by `factor` (n,) from now on, 1 for as good as new."""
         with self._lock:

@@ -120,11 +120,25 @@ class Schedule:
 
     def __init__(self, faults: Sequence[Fault], rate_hz: float) -> None:
         self._rate = rate_hz
-        self._refusals = [fault for fault in faults if fault.kind == "refuse"]
-        others = [fault for fault in faults if fault.kind != "refuse"]
-        self._waiting = [fault for fault in others if fault.segment is not None]
-        self._dated = [(self._count(f.at_s), f) for f in others if f.at_s is not None]
+        self._refusals: list[Fault] = []
+        self._waiting: list[Fault] = []
+        self._dated: list[tuple[int, Fault]] = []
         self._lasting: list[tuple[int, Fault]] = []
+        for fault in faults:
+            self.add(fault)
+
+    def add(self, fault: Fault) -> None:
+        """One more; what is due already begins with the next sample."""
+        if fault.kind == "refuse":
+            self._refusals.append(fault)
+        elif fault.segment is not None:
+            self._waiting.append(fault)
+        elif fault.at_s is not None:
+            self._dated.append((self._count(fault.at_s), fault))
+
+    def clear(self) -> None:
+        """Forget what is to come, and when what lasts would end."""
+        self._refusals, self._waiting, self._dated, self._lasting = [], [], [], []
 
     def began(self, segment: int, samples: int) -> None:
         """Note that a segment starts after so many samples."""

@@ -56,11 +56,12 @@ class Line:
         if fault in self._lasting:
             self._lasting.remove(fault)
 
-    def mend(self) -> None:
-        """Be as new; a clock that jumped stays where it is."""
-        self._lasting.clear()
+    def mend(self) -> list[Fault]:
+        """Be as new; a clock that jumped stays where it is. Returns what is over."""
+        over, self._lasting = self._lasting, []
         self._late.clear()
         self._to_drop = self._to_repeat = 0
+        return over
 
     def carry(self, rows: StructArray, now: float) -> StructArray:
         """What the host gets, perhaps nothing, when `rows` are sent at the true device time `now`.

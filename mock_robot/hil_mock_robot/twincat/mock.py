@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hil.errors import PluginError
 from hil_mock_robot.mock import DrawnMock
 
 
@@ -19,7 +20,14 @@ class PlcMock(DrawnMock):
 
         Args:
             arguments: As of `python -m hil_mock_robot plc`.
-        """
-        from hil_mock_robot.twincat.app import main
 
+        Raises:
+            PluginError: A package that it needs is not installed.
+        """
+        try:
+            from hil_mock_robot.twincat.app import main
+        except ModuleNotFoundError as error:
+            raise PluginError(
+                f"the mock PLC needs the module {error.name}", hint='pip install "hil[ads,mock]"'
+            ) from error
         return main(arguments, prog="hil mock plc", seed=0)
