@@ -21,6 +21,7 @@ from hil.web.settings import Settings
 
 PAGES = (
     "hil.web.overview",
+    "hil.web.catalogue_pages",
     "hil.web.run_files",
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""
