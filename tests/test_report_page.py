@@ -360,7 +360,7 @@ def test_drift_is_seen_apart_from_friction_that_has_the_sign_of_the_approach(tmp
         array_of(trace["y"])
         for figure in page.figures
         for trace in figure["data"]
-        if trace.get("name") == JOINTS[2] and trace["mode"] == "lines+markers"
+        if trace.get("name") == f"J3 {JOINTS[2]}" and trace["mode"] == "lines+markers"
     ]
     expected = [0.1 * np.arange(len(visits)), -0.2 * np.arange(len(visits))]
     np.testing.assert_allclose(drifts, expected, atol=1e-6)

@@ -103,7 +103,7 @@ class Plots:
     lead: str
     panels: tuple[Panel, ...]
     legend: tuple[tuple[str, str, str], ...] = ()
-    """(text, colour, `line` | `dash` | `dot` | `band` | marker character)."""
+    """(text, colour, a dash of `colours.STROKES` | `band` | marker character)."""
     columns: int = 0
     """2 for panels that are better large; 0 for as many side by side as there is room for."""
     kind: Literal["plots"] = "plots"

@@ -1,40 +1,57 @@
 """One visual language for every plot: colours by meaning, from the Okabe–Ito palette.
 
 Okabe & Ito, 'Color Universal Design' (2008): eight colours that people with every common form of
-colour blindness tell apart. Plots never rely on colour alone: dashes and marker shapes differ too.
+colour blindness tell apart. Theirs are for areas; as thin lines and small marks, some are too light
+for white paper (contrast below 3:1, WCAG 2.2, 1.4.11). Those are darker here, and all of them as
+far apart as that leaves room for, which `tests/test_report_colours.py` computes. Plots never rely
+on colour alone: dashes and marker shapes differ too.
 """
 
 from __future__ import annotations
 
 MEASURED = "#0072B2"
-PREDICTED = "#D55E00"
+PREDICTED = "#AC3F00"
 RESIDUAL = "#009E73"
-LIMIT = "#CC79A7"
+LIMIT = "#B974A8"
 NEUTRAL = "#595959"
 UP = "#0072B2"
 """Poses approached from below."""
-DOWN = "#E69F00"
+DOWN = "#CD7D00"
 """Poses approached from above."""
 
-SELDOM, OFTEN = "#BFD9EA", "#003A5C"
+SELDOM, OFTEN = "#639ABF", "#003A5C"
 """Ends of the scale of counts: one hue, told apart by lightness."""
 
-JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#595959")
+FILL = "#BFD9EA"
+"""Of areas behind the data, whose edges are drawn in a colour that shows."""
+
+JOINTS = ("#0072B2", "#CD7D00", "#009E73", "#AC3F00", "#B974A8", "#3493FF", "#595959")
 DASHES = ("solid", "dash", "dot", "longdash", "dashdot", "longdashdot", "solid")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x")
 
 DARK = {
-    "#0072B2": "#56B4E9",
-    "#D55E00": "#FF8A3C",
-    "#009E73": "#2CCB9B",
-    "#CC79A7": "#E5A3C7",
-    "#595959": "#B3B3B3",
-    "#E69F00": "#F2B733",
-    "#56B4E9": "#A9D9F5",
-    "#BFD9EA": "#1F4E6B",
+    "#0072B2": "#4DA3F7",
+    "#AC3F00": "#FF7038",
+    "#009E73": "#33F08F",
+    "#B974A8": "#CE86C4",
+    "#595959": "#A3A3A3",
+    "#CD7D00": "#F2DC3A",
+    "#3493FF": "#B8DFFF",
+    "#639ABF": "#3A7CA5",
     "#003A5C": "#BDE3FF",
+    "#BFD9EA": "#1F4E6B",
 }
 """What each colour becomes on a dark page: the same hue, light enough to be read there."""
+
+STROKES = {
+    "solid": "",
+    "dash": "5 3",
+    "dot": "2 2",
+    "longdash": "9 3",
+    "dashdot": "6 2 2 2",
+    "longdashdot": "9 2 2 2",
+}
+"""Each dash in a legend, as SVG has it."""
 
 
 def of_joint(j: int) -> str:

@@ -22,7 +22,7 @@ SHARES = ("friction", "gain")
 LEGEND = (
     ("probe", colours.MEASURED, "●"),
     ("probe: this has changed", colours.PREDICTED, "◆"),
-    ("where an unchanged robot's would lie", colours.SELDOM, "band"),
+    ("where an unchanged robot's would lie", colours.NEUTRAL, "band"),
     ("another champion", colours.NEUTRAL, "dot"),
 )
 
@@ -90,8 +90,8 @@ def over_time(told: Sequence[Banded], k: int, along: Along, effort_unit: str) ->
     layout = along.layout(f"{_what(name)} [{unit}]")
     layout["yaxis"] |= {"range": _range(told, values, expected, limit)}
     every = range(len(told))
-    bars = along.placed(_bars(expected, limit), every)
-    data = [bars, *_marks(told, values, along, _blamed(told, name))]
+    bars = [along.placed(trace, every) for trace in _bars(expected, limit)]
+    data = [*bars, *_marks(told, values, along, _blamed(told, name))]
     said = f"{name} [{unit}] of {len(told)} probes: {_span(values)}; {_outside(told, k)}"
     return Panel(panel_title(told, k), {"data": data, "layout": layout}, said)
 
@@ -196,11 +196,12 @@ def _shown(told: Sequence[Banded], k: int) -> tuple[FloatArray, FloatArray, Floa
     return values, expected, limit
 
 
-def _bars(expected: FloatArray, limit: FloatArray) -> Trace:
+def _bars(expected: FloatArray, limit: FloatArray) -> list[Trace]:
     """A broad bar per probe: a line would say something of the time between them."""
-    bars = markers(expected, expected, "unchanged", colours.SELDOM, size=1)
-    error = {"type": "data", "array": limit, "color": colours.SELDOM, "thickness": 9, "width": 0}
-    return bars | {"error_y": error, "hoverinfo": "skip"}
+    area = {"color": colours.FILL, "thickness": 9, "width": 0}
+    ends = {"color": colours.NEUTRAL, "thickness": 1, "width": 4.5}
+    bar = markers(expected, expected, "unchanged", colours.FILL, size=1) | {"hoverinfo": "skip"}
+    return [bar | {"error_y": {"type": "data", "array": limit} | look} for look in (area, ends)]
 
 
 def _blamed(told: Sequence[Banded], name: str) -> list[bool]:

@@ -32,7 +32,11 @@ if TYPE_CHECKING:
 OPEN = 2
 """Trajectories that are open on the page; the others open on a click."""
 
-BOTH = (("these", colours.MEASURED, "●"), ("random draws", colours.PREDICTED, "◇"))
+BOTH = (
+    ("these", colours.MEASURED, "●"),
+    ("random draws", colours.PREDICTED, "◇"),
+    ("equal", colours.NEUTRAL, "dot"),
+)
 
 
 def write_excitation_page(report: ExcitationReport, path: Path) -> Path:
@@ -125,10 +129,8 @@ def _trajectory(report: ExcitationReport, index: int) -> Section:
     names = [joint_title(j, name) for j, name in enumerate(appraisal.joint_names)]
     trajectory = appraisal.trajectories[index]
     panels = motion_panels(trajectory, appraisal.limits, names)
-    strokes = {"solid": "line", "dot": "dot"}
     legend = tuple(
-        (name, colours.of_joint(j), strokes.get(colours.dash_of_joint(j), "dash"))
-        for j, name in enumerate(names)
+        (name, colours.of_joint(j), colours.dash_of_joint(j)) for j, name in enumerate(names)
     )
     lead = (
         f"Condition number {trajectory.alone.condition_scaled:.2f} alone, "

@@ -103,7 +103,7 @@ def residual_over(
     x, residual = x[good], residual[good]
     some = thinned(len(x), CLOUD)
     size = _mark_size(len(some))
-    cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=size, opacity=0.45)
+    cloud = markers(x[some], residual[some], "sample", colours.NEUTRAL, size=size, opacity=0.65)
     layout = axes(x_title, f"residual [{unit}]")
     layout["shapes"] = band(fast)
     return {"data": [cloud, *_mean_and_spread(x, residual)], "layout": layout}
@@ -125,7 +125,9 @@ def regression(measured: FloatArray, predicted: FloatArray, unit: str) -> Figure
     ends = np.array([low, high])
     layout = axes(f"predicted [{unit}]", f"measured [{unit}]")
     r = correlation(measured, predicted)
-    layout["annotations"] = corner(f"R = {r:.4f}" if np.isfinite(r) else "R undefined")
+    layout["annotations"] = corner(
+        f"R = {round(r, 4) + 0.0:.4f}" if np.isfinite(r) else "R undefined"
+    )
     return {
         "data": [
             markers(
@@ -178,6 +180,7 @@ def rmse_bars(
              "y": height, "marker": mark}
         )  # fmt: skip
     layout = axes("joint", f"RMSE [{unit}]", barmode="group", showlegend=True)
+    layout["xaxis"] |= {"dtick": 1}
     return {"data": traces, "layout": layout}
 
 
@@ -246,7 +249,7 @@ def coverage(x: FloatArray, y: FloatArray, x_title: str, y_title: str, cells: in
         "y": y_low + centre * (y_high - y_low),
         "z": np.where(count > 0, np.log10(np.maximum(count, 1)), np.nan),
         "colorscale": [[0, colours.SELDOM], [1, colours.OFTEN]],
-        "showscale": False,
+        "colorbar": _counts(int(count.max())),
         "hovertemplate": "%{x:.3g}, %{y:.3g}: 10^%{z:.1f} samples<extra></extra>",
     }
     return {"data": [trace], "layout": axes(x_title, y_title)}
@@ -266,6 +269,18 @@ def pose_map(
         if len(rows)
     ]
     return {"data": traces, "layout": axes(x_title, y_title)}
+
+
+def _counts(most: int) -> dict[str, Any]:
+    """The scale of a grid of counts, in powers of ten and their halves."""
+    shown = [n for k in range(8) for n in (10**k, 3 * 10**k) if n <= most]
+    return {
+        "title": {"text": "samples [1]", "side": "right"},
+        "tickvals": [float(np.log10(n)) for n in shown],
+        "ticktext": [str(n) for n in shown],
+        "thickness": 9,
+        "outlinewidth": 0,
+    }
 
 
 def _mark_size(points: int) -> float:

@@ -21,18 +21,18 @@ DEGREES = 180 / np.pi
 Legend = tuple[tuple[str, str, str], ...]
 
 OVER_TIME: Legend = (
-    ("measured", colours.MEASURED, "line"),
-    ("predicted", colours.PREDICTED, "line"),
+    ("measured", colours.MEASURED, "solid"),
+    ("predicted", colours.PREDICTED, "solid"),
 )
 APPROACHES: Legend = (
     ("measured, from below", colours.UP, "▲"),
     ("measured, from above", colours.DOWN, "▼"),
-    ("predicted", colours.PREDICTED, "line"),
+    ("predicted", colours.PREDICTED, "solid"),
 )
-RESIDUAL: Legend = (("measured − predicted", colours.RESIDUAL, "line"),)
+RESIDUAL: Legend = (("measured − predicted", colours.RESIDUAL, "solid"),)
 CLOUD: Legend = (
     ("measured − predicted", colours.NEUTRAL, "•"),
-    ("mean", colours.PREDICTED, "line"),
+    ("mean", colours.PREDICTED, "solid"),
     ("mean ± 1 SD", colours.PREDICTED, "dot"),
 )
 REGRESSION: Legend = (
@@ -186,7 +186,9 @@ class _Panels:
             Panel(joint_title(j, name), figure(j), f"{title}, {name}: {self._residual(j)}")
             for j, name in enumerate(self._fit.joint_names)
         )
-        return Plots(title, lead, panels, legend)
+        drawn = {trace["name"] for panel in panels for trace in panel.figure["data"]}
+        told = legend if "mean" in drawn else tuple(e for e in legend if e not in CLOUD[1:])
+        return Plots(title, lead, panels, told)
 
     def _residual(self, j: int) -> str:
         return f"residual RMS {number(self._rms[j])} {self._fit.unit}"

@@ -121,7 +121,7 @@ def _alike(fits: Sequence[FitFacts]) -> bool:
 def _said(metric: str, value: float) -> str:
     """Correlations with fixed decimals: 0.99 and 0.999 are far apart, 1e-18 is nothing."""
     if metric == "r" and np.isfinite(value):
-        return f"{value + 0.0:.4f}"
+        return f"{round(value, 4) + 0.0:.4f}"
     return number(value)
 
 

@@ -22,7 +22,7 @@ from hil.report.blocks import (
 )
 from hil.report.fleet_plots import AXES, plots
 from hil.report.render import write_page
-from hil.report.words import UNKNOWN, number
+from hil.report.words import UNKNOWN, joint_title, number
 
 UNITS = {"age": "a year", "temperature": "a °C"}
 
@@ -56,7 +56,7 @@ def fleet_page(survey: Survey) -> Page:
             *_not_compared(survey),
         ),
         sections=(
-            Section("look", "Robots to look at", "", (_table(survey, out),) if out else ()),
+            Section("look", "Robots to look at", "" if out else "None.", _table(survey, out)),
             *_sections(survey),
             Section("all", "All robots", "", (_all(survey),), folded=True),
         ),
@@ -98,8 +98,9 @@ def _summary(survey: Survey) -> str:
     if survey.friction is None:
         return f"With fewer than {FEWEST} robots nothing can be said of who stands out."
     after = " and ".join(survey.friction.names) or "nothing"
+    explain = "explain" if len(survey.friction.names) > 1 else "explains"
     return (
-        f"Robots are compared joint by joint, without what {after} explain. If equals differ "
+        f"Robots are compared joint by joint, without what {after} {explain}. If equals differ "
         f"normally, anybody stands out with a probability of {100 * FAMILY_WISE:g} %, all robots "
         "and joints together, in friction and in its change each; with heavier tails more often."
     )
@@ -130,17 +131,19 @@ def _missing(survey: Survey) -> str:
     return f"{len(survey.missing)} are not" if survey.missing else "all"
 
 
-def _table(survey: Survey, out: list[tuple[Surveyed, str]]) -> Table:
-    columns = tuple(Column(title, number=False) for title in ("robot", "age", "why"))
+def _table(survey: Survey, out: list[tuple[Surveyed, str]]) -> tuple[Table, ...]:
+    if not out:
+        return ()
+    columns = tuple(Column(title, number=False) for title in ("robot", "age [years]", "why"))
     rows = tuple((Cell(one.robot, "warn"), Cell(_years(one)), Cell(why)) for one, why in out)
-    return Table("Changed since its champion, or unlike the others", columns, rows)
+    return (Table("Changed since its champion, or unlike the others", columns, rows),)
 
 
 def _sections(survey: Survey) -> list[Section]:
     found = []
     for key, which, title, y in (
         ("friction", survey.friction, "Friction", "friction, RMS [N·m]"),
-        ("change", survey.change, "Change of friction", "of the champion's"),
+        ("change", survey.change, "Change of friction", "friction over the champion's [1]"),
     ):
         values = [one.friction if key == "friction" else one.change for one in survey.robots]
         shown = [k for k, one in enumerate(values) if len(one) and np.isfinite(one).any()]
@@ -169,14 +172,14 @@ def _trends(survey: Survey, which: Standing | None) -> Table:
             for k in range(len(which.names))
             for text in (f"{100 * which.slopes[k, j]:+.2f}", number(100 * which.errors[k, j], 2))
         ]
-        rows.append(cells(joint, *told))
+        rows.append(cells(joint_title(j, joint), *told))
     note = "± is one standard error of a robust regression of the logarithm."
     return Table("What age and temperature explain", tuple(columns), tuple(rows), note)
 
 
 def _all(survey: Survey) -> Table:
     names = survey.joint_names
-    columns = [Column("robot", number=False), Column("age")]
+    columns = [Column("robot", number=False), Column("age [years]")]
     columns += [Column(f"J{j + 1}", "friction, RMS [N·m]") for j in range(len(names))]
     columns += [Column(f"J{j + 1}", "temperature [°C]") for j in range(len(names))]
     columns += [Column("last probe", number=False)]

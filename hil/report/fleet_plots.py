@@ -13,7 +13,7 @@ from hil.report.traces import axes, line, markers
 from hil.report.words import joint_title
 from hil.typing import BoolArray, FloatArray
 
-AXES = {"age": "years in service", "temperature": "joint temperature [°C]"}
+AXES = {"age": "time in service [years]", "temperature": "joint temperature [°C]"}
 
 
 def plots(
@@ -53,7 +53,7 @@ def plots(
         ("robot", colours.MEASURED, "●"),
         ("stands out", colours.PREDICTED, "◆"),
         ("what is expected", colours.NEUTRAL, "dash"),
-    )
+    )[: 3 if which is not None and over in which.names else 2]
     title = {"friction": "Friction", "change": "Change of friction"}[key]
     return Plots(f"{title} over {over}", "", panels, legend)
 

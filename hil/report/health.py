@@ -18,7 +18,7 @@ from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 
-NEAR_LIMIT = 0.3
+NEAR_LIMIT = 0.6
 """Values above this share of a limit are shown together with it."""
 
 
@@ -102,6 +102,7 @@ def _panels(
     facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
 ) -> list[Panel]:
     t, panels, begins = recording.t, [], recording.begins
+    names = [joint_title(j, name) for j, name in enumerate(names)]
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
         limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")

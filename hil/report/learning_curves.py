@@ -16,7 +16,7 @@ from hil.report.traces import axes, line, markers
 from hil.report.words import number
 
 LEGEND = (
-    ("training loss", colours.MEASURED, "line"),
+    ("training loss", colours.MEASURED, "solid"),
     ("validation error", colours.PREDICTED, "dash"),
     ("kept", colours.PREDICTED, "◆"),
     ("next stage", colours.NEUTRAL, "dot"),

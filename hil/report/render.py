@@ -28,6 +28,7 @@ def page_html(page: Page) -> str:
         .render(
             page=page,
             dark=colours.DARK,
+            strokes=colours.STROKES,
             css=Markup(css),  # noqa: S704 - our own file
             plotly=Markup(get_plotlyjs()),  # noqa: S704 - the installed library
         )

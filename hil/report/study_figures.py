@@ -131,16 +131,12 @@ def _legend(figure: Figure, looks: Mapping[str, Look]) -> tuple[tuple[str, str, 
         look = looks.get(curve.name, IDENTITY)
         if curve.style == "bars" or not curve.name:
             continue
-        sign = GLYPHS[look.symbol] if curve.style == "points" else _stroke(look.dash)
+        sign = GLYPHS[look.symbol] if curve.style == "points" else look.dash
         if curve.style == "identity":
             look = IDENTITY
-            sign = _stroke(look.dash)
+            sign = look.dash
         out.setdefault(curve.name, (curve.name, look.colour, sign))
     return tuple(out.values())
-
-
-def _stroke(dash: str) -> str:
-    return {"solid": "line", "dot": "dot"}.get(dash, "dash")
 
 
 def _said(figure: Figure, panel: Panel) -> str:

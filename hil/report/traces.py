@@ -62,12 +62,14 @@ def markers(
 
 
 def band(half: float) -> list[dict[str, Any]]:
-    """A band of ± `half` behind the data; nothing when that is not known."""
+    """A band of ± `half` behind the data, with its edges; nothing when that is not known."""
     if not np.isfinite(half):
         return []
-    shape = {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half}
-    look = {"fillcolor": colours.LIMIT, "opacity": 0.25, "line": {"width": 0}, "layer": "below"}
-    return [shape | look]
+    across = {"xref": "paper", "x0": 0, "x1": 1, "layer": "below"}
+    edge = {"type": "line", "line": {"color": colours.LIMIT, "width": 1}} | across
+    area = {"type": "rect", "y0": -half, "y1": half, "line": {"width": 0}} | across
+    area |= {"fillcolor": colours.LIMIT, "opacity": 0.25}
+    return [area, *(edge | {"y0": y, "y1": y} for y in (-half, half))]
 
 
 def attempts(times: FloatArray) -> dict[str, Any]:
