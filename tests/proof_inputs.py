@@ -16,6 +16,7 @@ FILES = (
     "pyproject.toml",
     "constraints.txt",
     "tests/test_proof.py",
+    "tests/test_proof_docs.py",
     "tests/test_proof_drift_null.py",
     "tests/test_proof_fleet.py",
     "tests/test_proof_fleet_mock.py",

@@ -1,0 +1,148 @@
+"""Commands in the documentation: which there are, and which of them a test can run.
+
+A block of shell commands is run when a comment stands right before it, one that readers do not see:
+
+    <!-- run                       `run long`: only among the proofs; `run wire`: over sockets
+    hil run experiments/ci_dwell_12.yaml      lines of the shell, run before the block
+    runs/… → 1                                what stands for something else in the block
+    -->
+
+Blocks of a page share a folder with `experiments/`. `<!-- file: NAME -->` keeps the block after it
+there as a file, whatever its language.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "experiments" / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+BLOCK = re.compile(
+    r"(?:^<!-- ((?:run|file:)(?:(?!-->).)*?) ?-->\n)?^```(\w*)\n(.*?)^```$", re.M | re.S
+)
+COMMAND = re.compile(r"(?:[A-Z_]+=\S+ )*(hil|make) ")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page and the comment before it."""
+
+    page: str
+    line: int
+    asked: str
+    language: str
+    text: str
+
+    @property
+    def runs(self) -> str:
+        """`run`, `run long`, `run wire`, or nothing."""
+        head = self.asked.partition("\n")[0].strip()
+        return head if head.startswith("run") else ""
+
+    @property
+    def commands(self) -> list[str]:
+        """Lines that call `hil` or `make`, continued ones joined, without their comments."""
+        joined = self.text.replace("\\\n", " ") if self.language == "sh" else ""
+        return [line for line in joined.splitlines() if COMMAND.match(line)]
+
+    def script(self) -> str:
+        """What is done for this block: its setup, its lines with what stands for something else."""
+        if self.asked.startswith("file:"):
+            name = self.asked.removeprefix("file:").strip()
+            return f"cat > {shlex.quote(name)} <<'END OF FILE'\n{self.text}END OF FILE\n"
+        setup, text = "", self.text
+        for line in self.asked.splitlines()[1:]:
+            old, arrow, new = line.partition(" → ")
+            if arrow and old not in text:
+                raise ValueError(f"{self.page}:{self.line}: nothing in the block is {old!r}")
+            text = text.replace(old, new) if arrow else text
+            setup += "" if arrow else f"{line}\n"
+        return f"{setup}{text}"
+
+
+def blocks(page: Path) -> list[Block]:
+    """All fenced blocks of a page, in their order."""
+    text = page.read_text("utf-8")
+    name = page.relative_to(ROOT).as_posix()
+    return [
+        Block(name, 1 + text.count("\n", 0, found.start(3)), found[1] or "", found[2], found[3])
+        for found in BLOCK.finditer(text)
+    ]
+
+
+def run_page(page: str, kinds: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Files of a page and its blocks of these kinds, in one shell, to the first failure."""
+    (folder / "experiments").symlink_to(ROOT / "experiments")
+    parts = [b.script() for b in blocks(ROOT / page) if b.runs in kinds or b.asked[:5] == "file:"]
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-euxo", "pipefail", "-c", "".join(parts)],
+        cwd=folder,
+        env={**os.environ, "PATH": path, "HIL_STATION": "", "HIL_LEASES": str(folder / "leases")},
+        capture_output=True,
+        text=True,
+        timeout=1700,
+    )
+
+
+def parse(line: str) -> None:
+    """Hold a line against the command line's own parser, running nothing.
+
+    Raises:
+        Exception: as the parser does, for a verb, an option or an argument that is not there.
+    """
+    words = shlex.split(line, comments=True)
+    while "=" in words[0]:
+        words.pop(0)
+    words = list(before_operator(words))
+    if words[0] == "make":
+        targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.M))
+        if unknown := [word for word in words[1:] if "=" not in word and word not in targets]:
+            raise ValueError(f"the Makefile has no {unknown}")
+        return
+    import typer
+
+    from hil.cli.app import app
+
+    command: Any = typer.main.get_command(app)
+    arguments, context = words[1:], None
+    while hasattr(command, "commands"):
+        context = command.make_context(command.name, arguments, parent=context)
+        rest = [*context._protected_args, *context.args]
+        name, command, arguments = command.resolve_command(context, rest)
+    context = command.make_context(name, arguments, parent=context)
+    if name == "mock":
+        parse_mock(context.params["name"], context.args)
+
+
+def parse_mock(name: str, arguments: list[str]) -> None:
+    """What a mock's own command line takes; requests to one that runs have tests of their own."""
+    from hil_mock_robot.cia402.options import parser_of as can
+    from hil_mock_robot.twincat.options import parser_of as plc
+    from hil_mock_robot.ur.options import parser_of as ur
+
+    parsers = {"can": can, "plc": plc, "ur": ur}
+    if name in parsers and arguments[:1] != ["tell"]:
+        parsers[name]().parse_args(arguments)
+    elif name not in ("list", "embedded", *parsers) or (name not in parsers and arguments):
+        raise ValueError(f"no mock {name!r} with {arguments}")
+
+
+def before_operator(words: list[str]) -> Iterator[str]:
+    """Words of the first command of a line."""
+    for word in words:
+        if word in ("&", "|", "||", "&&", ">", ">>", ";"):
+            return
+        yield word
