@@ -22,6 +22,7 @@ from live_run import until
 
 from hil.campaign.answers import ScriptedOperator, load_answers
 from hil.campaign.console import Console
+from hil.campaign.desk import console_desk
 from hil.campaign.operator import (
     ConsoleOperator,
     mock_mounts,
@@ -283,6 +284,26 @@ def test_a_mock_answers_itself_unless_answers_are_written(tmp_path: Path) -> Non
     assert prompt_on(KinematicRobot(), console) is mock_mounts
     assert prompt_on(KinematicRobot(), scripted) is scripted
     assert prompt_on(RealRobot(), console) is console
+
+
+def test_who_answers_from_elsewhere_is_waited_for_by_a_mock_too(tmp_path: Path) -> None:
+    desk = console_desk("anna", elsewhere=True)
+    asks = desk.prompt
+    assert isinstance(asks, ConsoleOperator)
+    assert prompt_on(KinematicRobot(), asks) is asks
+    require_attended(small_plan(MOUNT), asks)
+    assert not asks.attended  # nothing is read from a terminal, should there be one
+    asks.listen(tmp_path)
+    looked = []
+
+    def answered_at_the_third_look() -> None:
+        looked.append(1)
+        if len(looked) == 3:
+            assert asks.answer(True, "bert", MOUNT) == ""
+
+    assert asks(MOUNT, answered_at_the_third_look) == Reply(True, "bert")
+    with pytest.raises(SpecError, match="two ways"):
+        console_desk(answers=tmp_path / "answers.yaml", elsewhere=True)
 
 
 # --- a real terminal -----------------------------------------------------------------------------

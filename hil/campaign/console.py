@@ -19,16 +19,20 @@ class Console:
 
     In the background (`hil run … &`) nothing is read: the system would suspend the whole process,
     and the robot with it.
+
+    Args:
+        read: Whether anything is read at all.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, read: bool = True) -> None:
+        self._read = read
         self._typed = b""
         self._ended = False
 
     @property
     def present(self) -> bool:
         """Whether somebody may sit there."""
-        return not self._ended and sys.stdin is not None and sys.stdin.isatty()
+        return self._read and not self._ended and sys.stdin is not None and sys.stdin.isatty()
 
     def forget_typed(self) -> None:
         """What was typed before a question is no answer to it."""

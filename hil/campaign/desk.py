@@ -9,6 +9,7 @@ from hil.campaign.answers import load_answers
 from hil.campaign.operator import ConsoleOperator
 from hil.engine import Prompt
 from hil.engine.pausing import GoOn
+from hil.errors import SpecError
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +28,11 @@ class Desk:
 
 
 def console_desk(
-    operator: str = "", *, answers: str | Path | None = None, wait_s: float = 0.0
+    operator: str = "",
+    *,
+    answers: str | Path | None = None,
+    wait_s: float = 0.0,
+    elsewhere: bool = False,
 ) -> Desk:
     """The console of this process, and other terminals.
 
@@ -35,10 +40,13 @@ def console_desk(
         operator: Who sits there; recorded with what they answer.
         answers: File with the answers to all prompts, in place of asking.
         wait_s: How long to wait for a robot that somebody else holds [s].
+        elsewhere: Whether prompts wait for answers from other terminals only.
 
     Raises:
-        SpecError: The file has mistakes; all are listed.
+        SpecError: The file has mistakes; all are listed. Or answers come from both.
     """
-    console = ConsoleOperator(operator or "operator")
+    if elsewhere and answers is not None:
+        raise SpecError("--answers and --elsewhere are two ways to answer", hint="choose one")
+    console = ConsoleOperator(operator or "operator", elsewhere=elsewhere)
     prompt: Prompt = console if answers is None else load_answers(answers)
     return Desk(prompt, console.goes_on, wait_s)

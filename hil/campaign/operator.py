@@ -28,11 +28,20 @@ class ConsoleOperator:
     Args:
         who: Recorded for answers given at the console.
         console: Where this process was started.
+        elsewhere: Whether all answers come from elsewhere: nobody sits at the console, and a mock
+            is asked like any other robot.
     """
 
-    def __init__(self, who: str = "operator", console: Console | None = None) -> None:
+    def __init__(
+        self,
+        who: str = "operator",
+        console: Console | None = None,
+        *,
+        elsewhere: bool = False,
+    ) -> None:
         self._who = who
-        self._console = console or Console()
+        self._console = console or Console(read=not elsewhere)
+        self.elsewhere = elsewhere
         self._run: Path | None = None
         self._asking = threading.Lock()
         self._asked = ""
@@ -128,9 +137,11 @@ def mock_mounts(text: str, meanwhile: Callable[[], object]) -> Reply:
 
 
 def prompt_on(robot: Robot, prompt: Prompt) -> Prompt:
-    """Who answers on this robot: a mock by itself, unless the answers are written down."""
-    scripted = isinstance(prompt, ScriptedOperator)
-    return mock_mounts if robot.capabilities.clock == "virtual" and not scripted else prompt
+    """Who answers on this robot: a mock by itself, unless others are said to answer."""
+    others = isinstance(prompt, ScriptedOperator) or (
+        isinstance(prompt, ConsoleOperator) and prompt.elsewhere
+    )
+    return mock_mounts if robot.capabilities.clock == "virtual" and not others else prompt
 
 
 def prompts_of(plan: Plan) -> list[str]:
@@ -154,11 +165,14 @@ def require_attended(plan: Plan, prompt: Prompt, *, resumed: bool = False) -> No
     asked = prompts_of(plan)
     if isinstance(prompt, ScriptedOperator):
         prompt.require_match(asked, skipping=resumed)
-    elif asked and isinstance(prompt, ConsoleOperator) and not prompt.attended:
+    elif (
+        asked and isinstance(prompt, ConsoleOperator) and not (prompt.attended or prompt.elsewhere)
+    ):
         times = "once" if len(asked) == 1 else f"{len(asked)} times"
         raise PreflightFailed(
             f"the run asks {times} for something to be done (first: {asked[0]!r}), and nobody "
             "could answer: it has no console",
             hint="start it in a terminal, or write the answers down: "
-            f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE",
+            f"hil {'resume RUN' if resumed else 'run SPEC'} --answers FILE; with --elsewhere it "
+            "waits for hil answer",
         )

@@ -27,6 +27,7 @@ class Attended:
         waive: `NAME=REASON` texts.
         wait_s: How long to wait for a robot that somebody else holds [s].
         live: Whether a live view is served, at which port and address.
+        elsewhere: Whether prompts wait for answers from elsewhere.
     """
 
     operator: str
@@ -34,6 +35,7 @@ class Attended:
     waive: tuple[str, ...]
     wait_s: float
     live: tuple[bool, int | None, str | None]
+    elsewhere: bool = False
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
@@ -55,7 +57,9 @@ class Attended:
         from hil.campaign.desk import console_desk
         from hil.cli.progress import ProgressLines
 
-        desk = console_desk(self.operator, answers=self.answers, wait_s=self.wait_s)
+        desk = console_desk(
+            self.operator, answers=self.answers, wait_s=self.wait_s, elsewhere=self.elsewhere
+        )
         with live_view(robot, *self.live) as views:
             return move(
                 operator=self.operator,

@@ -33,6 +33,14 @@ AnswersOption = Annotated[
     Path | None,
     typer.Option("--answers", help="Answers to all prompts (YAML), for runs nobody attends."),
 ]
+ElsewhereFlag = Annotated[
+    bool,
+    typer.Option(
+        "--elsewhere",
+        help="Nobody sits at this console: prompts, also those of a mock, wait for `hil answer` or "
+        "the dashboard.",
+    ),
+]
 WaitOption = Annotated[
     float,
     typer.Option(
@@ -80,6 +88,7 @@ def run(
     runs: RunsOption = Path("runs"),
     operator: OperatorOption = "",
     answers: AnswersOption = None,
+    elsewhere: ElsewhereFlag = False,
     waive: WaiveOption = None,
     wait: WaitOption = 0.0,
     speed: SpeedOption = "",
@@ -101,7 +110,7 @@ def run(
     from hil.spec.series import is_series
 
     if is_schedule(spec):
-        _refuse_attended(operator, answers, waive, wait, speed, first, live)
+        _refuse_attended(operator, answers, elsewhere, waive, wait, speed, first, live)
         if simulate:
             _refuse_kept(campaign, state, registry != HERE)
             simulate_schedule(spec, station, runs, simulate, json=json)
@@ -111,7 +120,8 @@ def run(
     if simulate:
         raise SpecError(f"{spec} is no schedule: there are no weeks to --simulate")
     part = commissioning_of(speed, first)
-    attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
+    views = (live, live_port, live_host)
+    attended = Attended(operator, answers, tuple(waive or ()), wait, views, elsewhere)
 
     def begin(experiment: Experiment) -> RunReport:
         return attended.run(replace(experiment, commissioning=part), runs)
@@ -131,8 +141,8 @@ def _refuse_attended(*given: object) -> None:
     """Nobody attends a schedule: what is for attended runs would be left out without a word."""
     if any(given):
         raise SpecError(
-            "--operator, --answers, --waive, --wait, --speed, --first and --live are for runs that "
-            "somebody attends, not for schedules",
+            "--operator, --answers, --elsewhere, --waive, --wait, --speed, --first and --live are "
+            "for runs that somebody attends, not for schedules",
             hint="run its experiments by themselves to try them",
         )
 
@@ -151,6 +161,7 @@ def resume(
     runs: RunsOption = Path("runs"),
     operator: OperatorOption = "",
     answers: AnswersOption = None,
+    elsewhere: ElsewhereFlag = False,
     waive: WaiveOption = None,
     wait: WaitOption = 0.0,
     live: LiveFlag = False,
@@ -165,7 +176,8 @@ def resume(
     from hil.record.lock import is_live
 
     path = find_run(run, runs)
-    attended = Attended(operator, answers, tuple(waive or ()), wait, (live, live_port, live_host))
+    views = (live, live_port, live_host)
+    attended = Attended(operator, answers, tuple(waive or ()), wait, views, elsewhere)
     if is_series_folder(path):
         above = path.parents[2]
         series.resume_series(path, lambda each: attended.run(each, above), attended.resume, json)
