@@ -140,7 +140,7 @@ def test_stations_with_any_value_replaced(
 def test_random_overrides(overrides: dict[str, str]) -> None:
     said = refusal(lambda: spec_from_text(SHIPPED[0], "f", overrides))
 
-    assert all(line.startswith(("f:", "override ", "… and ")) for line in said)
+    assert all(line.startswith(("f:", "--set ", "… and ")) for line in said)
 
 
 @bounded

@@ -178,11 +178,11 @@ def test_a_wrong_override_is_reported_at_the_override() -> None:
         )
 
     assert caught.value.message.splitlines() == [
-        "override excitation.waypoints:1:1: excitation.waypoints: "
+        "--set 1: excitation.waypoints: "
         "must be a number, not the text 'many'",
-        "override robot:1:1: robot: has no value: give it one, or remove the key",
-        "override warm_up.duration_ms:1:1: warm_up.duration_ms: unknown key; "
+        "--set 2: warm_up.duration_ms: unknown key; "
         "quantities carry their unit in the key: use duration_s: 0.005",
+        "--set 3: robot: has no value: give it one, or remove the key",
     ]
 
 
@@ -193,7 +193,7 @@ def test_an_override_of_a_place_that_cannot_be_is_refused(key: str) -> None:
 
 
 def test_an_override_that_is_no_yaml_is_refused() -> None:
-    with pytest.raises(SpecError, match=r"^override name:1:3: a ',' or '\]' is missing"):
+    with pytest.raises(SpecError, match=r"^--set 1: name:1:3: a ',' or '\]' is missing"):
         spec_from_text(GOOD, overrides={"name": "[a"})
 
 

@@ -17,13 +17,23 @@ if TYPE_CHECKING:
     from hil.study.result import StudyResult
 
 
-def load(spec: AnyPath, station: AnyPath | None = None) -> Experiment:
+def load(
+    spec: AnyPath,
+    station: AnyPath | None = None,
+    *,
+    overrides: Mapping[str, str] | None = None,
+) -> Experiment:
     """Load and check an experiment spec and its station.
+
+    Args:
+        spec: The spec's file.
+        station: The station's file; by default as with `hil run`.
+        overrides: Other values in the spec, YAML text by dotted path, as `--set` has them.
 
     Raises:
         SpecError: With every problem of both files.
     """
-    return load_experiment(Path(spec), Path(station) if station else None)
+    return load_experiment(Path(spec), Path(station) if station else None, overrides or {})
 
 
 def plan(experiment: Experiment, *, connect: bool = False) -> Plan:

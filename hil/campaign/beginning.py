@@ -46,6 +46,7 @@ def write_beginning(
             "plan_hash": plan.hash,
             "spec_hash": spec_hash(experiment.spec),
             **({"spec": whole(experiment.spec_source)} if experiment.spec_source else {}),
+            **({"overrides": dict(experiment.overrides)} if experiment.overrides else {}),
             "station": whole(experiment.station_source),
             "robot_name": experiment.spec.robot,
             "robot": describe_robot(robot, experiment.robot),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,15 @@ from hil import arms
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, load_station, resolve_robot
+from hil.spec.overrides import resolved_text
 from hil.spec.station import Station, StationRobot
 
 if TYPE_CHECKING:
     from hil.plan.commissioning import Commissioning
 
 BUILT_IN = "built-in mock bench"
+
+_NO_OVERRIDES: Mapping[str, str] = {}
 
 MOCK_DRIVES = {
     "bus": {"interface": "hil_unix", "channel": "can0", "bitrate": 1_000_000},
@@ -49,6 +53,7 @@ class Experiment:
         spec_source: Path of the spec file; empty when there is none.
         occasion: What of a schedule it is run for, such as `weekly/20261128T030000Z-probe/probe`;
             empty when it is not.
+        overrides: What was laid over the spec's file, YAML by dotted path; `spec_text` has it.
     """
 
     spec: ExperimentSpec
@@ -61,6 +66,7 @@ class Experiment:
     commissioning: Commissioning | None = None
     spec_source: str = ""
     occasion: str = ""
+    overrides: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -93,8 +99,17 @@ class Experiment:
         return f", individual {self.robot.options.get('seed', 0)}"
 
 
-def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experiment:
+def load_experiment(
+    spec_path: Path,
+    station_path: Path | None = None,
+    overrides: Mapping[str, str] = _NO_OVERRIDES,
+) -> Experiment:
     """Load a spec and the station it runs at.
+
+    Args:
+        spec_path: The spec's file.
+        station_path: The station's file, when somebody has named one.
+        overrides: Values laid over the spec, YAML text by dotted path (`excitation.waypoints`).
 
     The station is, in this order: `station_path`, $HIL_STATION, `station.yaml` beside the spec,
     or a bench with every built-in arm that can be mocked, and one on mock CAN drives. A real
@@ -103,17 +118,20 @@ def load_experiment(spec_path: Path, station_path: Path | None = None) -> Experi
     Raises:
         SpecError: Either file has problems (all are listed), or the station lacks the robot.
     """
-    spec = load_spec(spec_path)
+    spec = load_spec(spec_path, overrides)
     station, text, source = find_station(spec_path.resolve().parent, station_path)
     return Experiment(
         spec=spec,
         station=station,
         robot=resolve_robot(spec, station),
-        spec_text=spec_path.read_text("utf-8"),
+        spec_text=resolved_text(spec_path, overrides)
+        if overrides
+        else spec_path.read_text("utf-8"),
         station_text=text or f"# {BUILT_IN}\n" + station.model_dump_json(indent=1) + "\n",
         station_source=source,
         folder=spec_path.resolve().parent,
         spec_source=str(spec_path),
+        overrides=dict(overrides),
     )
 
 

@@ -19,6 +19,7 @@ from hil.cli import (
     data,
     drift,
     exciting,
+    explaining,
     exports,
     fleet,
     gains,
@@ -67,8 +68,8 @@ app = typer.Typer(
 )
 GROUPS = (
     specs, exciting, running, listening, runs, pruning, live, recover, replaying, models, gains,
-    starting, loads, studies, registry, drift, fleet, schedule, serving, resting, exports, trying,
-    data, system, bench,
+    starting, explaining, loads, studies, registry, drift, fleet, schedule, serving, resting,
+    exports, trying, data, system, bench,
 )  # fmt: skip
 for group in GROUPS:
     group.register(app)

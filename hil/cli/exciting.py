@@ -19,6 +19,7 @@ from hil.cli.output import (
     print_json,
     print_table,
 )
+from hil.cli.overriding import SetOption, load_with
 
 if TYPE_CHECKING:
     from hil.campaign.excitation_report import ExcitationReport
@@ -43,6 +44,7 @@ def register(app: typer.Typer) -> None:
 def excite(
     spec: SpecPath,
     station: StationOption = None,
+    set_: SetOption = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -55,12 +57,11 @@ def excite(
     json: JsonFlag = False,
 ) -> None:
     """Find the trajectories of a spec and show what they are worth; move nothing."""
-    from hil import api
     from hil.campaign.excitation import appraise_excitation
     from hil.cli.excitation_line import ExcitationLine
     from hil.report.excite_page import write_excitation_page
 
-    experiment = api.load(spec, station)
+    experiment = load_with(spec, station, set_)
     with ExcitationLine() as line:
         report = appraise_excitation(experiment, fresh=fresh, watch=line)
     page = write_excitation_page(report, out or Path(f"{experiment.spec.name}.excitation.html"))

@@ -13,6 +13,7 @@ from hil.cli import reidentify, series
 from hil.cli.attended import Attended, rejected
 from hil.cli.live_view import LiveFlag, LiveHost, LivePort
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
+from hil.cli.overriding import SetOption, load_with, refuse_set
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
 from hil.cli.simulating import SimulateOption, simulate_schedule
@@ -85,6 +86,7 @@ def register(app: typer.Typer) -> None:
 def run(
     spec: SpecPath,
     station: StationOption = None,
+    set_: SetOption = None,
     runs: RunsOption = Path("runs"),
     operator: OperatorOption = "",
     answers: AnswersOption = None,
@@ -103,13 +105,13 @@ def run(
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment, a series, or once what a schedule is about: from plan to report."""
-    from hil import api
     from hil.engine.signals import ignore_from_now_on
     from hil.plan.commissioning import commissioning_of
     from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
 
     if is_schedule(spec):
+        refuse_set(set_, "a schedule")
         _refuse_attended(operator, answers, elsewhere, waive, wait, speed, first, live)
         if simulate:
             _refuse_kept(campaign, state, registry != HERE)
@@ -127,9 +129,10 @@ def run(
         return attended.run(replace(experiment, commissioning=part), runs)
 
     if is_series(spec):
+        refuse_set(set_, "a series")
         series.run_series(spec, station, runs, begin, json)
         return
-    experiment = api.load(spec, station)
+    experiment = load_with(spec, station, set_)
     if not json:
         typer.echo(replace(experiment, commissioning=part).title, err=True)
     report = begin(experiment)

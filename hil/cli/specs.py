@@ -18,6 +18,7 @@ from hil.cli.output import (
     print_warnings,
     size,
 )
+from hil.cli.overriding import SetOption, load_with, refuse_set
 from hil.errors import SpecError
 
 
@@ -28,22 +29,28 @@ def register(app: typer.Typer) -> None:
     app.command()(schema)
 
 
-def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = False) -> None:
+def validate(
+    spec: SpecPath,
+    station: StationOption = None,
+    set_: SetOption = None,
+    json: JsonFlag = False,
+) -> None:
     """Check a spec, series or schedule and its station; all problems at once, with their places."""
-    from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.campaign.extras import missing_extras
     from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
 
     if is_schedule(spec):
+        refuse_set(set_, "a schedule")
         reidentify.validate_schedule(spec, station, json)
         return
     if is_series(spec):
+        refuse_set(set_, "a series")
         series.validate_series(spec, station, json)
         return
 
-    experiment = api.load(spec, station)
+    experiment = load_with(spec, station, set_)
     check_driver(experiment)
     facts: dict[str, Any] = {
         "spec": str(spec),
@@ -65,6 +72,7 @@ def validate(spec: SpecPath, station: StationOption = None, json: JsonFlag = Fal
 def plan(
     spec: SpecPath,
     station: StationOption = None,
+    set_: SetOption = None,
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -87,7 +95,6 @@ def plan(
 ) -> None:
     """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
     _require_svg(picture)
-    from hil import api
     from hil.campaign.driver_check import check_driver
     from hil.campaign.preview import preview_experiment
     from hil.cli.excitation_line import ExcitationLine
@@ -96,9 +103,10 @@ def plan(
     from hil.spec.series import is_series
 
     if is_series(spec):
+        refuse_set(set_, "a series")
         series.plan_series(spec, station, connect, json)
         return
-    experiment = api.load(spec, station)
+    experiment = load_with(spec, station, set_)
     check_driver(experiment)
     with ExcitationLine() as line:
         made, facts = preview_experiment(experiment, connect=connect, watch=line)

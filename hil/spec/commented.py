@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator
+from functools import cache
+from importlib.resources import files
 
 from hil.errors import SpecError
 from hil.spec.describe import KeyInfo, keys_below
@@ -91,10 +93,35 @@ def _written(line: tuple[str, tuple[str, ...], str], known: list[KeyInfo]) -> It
 def _info_of(path: tuple[str, ...], kind: str, known: list[KeyInfo]) -> KeyInfo:
     """The key at a path; entries of a dict go by any name."""
     for info in known:
-        steps = info.path.split(".")
-        same = len(steps) == len(path) and all(
-            step in (given, "<name>") for step, given in zip(steps, path, strict=True)
-        )
-        if same and info.kind in ("", kind):
+        if info.kind in ("", kind) and _is_at(info, path):
             return info
     raise SpecError(f"a template has the key {'.'.join(path)}, which no file may have")
+
+
+def _is_at(info: KeyInfo, path: tuple[str, ...]) -> bool:
+    steps = info.path.split(".")
+    return len(steps) == len(path) and all(
+        step in (given, "<name>") for step, given in zip(steps, path, strict=True)
+    )
+
+
+def example_of(info: KeyInfo) -> str:
+    """A line with a key: as `hil new` writes it, else with its default; empty without either."""
+    for code, path, kind in _examples():
+        if info.kind in ("", kind) and _is_at(info, path):
+            return code
+    key = info.path.rpartition(".")[2]
+    value = info.default.strip("`")
+    return f"{key}: {value}" if info.default.startswith("`") else ""
+
+
+@cache
+def _examples() -> tuple[tuple[str, tuple[str, ...], str], ...]:
+    """Lines of the templates: without comment and indentation, with path and kind."""
+    found = []
+    for file in sorted(files("hil.spec").joinpath("templates").iterdir(), key=lambda f: f.name):
+        for line, path, kind in _lines(file.read_text("utf-8")):
+            code = re.sub(r" +#[ ?].*", "", line).strip().lstrip("#- ")
+            if path and "@" not in code and not code.endswith(":"):
+                found.append((code, path, kind))
+    return tuple(found)

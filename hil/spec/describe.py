@@ -9,7 +9,7 @@ import json
 import sys
 import types
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -38,6 +38,7 @@ class KeyInfo:
         allowed: The values it takes, in words.
         default: Its default as YAML, `required` without one.
         meaning: What it says.
+        file: The kind of file it is in: `experiment`, `station`, `series` or `schedule`.
     """
 
     path: str
@@ -46,6 +47,16 @@ class KeyInfo:
     allowed: str
     default: str
     meaning: str
+    file: str = ""
+
+
+MODELS: dict[str, Model] = {
+    "experiment": ExperimentSpec,
+    "station": Station,
+    "series": SeriesSpec,
+    "schedule": ScheduleSpec,
+}
+"""The YAML files by what they are called."""
 
 
 def keys_below(model: Model) -> Iterator[KeyInfo]:
@@ -61,29 +72,37 @@ def explain_key(path: str) -> list[KeyInfo]:
     Raises:
         SpecError: There is no such key.
     """
-    wanted = ".".join(step for step in path.split(".") if not step.isdigit())
+    wanted = tuple(step for step in path.split(".") if not step.isdigit())
     known = [
-        info
-        for model in (ExperimentSpec, Station, SeriesSpec, ScheduleSpec)
-        for info in keys_below(model)
+        replace(info, file=file) for file, model in MODELS.items() for info in keys_below(model)
     ]
-    found = [info for info in known if info.path == wanted or info.path.endswith("." + wanted)]
+    found = [info for info in known if _ends_in(info, wanted)]
     if not found:
-        hint = did_you_mean(wanted, {info.path for info in known})
-        raise SpecError(f"no spec has the key {wanted!r}", hint=hint)
-    return [info for info in found if info.path == wanted] or found
+        hint = did_you_mean(".".join(wanted), {info.path for info in known})
+        raise SpecError(f"no spec has the key {'.'.join(wanted)!r}", hint=hint)
+    return [info for info in found if info.path.count(".") == len(wanted) - 1] or found
+
+
+def section_of(info: KeyInfo) -> str:
+    """Title of the reference page's section that a key is in."""
+    above = info.path.rpartition(".")[0]
+    kind = f" with `kind: {info.kind}`" if info.kind else ""
+    return f"`{above}`{kind}" if above else "Top of the file"
+
+
+def _ends_in(info: KeyInfo, wanted: tuple[str, ...]) -> bool:
+    """Whether a path ends in these steps; an entry of a dict goes by any name."""
+    steps = info.path.split(".")[-len(wanted) :]
+    return len(steps) == len(wanted) and all(
+        step in (given, "<name>") for step, given in zip(steps, wanted, strict=True)
+    )
 
 
 def reference() -> str:
     """The reference page in Markdown."""
     parts = [_HEAD]
-    for title, model in (
-        ("Experiment", ExperimentSpec),
-        ("Station", Station),
-        ("Series", SeriesSpec),
-        ("Schedule", ScheduleSpec),
-    ):
-        parts += [f"## {title}", _sections(model)]
+    for file, model in MODELS.items():
+        parts += [f"## {file.capitalize()}", _sections(model)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -165,8 +184,7 @@ def _sections(model: Model) -> str:
 
 def _section(path: Path, owner: Model) -> str:
     infos = [_info((*path, key), owner, field) for key, field in keys_of(owner).items()]
-    kind = f" with `kind: {infos[0].kind}`" if infos[0].kind else ""
-    title = f"### `{dotted(path)}`{kind}" if path else "### Top of the file"
+    title = f"### {section_of(infos[0])}"
     rows = [
         f"| `{i.path.rpartition('.')[2]}` | {i.unit or '–'} | {i.allowed} | {i.default} | "
         f"{i.meaning} |"

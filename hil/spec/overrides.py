@@ -1,12 +1,17 @@
-"""Values from the command line laid over a file: `excitation.waypoints=12`."""
+"""Values from the command line laid over a file: `--set excitation.waypoints=12`."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from pathlib import Path as FilePath
 from typing import Any
+
+import yaml
 
 from hil.errors import SpecError
 from hil.spec.source import Mark, Path, Source, shown
+from hil.spec.yaml_source import read_source
 from hil.spec.yaml_values import parse_text
 
 
@@ -14,20 +19,54 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
     """Set values in a parsed file; each is YAML, its key the dotted path (`loads.0.mass_kg`).
 
     Mappings on the way are made as needed; lists must be long enough, or may be replaced whole.
-    Problems are collected in the source, under the name `override KEY`.
+    Problems are collected in the source, under the name `--set N`.
 
     Raises:
-        SpecError: A value is not YAML.
+        SpecError: A value is not YAML, or there is no such place.
     """
-    for dotted_key, text in overrides.items():
-        name = f"override {shown(dotted_key)}"
-        value = parse_text(text, name) if text.strip() else Source(name)
+    for number, (dotted_key, text) in enumerate(overrides.items(), 1):
+        name = f"--set {number}"
+        told = f"{name}: {shown(dotted_key)}"
+        value = parse_text(text, told) if text.strip() else Source(told)
         source.problems += value.problems
         path = _path_in(source.data, dotted_key)
-        if "" in path or not _set(source.data, path, value.data):
-            message = f"{name}: there is no such place in {source.name}"
-            raise SpecError(message, hint="a key is a dotted path such as loads.0.mass_kg")
-        _move_marks(source, path, value)
+        if why := "a step of it is empty" if "" in path else _set(source.data, path, value.data):
+            message = f"{told}: there is no such place in {source.name}: {why}"
+            raise SpecError(message, hint="a path is dotted, such as loads.0.mass_kg")
+        _move_marks(source, path, name)
+
+
+def resolved_text(path: FilePath, overrides: Mapping[str, str]) -> str:
+    """A file as it is with its overrides: YAML without its comments, but with a word of those.
+
+    Raises:
+        SpecError: The file cannot be read, or an override cannot be laid over it.
+    """
+    source = read_source(path)
+    lay_over(source, overrides)
+    said = "".join(
+        f"#   --set {shown(key, 300)}={shown(text, 300)}\n" for key, text in overrides.items()
+    )
+    body = yaml.dump(
+        source.data, Dumper=_Plain, sort_keys=False, allow_unicode=True, default_flow_style=None
+    )
+    return f"# {path.name}, with\n{said}{body}"
+
+
+class _Plain(yaml.SafeDumper):
+    """Quotes every text that any version of YAML may take for something else."""
+
+
+_WORDS = re.compile(r"[A-Za-z][A-Za-z_-]+[0-9]*")
+_CONSTANTS = ("null", "true", "false", "yes", "no", "on", "off")
+
+
+def _text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
+    plain = _WORDS.fullmatch(value) and value.casefold() not in _CONSTANTS
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
+
+
+_Plain.add_representer(str, _text)
 
 
 def _path_in(data: Any, dotted_key: str) -> Path:
@@ -47,27 +86,31 @@ def _child(data: Any, step: str | int) -> Any:
     return None
 
 
-def _set(data: Any, path: Path, value: Any) -> bool:
-    """Put `value` at `path`; False where a list or a plain value is in the way."""
+def _set(data: Any, path: Path, value: Any) -> str:
+    """Put `value` at `path`; why not, where a list or a plain value is in the way."""
     for step in path[:-1]:
         if isinstance(data, dict) and data.get(str(step)) is None:
             data[str(step)] = {}
+        if _child(data, step) is None:
+            return _in_the_way(data, step)
         data = _child(data, step)
     last = path[-1]
-    fits = isinstance(data, dict) or (
-        isinstance(data, list) and isinstance(last, int) and last < len(data)
-    )
-    if fits:
+    if isinstance(data, dict) or _child(data, last) is not None:
         data[last] = value
-    return fits
+        return ""
+    return _in_the_way(data, last)
 
 
-def _move_marks(source: Source, path: Path, value: Source) -> None:
+def _in_the_way(data: Any, step: str | int) -> str:
+    if isinstance(data, list):
+        known = f"entries 0 to {len(data) - 1}" if data else "no entries"
+        return f"there is a list with {known}, not {shown(step)}"
+    return f"{shown(step)} would be below {shown(data)}"
+
+
+def _move_marks(source: Source, path: Path, name: str) -> None:
     source.forget(path)
-    start = Mark(value.name, 1, 1)
-    # Mappings made on the way have no place of their own: they get the override's.
+    # Nothing in a value has a place of its own, nor have mappings made on the way.
     for n in range(1, len(path) + 1):
-        source.keys.setdefault(path[:n], start)
-        source.values.setdefault(path[:n], start)
-    source.keys |= {(*path, *below): mark for below, mark in value.keys.items()}
-    source.values |= {(*path, *below): mark for below, mark in value.values.items()}
+        source.keys.setdefault(path[:n], Mark(name, 0, 0))
+        source.values.setdefault(path[:n], Mark(name, 0, 0))

@@ -1,0 +1,61 @@
+"""`--set PATH=VALUE` of verbs that are given an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hil.errors import SpecError
+
+if TYPE_CHECKING:
+    from hil.campaign.experiment import Experiment
+
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="PATH=VALUE",
+        help="Another value in the spec (YAML), such as excitation.waypoints=12; may be repeated.",
+    ),
+]
+
+
+def load_with(spec: Path, station: Path | None, given: Sequence[str] | None) -> Experiment:
+    """The experiment of a spec with the values of `--set`.
+
+    Raises:
+        SpecError: As `hil.load`; what is wrong with a value is told at its option.
+    """
+    from hil.campaign.experiment import load_experiment
+
+    return load_experiment(spec, station, _overrides(given or ()))
+
+
+def refuse_set(given: Sequence[str] | None, what: str) -> None:
+    """Refuse values for a file that names specs, any of which they might be for."""
+    if given:
+        raise SpecError(
+            f"--set is for a single experiment, and this is {what}",
+            hint="change the specs that it names, or give it others",
+        )
+
+
+def _overrides(given: Sequence[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for number, text in enumerate(given, 1):
+        path, equals, value = text.partition("=")
+        if not equals or not path:
+            raise SpecError(
+                f"--set {number}: {text!r} is no PATH=VALUE",
+                hint="such as --set excitation.waypoints=12",
+            )
+        if path.strip() in found:
+            raise SpecError(
+                f"--set {number}: {path.strip()}: has been given before",
+                hint="give each path once",
+            )
+        found[path.strip()] = value
+    return found

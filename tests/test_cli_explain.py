@@ -1,0 +1,109 @@
+"""`hil explain`: what a key means, in the words of the reference page, and what exit codes mean."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+import yaml
+from typer.testing import CliRunner, Result
+
+from hil import errors
+from hil.cli.app import EXIT_CODES, app
+from hil.cli.explaining import _example
+from hil.errors import HilError, SpecError
+from hil.spec.describe import MODELS, KeyInfo, explain_key, keys_below, reference
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(app, ["explain", *words])
+
+
+def told(key: str) -> list[dict[str, Any]]:
+    keys: list[dict[str, Any]] = json.loads(invoke(key, "--json").stdout)["keys"]
+    return keys
+
+
+def test_a_key_is_told_with_all_there_is_to_know() -> None:
+    (one,) = told("excitation.dwell_s")
+    assert one == {
+        "file": "experiment",
+        "path": "excitation.dwell_s",
+        "kind": "dwell",
+        "unit": "s",
+        "allowed": "number ≥ 0.01, ≤ 600",
+        "default": "0.095",
+        "meaning": "Shortest time at rest before the pose is left.",
+        "keys_below": [],
+        "example": "dwell_s: 0.095",
+        "documented": "docs/reference/spec.md, Experiment, `excitation` with `kind: dwell`",
+    }
+    assert "  unit     s\n" in invoke("excitation.dwell_s").stdout
+
+
+@pytest.mark.parametrize(
+    ("key", "file", "example"),
+    [
+        ("accept", "experiment", "accept: {rmse: {max: 0.35, unit: A, per: mean}}"),
+        ("validate.hold_out", "experiment", "hold_out: {trajectories: 3}"),
+        ("robots.left.surroundings.table_z_m", "station", "table_z_m: 0.0"),
+        ("probe.every", "schedule", "every: 2min"),
+        ("fit.0.estimator", "experiment", "estimator: static-wls"),
+    ],
+)
+def test_keys_of_every_file_have_a_line_to_copy(key: str, file: str, example: str) -> None:
+    (one,) = told(key)
+    assert (one["file"], one["example"]) == (file, example)
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_examples_are_yaml_of_their_key(file: str) -> None:
+    for info in keys_below(MODELS[file]):
+        line = _example(KeyInfo(**{**vars_of(info), "file": file}))
+        assert not line or list(yaml.safe_load(line)) == [info.path.rpartition(".")[2]], line
+
+
+def test_what_several_kinds_share_is_told_once() -> None:
+    assert [(one["kind"], one["meaning"][:5]) for one in told("interlocks.enabled")] == [
+        ("", "false"),
+        ("stale", "Alway"),
+    ]
+
+
+def test_sections_are_those_of_the_page() -> None:
+    page = reference()
+    for key in ("excitation.seed", "robots.a.driver", "hil_series", "interlocks.limit_rad"):
+        title = told(key)[0]["documented"].rpartition(", ")[2]
+        assert f"\n### {title}\n" in page
+
+
+def test_a_slip_is_guessed_at() -> None:
+    error = invoke("excitation.dwel_s").exception
+    assert isinstance(error, SpecError)
+    assert error.hint == "did you mean 'excitation.dwell_s'?"
+
+
+def test_every_exit_code_is_explained() -> None:
+    raised = [error for error in vars(errors).values() if isinstance(error, type)]
+    for error in raised:
+        if issubclass(error, HilError) and error is not HilError:
+            document = json.loads(invoke("exit", str(error.exit_code), "--json").stdout)
+            assert error.__name__ in [one["kind"] for one in document["errors"]]
+    assert "InterlockTripped" in invoke("exit", "5").stdout
+    assert all(f"{code} " in invoke("exit").stdout for code in ("0", "11", "130"))
+    assert "11 registry" in EXIT_CODES
+
+
+def test_a_code_that_is_none_is_refused() -> None:
+    error = invoke("exit", "77").exception
+    assert isinstance(error, SpecError)
+    assert "exit codes are 0, 2, 3" in error.hint
+
+
+def vars_of(info: KeyInfo) -> dict[str, str]:
+    return {name: getattr(info, name) for name in KeyInfo.__dataclass_fields__}
+
+
+def test_the_longer_path_is_found_by_its_end() -> None:
+    assert explain_key("hold_out.seed") == explain_key("validate.hold_out.seed")

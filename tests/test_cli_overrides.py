@@ -1,0 +1,122 @@
+"""`--set PATH=VALUE`: what a run was made with is in the run, and what is wrong at its option."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+import hil
+from hil.campaign.experiment import load_experiment
+from hil.cli.app import app
+from hil.errors import SpecError
+from hil.spec import load_spec, spec_from_text, spec_hash
+from hil.spec.overrides import resolved_text
+
+SPEC = """\
+hil: 1
+name: tried
+robot: ur5
+excitation: {kind: fourier, trajectories: 3, fundamental_hz: 0.5}    # short
+warm_up: {duration_s: 0}
+fit: [{estimator: rigid-wls}]
+"""
+FIT = ["--set", "fit=[]", "--set", "excitation.seed=9"]
+
+
+@pytest.fixture
+def spec(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("spec.yaml").write_text(SPEC)
+    return Path("spec.yaml")
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def refused(*words: str) -> str:
+    error = invoke(*words).exception
+    assert isinstance(error, SpecError)
+    return error.message
+
+
+def test_a_run_has_the_values_it_was_made_with_and_goes_on_with_them(spec: Path) -> None:
+    done = invoke("run", "spec.yaml", *FIT, "--json")
+    run = Path(json.loads(done.stdout)["run"])
+    start = json.loads((run / "start.json").read_text())
+
+    assert start["overrides"] == {"fit": "[]", "excitation.seed": "9"}
+    assert load_spec(run / "spec.yaml").excitation.seed == 9
+    assert spec_hash(load_spec(run / "spec.yaml")) == start["spec_hash"]
+    assert "#   --set excitation.seed=9" in (run / "spec.yaml").read_text()
+
+
+def test_a_run_without_overrides_keeps_its_spec_as_written(spec: Path) -> None:
+    assert load_experiment(spec).spec_text == SPEC
+    assert spec_hash(load_experiment(spec).spec) == spec_hash(spec_from_text(SPEC))
+    same = load_experiment(spec, overrides={"excitation.trajectories": "3"})
+    assert spec_hash(same.spec) == spec_hash(spec_from_text(SPEC))
+
+
+@pytest.mark.parametrize("value", ["'1e-3'", "'on'", "'0x14'", "12:30", "a: b", "'~'", "µ §", "''"])
+def test_texts_stay_texts_in_the_spec_of_a_run(spec: Path, value: str) -> None:
+    value = f"'{value}'" if value == "a: b" else value
+    given = {"description": value, "record.rate_hz": "1e2"}
+    wanted = load_spec(spec, given)
+    again = spec_from_text(resolved_text(spec, given))
+
+    assert again == wanted
+    assert wanted.record.rate_hz == 100
+
+
+def test_plan_and_excite_take_them_too(spec: Path) -> None:
+    one, two = (
+        json.loads(invoke("plan", "spec.yaml", "--json", *more).stdout)["hash"]
+        for more in ((), ("--set", "excitation.seed=9"))
+    )
+    assert one != two
+    page = invoke("excite", "spec.yaml", "--set", "excitation.trajectories=2", "--json")
+    assert len(json.loads(page.stdout)["trajectories"]) == 2
+
+
+def test_what_is_wrong_is_told_at_the_option(spec: Path) -> None:
+    told = refused(
+        "validate", "spec.yaml", "--set", "excitation.seed=8",
+        "--set", "excitation.trajectorys=2", "--set", "fit.0.estimator=rigid-wsl",
+    )  # fmt: skip
+
+    assert told.splitlines() == [
+        "--set 2: excitation.trajectorys: unknown key; did you mean 'trajectories'?",
+        "--set 3: fit.0.estimator: there is no estimator 'rigid-wsl'; did you mean 'rigid-wls'?",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("excitation.seed", "--set 1: 'excitation.seed' is no PATH=VALUE"),
+        ("fit.1.estimator=x", "a list with entries 0 to 0, not 1"),
+        ("robot.arm=x", "arm would be below ur5"),
+        ("excitaton.seed=1", "--set 1: excitaton: unknown key; did you mean 'excitation'?"),
+    ],
+)
+def test_a_place_that_is_none_is_refused(spec: Path, given: str, told: str) -> None:
+    assert told in refused("validate", "spec.yaml", "--set", given)
+
+
+def test_a_path_is_given_once(spec: Path) -> None:
+    twice = ("--set", "excitation.seed=1", "--set", "excitation.seed=2")
+    assert "--set 2: excitation.seed: has been given before" in refused("plan", "spec.yaml", *twice)
+
+
+def test_files_that_name_specs_take_none(spec: Path) -> None:
+    Path("series.yaml").write_text("hil_series: 1\nname: s\nseries: [{spec: spec.yaml}]\n")
+    for verb in ("validate", "plan", "run"):
+        assert "this is a series" in refused(verb, "series.yaml", "--set", "name=x")
+
+
+def test_scripts_have_them_too(spec: Path) -> None:
+    assert hil.load(spec, overrides={"excitation.seed": "9"}).spec.excitation.seed == 9
