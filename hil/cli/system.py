@@ -86,8 +86,14 @@ def _list_mocks(json: bool) -> None:
         print_table(("mock", "what"), [(e["name"], e["description"]) for e in entries])
 
 
-def doctor(station: Annotated[Path | None, typer.Option()] = None, json: JsonFlag = False) -> None:
-    """Look at this machine: packages, plug-ins, disk, clock, and what is missing for what."""
+def doctor(
+    station: Annotated[
+        Path | None,
+        typer.Option("--station", help="Also ask the robots of this station; none is moved."),
+    ] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Look at this computer, and with --station at its robots; exits 1 when something is bad."""
     from hil.doctor import examine
 
     findings = examine(station)

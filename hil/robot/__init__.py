@@ -1,7 +1,7 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
 from hil.payload import Payload
-from hil.robot.findings import Finding, HasChecks
+from hil.robot.findings import Finding, HasChecks, HasReach
 from hil.robot.protocol import (
     Capabilities,
     HasResource,
@@ -20,6 +20,7 @@ __all__ = [
     "Capabilities",
     "Finding",
     "HasChecks",
+    "HasReach",
     "HasResource",
     "HasTopics",
     "Identity",

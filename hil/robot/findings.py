@@ -37,3 +37,15 @@ class HasChecks(Protocol):
 
     def checks(self) -> Sequence[Finding]:
         """Look, now; moves nothing. Raises `RobotError` when the controller cannot be asked."""
+
+
+@runtime_checkable
+class HasReach(Protocol):
+    """What a robot also offers when it can be asked from afar whether it is there.
+
+    `hil doctor --station` asks without `connect` and without the lease: nothing is taken that
+    another client may need, nothing moves, and every question has a limit of some seconds.
+    """
+
+    def reach(self) -> Sequence[Finding]:
+        """Ask, now; never raises because nobody answers."""

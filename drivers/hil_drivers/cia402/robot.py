@@ -6,11 +6,12 @@ hold `hil` up. When it does not stop the arm, this one tells the drives itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hil.errors import RobotConnectionError, RobotTimeout
+from hil.robot import Finding
 from hil.robot.facts import Facts
 from hil.robot.logs import RecordedLog
 from hil.robot.process import RobotProcess
@@ -18,6 +19,7 @@ from hil_drivers.cia402.direct_stop import stop_directly
 from hil_drivers.cia402.facts import capabilities_of, limits_of
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.options import options_of
+from hil_drivers.cia402.reach import reached
 from hil_drivers.cia402.rows import raw_topic
 
 DRIVER = "hil_drivers.cia402.axes_robot:AxesRobot"
@@ -52,6 +54,10 @@ class Cia402Robot(RobotProcess):
             checks=True,
         )
         super().__init__(DRIVER, name, model, options, known=known)
+
+    def reach(self) -> Sequence[Finding]:
+        """See `hil.robot.HasReach`."""
+        return reached(self._options.bus)
 
     @classmethod
     def read_log(

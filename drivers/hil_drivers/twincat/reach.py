@@ -6,6 +6,7 @@ import socket
 from typing import Any
 
 from hil.errors import PluginError, RobotConnectionError
+from hil.robot import Finding
 from hil_drivers.patience import once_listening
 from hil_drivers.twincat.options import Options, is_ip
 
@@ -41,6 +42,14 @@ def _found(options: Options) -> str:
             "firewall; the mock is started with: hil mock plc",
         ) from error
     return f"{found}:{port}"
+
+
+def reached(options: Options) -> list[Finding]:
+    """Whether somebody listens at the address, asked once: no ADS is spoken, nothing is taken."""
+    try:
+        return [Finding("port", True, f"a PLC's ADS port answers at {_found(options)}")]
+    except RobotConnectionError as error:
+        return [Finding("port", False, error.message, hint=error.hint)]
 
 
 def library() -> Any:

@@ -17,6 +17,7 @@ from hil_drivers.twincat.facts import capabilities_of, limits_of
 from hil_drivers.twincat.findings import Looked, findings_of
 from hil_drivers.twincat.options import options_of
 from hil_drivers.twincat.orders import payload_in
+from hil_drivers.twincat.reach import reached
 from hil_drivers.twincat.reading import Reading
 from hil_drivers.twincat.rows import reading_topic
 from hil_drivers.twincat.watch import Watch
@@ -47,6 +48,10 @@ class TwinCatRobot:
     def resource(self) -> str:
         """See `hil.robot.HasResource`."""
         return self._options.resource
+
+    def reach(self) -> Sequence[Finding]:
+        """See `hil.robot.HasReach`."""
+        return reached(self._options)
 
     @property
     def identity(self) -> Identity:

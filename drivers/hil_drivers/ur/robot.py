@@ -27,6 +27,7 @@ from hil_drivers.ur.facts import capabilities_of
 from hil_drivers.ur.findings import Looked, findings_of
 from hil_drivers.ur.motion import MotionProcess
 from hil_drivers.ur.options import options_of
+from hil_drivers.ur.reach import reached
 from hil_drivers.ur.rows import TOPIC, further_rows, further_topic, program_running, state_rows
 from hil_drivers.ur.session import told_by_dashboard
 from hil_drivers.ur.watch import Watch
@@ -101,6 +102,10 @@ class UrRobot:
             self._motion.alive,
         )
         return list(findings_of(looked))
+
+    def reach(self) -> Sequence[Finding]:
+        """See `hil.robot.HasReach`."""
+        return list(reached(self._options.address))
 
     def connect(self) -> None:
         """Listen, look whether the arm may be moved, upload the program that moves it.
