@@ -63,13 +63,13 @@ def test_a_probe_is_called_changed_where_its_chance_falls_below_the_rate(
 def test_a_changed_feature_lies_outside_its_band_and_is_marked(told) -> None:
     _, along = in_time(told, ())
     panel = figures.over_time(told, FRICTION_J2, along, "A")
-    bars, quiet, changed = panel.figure["data"]
+    bars, _, quiet, changed = panel.figure["data"]
     assert changed["x"] == [5.0, 6.0]
     assert changed["y"][0] > bars["y"][4] + bars["error_y"]["array"][4]
     assert quiet["x"] == [1.0, 2.0, 3.0, 4.0]
     assert "2 outside" in panel.alt
     other = figures.over_time(told, 0, along, "A")
-    assert len(other.figure["data"]) == 2, "nobody blames the first joint"
+    assert len(other.figure["data"]) == 3, "nobody blames the first joint"
 
 
 def test_without_times_probes_stand_by_their_number(told) -> None:

@@ -46,7 +46,7 @@ DARK = {
 STROKES = {
     "solid": "",
     "dash": "5 3",
-    "dot": "2 2",
+    "dot": "2.5 3.5",
     "longdash": "9 3",
     "dashdot": "6 2 2 2",
     "longdashdot": "9 2 2 2",

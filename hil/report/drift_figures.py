@@ -163,7 +163,7 @@ def joints_over(
         data.append(along.placed(trace, range(len(values))))
     layout = along.layout(y_title)
     if log:
-        layout["yaxis"] |= {"type": "log"}
+        layout["yaxis"] |= {"type": "log", "dtick": "D2"}
     said = ", ".join(f"{name} {_span(values[:, j])}" for j, name in enumerate(joints))
     return Panel(
         title, {"data": [*data, *more], "layout": layout}, f"{title}, {y_title}: {said}", True

@@ -69,7 +69,7 @@ def condition_by_number(appraisal: Appraisal, random: Appraisal | None) -> Panel
     for whose, name, colour, symbol in pairs:
         values = np.array([each.jointly.condition_scaled for each in whose.trajectories])
         traces.append(_ranked(values, name, colour, symbol))
-    layout = axes("trajectories [1]", "condition number, scaled [1]")
+    layout = axes("trajectories [1]", "condition, scaled [1]")
     layout["xaxis"]["dtick"] = 1
     first, *_, last = (each.jointly.condition_scaled for each in appraisal.trajectories * 2)
     said = f"From {first:.1f} with the first trajectory to {last:.1f} with all of them."
@@ -84,7 +84,7 @@ def standard_errors(appraisal: Appraisal, random: Appraisal) -> Panel:
     rank = np.arange(1.0, len(order) + 1)
     marks = markers(rank, ratio[order], "", colours.MEASURED, size=7, text=names, opacity=1.0)
     one = line(rank[[0, -1]], np.ones(2), "equal", colours.NEUTRAL, dash="dot")
-    layout = axes("parameter, in this order [1]", "standard error, random over these [1]")
+    layout = axes("parameter, in this order [1]", "random over these [1]")
     layout["yaxis"]["rangemode"] = "tozero"
     said = f"Between {ratio.min():.2f} and {ratio.max():.2f}, {np.median(ratio):.2f} in the middle."
     return Panel("Standard errors", {"data": [one, marks], "layout": layout}, said)
@@ -110,7 +110,7 @@ def _distance(trajectory: Trajectory, kept_m: float) -> Panel:
         line(*decimated(t, values, POINTS), "distance", colours.RESIDUAL),
         _limit(t[[0, -1]], 1e3 * kept_m),
     ]
-    layout = axes("time [s]", "distance to anything [mm]")
+    layout = axes("time [s]", "distance [mm]")
     layout["yaxis"]["rangemode"] = "tozero"
     distance, bodies, at_s = trajectory.closest
     said = f"Least {1e3 * distance:.1f} mm between {' and '.join(bodies)} at {at_s:.2f} s."

@@ -143,7 +143,7 @@ def _sections(survey: Survey) -> list[Section]:
     found = []
     for key, which, title, y in (
         ("friction", survey.friction, "Friction", "friction, RMS [N·m]"),
-        ("change", survey.change, "Change of friction", "friction over the champion's [1]"),
+        ("change", survey.change, "Change of friction", "share of champion's [1]"),
     ):
         values = [one.friction if key == "friction" else one.change for one in survey.robots]
         shown = [k for k, one in enumerate(values) if len(one) and np.isfinite(one).any()]

@@ -131,7 +131,7 @@ def learning(found: Found, key: str) -> Figure | None:
             if len(values)
         ]
         if curves:
-            panels.append(Panel(found.words(name), "epoch", "loss", tuple(curves)))
+            panels.append(Panel(found.words(name), "epoch", "loss [1]", tuple(curves)))
     if not panels:
         return None
     return Figure(key, "Learning curves", "First seed.", tuple(panels), 2)
