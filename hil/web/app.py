@@ -22,6 +22,8 @@ from hil.web.settings import Settings
 PAGES = (
     "hil.web.overview",
     "hil.web.catalogue_pages",
+    "hil.web.model_pages",
+    "hil.web.version_pages",
     "hil.web.run_files",
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from hil.errors import HilError
 from hil.identify.model_folder import MODEL_FILE
+from hil.record.files import read_json
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, read_version
+from hil.web.places import address_of
 from hil.web.settings import Settings
 
 
@@ -41,16 +44,36 @@ def registered_models(settings: Settings) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def run_named(folder: str, settings: Settings) -> Path | None:
-    """A run that a document names, where it is one that is served; it may have been moved."""
+def run_named(folder: str, settings: Settings, uid: str = "") -> Path | None:
+    """A run that a document names, where it is served here; folders of runs may have been moved.
+
+    Args:
+        folder: Where it was then.
+        settings: What is served.
+        uid: Identity of the run; empty where the document does not say.
+    """
+    root, path = settings.runs.resolve(), Path(folder)
     if not folder:
         return None
-    root, path = settings.runs.resolve(), Path(folder)
-    here = root.joinpath(*path.parts[-3:])
-    for one in (path, here):
-        try:
-            if one.is_dir() and one.resolve().is_relative_to(root):
-                return one.resolve()
-        except OSError:
-            continue
+    with contextlib.suppress(OSError, ValueError):
+        if path.is_dir() and path.resolve().is_relative_to(root):
+            return path.resolve()
+    if not uid and path.parts[-4:-3] != (root.name,):
+        return None
+    below = range(1, len(path.parts)) if uid else (len(path.parts) - 3,)
+    for first in below:
+        with contextlib.suppress(HilError, OSError, ValueError):
+            here = root.joinpath(*path.parts[first:])
+            told = read_json(here / "start.json").get("uid")
+            if told == uid or not uid:
+                return here
     return None
+
+
+def run_link(folder: str, settings: Settings, uid: str = "") -> dict[str, str]:
+    """`text` and `address` of a run that a document names; no address where it is not here."""
+    run = run_named(folder, settings, uid)
+    address = ""
+    with contextlib.suppress(ValueError):
+        address = address_of(run, settings) if run else ""
+    return {"text": Path(folder).name, "address": address}
