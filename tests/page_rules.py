@@ -13,8 +13,8 @@ from hil.report.blocks import Page, Panel, Plots
 from hil.report.encode import figure_json
 
 UNITS = {
-    "1", "%", "A", "N·m", "kg", "kg·m", "mm", "rad", "rad/s", "°", "°/s", "°/s²", "°/s³", "mrad", "s", "ms",
-    "°C", "years", "UTC",
+    "1", "%", "A", "N·m", "kg", "kg·m", "mm", "rad", "rad/s", "°", "°/s", "°/s²", "°/s³", "mrad",
+    "s", "ms", "°C", "years", "UTC",
 }  # fmt: skip
 NAMED = {"joint", "parameter", "load"}
 """Axes along which names stand."""
