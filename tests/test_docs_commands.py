@@ -47,6 +47,7 @@ NOT_RUN = {
     "docs/reference/mock-can.md": {SERVES: 2},
     "docs/reference/mock-ur-faults.md": {SERVES: 4},
     "docs/reference/studies.md": {LONG: 8},
+    "docs/tutorial/first-real-ur5.md": {SERVES: 1, HARDWARE: 6},
     "docs/tutorial/first-run.md": {INSTALLS: 1},
 }
 """How many commands of a page are held against the parser only, and why."""
