@@ -1,0 +1,166 @@
+"""The scripts of experiments/scripts on the mock: what they say, and what they end with."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import typer
+import yaml
+from pipeline_parts import write_schedule
+from typer.testing import CliRunner, Result
+
+import hil
+
+ROOT = Path(__file__).parents[1]
+SCRIPTS = ROOT / "experiments" / "scripts"
+PAGE = ROOT / "docs" / "how-to" / "lab-scripts.md"
+ON_A_LINE = re.compile(r"^python (experiments/scripts/\w+\.py)", re.MULTILINE)
+
+
+def script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, SCRIPTS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    return module
+
+
+def ended(name: str, *arguments: object) -> Result:
+    app = typer.Typer()
+    app.command()(script(name).main)
+    return CliRunner().invoke(app, [str(one) for one in arguments])
+
+
+def station(path: Path, **robots: dict[str, Any]) -> Path:
+    told = {name: {"driver": "mock", "model": "ur5"} | entry for name, entry in robots.items()}
+    path.write_text(json.dumps({"hil_station": 1, "name": "lab", "robots": told}), "utf-8")
+    return path
+
+
+def test_weekly_makes_the_first_model_champion_and_then_sees_no_change(tmp_path: Path) -> None:
+    schedule = write_schedule(tmp_path)
+    first = ended("weekly_reidentification", schedule, "--home", tmp_path)
+    assert first.exit_code == 0, first.output
+    assert first.stdout.splitlines()[0].startswith("ur5: v1 is champion: the first one")
+    assert hil.registry(tmp_path / "registry").aliases("ur5").champion == 1
+    second = ended("weekly_reidentification", schedule, "--home", tmp_path)
+    assert second.exit_code == 0, second.output
+    assert len(second.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("outcome", "code", "lines"), [("promoted", 0, 7), ("kept", 10, 6), ("quiet", 0, 1)]
+)
+def test_weekly_tells_what_somebody_has_to_look_at(
+    outcome: str, code: int, lines: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = {
+        "outcome": outcome, "name": "ur5", "text": "so it is", "before": "v1", "champion": "v2",
+        "errors": {"unit": "A", "before": [0.1], "after": [0.2]}, "runs": {},
+    }  # fmt: skip
+    monkeypatch.setattr("hil.api.reidentify", lambda *given, **options: told)
+    result = ended("weekly_reidentification", "weekly.yaml")
+    assert (result.exit_code, len(result.stdout.splitlines())) == (code, lines)
+    assert result.stdout.splitlines()[0] == "ur5: so it is"
+
+
+def test_weekly_ends_with_the_code_of_what_went_wrong(tmp_path: Path) -> None:
+    result = ended("weekly_reidentification", tmp_path / "none.yaml", "--home", tmp_path)
+    assert result.exit_code == 2
+    assert result.stdout.startswith("none: FAILED: ")
+
+
+@pytest.fixture(scope="module")
+def bare_arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A model of the mock's arm, and the weighing program run with nothing mounted."""
+    home = tmp_path_factory.mktemp("bare")
+    told = yaml.safe_load((ROOT / "experiments" / "ur5_weigh.yaml").read_text("utf-8"))
+    told["loads"] = [{"mass_kg": 0}]
+    told["excitation"]["file"] = str(ROOT / "experiments" / told["excitation"]["file"])
+    (home / "bare.yaml").write_text(yaml.safe_dump(told), "utf-8")
+    fitted = hil.run(hil.load(ROOT / "experiments" / "ci_fourier_2.yaml"), runs=home / "runs")
+    bare = hil.run(hil.load(home / "bare.yaml", station(home / "s.yaml", ur5={})), runs=home)
+    return fitted.models[0], bare.run
+
+
+@pytest.mark.parametrize(
+    ("mounted", "code"),
+    [
+        ({"mass_kg": 1.5, "com_m": [0.05, 0.02, 0.06]}, 0),
+        ({"mass_kg": 2.2, "com_m": [-0.03, 0.055, 0.045]}, 10),
+    ],
+    ids=["as declared", "another tool"],
+)
+def test_payload_check(
+    mounted: dict[str, Any], code: int, bare_arm: tuple[Path, Path], tmp_path: Path
+) -> None:
+    model, bare = bare_arm
+    lab = station(tmp_path / "lab.yaml", ur5={"options": {"mounted_payload": mounted}})
+    spec = ROOT / "experiments" / "ur5_weigh.yaml"
+    result = ended(
+        "payload_check", model, "--bare", bare, "--spec", spec, "--station", lab,
+        "--home", tmp_path,
+    )  # fmt: skip
+    assert result.exit_code == code, result.output
+    assert "declared 1.5 kg" in result.stdout
+    if code:
+        assert "DO NOT START: mass [kg] is declared as 1.5 and is " in result.stdout
+    else:
+        assert result.stdout.splitlines()[-1].startswith("OK: ")
+
+
+def test_a_payload_that_does_not_show_contradicts_nothing() -> None:
+    contradictions = script("payload_check").contradictions
+    nan = float("nan")
+    intervals = [(2.0, 2.4), (nan, nan)]
+    assert contradictions(["mass", "com"], [2.5, 0.1], intervals, [0.2, 0.01]) == []
+    (one,) = contradictions(["mass", "com"], [2.5, 0.1], intervals, [0.05, 0.01])
+    assert one == "mass is declared as 2.5 and is 2.000 … 2.400"
+
+
+def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: Path) -> None:
+    worn = {"seed": 3, "day": 9, "wear": [1.0, 1.4, 1.0, 1.0, 1.0, 1.0]}
+    lab = station(
+        tmp_path / "lab.yaml",
+        one={"options": {"seed": 3, "day": 7}}, again={"options": {"seed": 3, "day": 8}},
+        worn={"options": worn},
+    )  # fmt: skip
+    program = ROOT / "experiments" / "fleet_fourier.yaml"
+    script_of = ("compare_arms", "one")
+    given = ("--station", lab, "--spec", program, "--out", tmp_path / "out")
+    same = ended(*script_of, "again", *given)
+    assert same.exit_code == 0, same.output
+    assert "0 of 58 parameters differ" in same.stdout
+    other = ended(*script_of, "worn", *given)
+    named = re.findall(r"^  (\w+)\.(\w+): ", other.stdout, re.MULTILINE)
+    assert named[0] == ("shoulder_lift_joint", "coulomb")
+    assert {joint for joint, _ in named} == {"shoulder_lift_joint"}
+    text = (tmp_path / "out" / "compared.html").read_text("utf-8")
+    assert "shoulder_lift_joint.coulomb" in text
+
+
+def test_an_arm_that_the_station_lacks_is_told(tmp_path: Path) -> None:
+    lab = station(tmp_path / "lab.yaml", one={})
+    program = ROOT / "experiments" / "fleet_fourier.yaml"
+    result = ended(
+        "compare_arms", "two", "one", "--station", lab, "--spec", program, "--out", tmp_path / "out"
+    )
+    assert result.exit_code == 2
+    assert "two" in result.stdout
+
+
+def test_every_script_is_short_and_has_its_command_on_the_page() -> None:
+    lab = sorted(path for path in SCRIPTS.glob("*.py") if path.stem != "fleet_station")
+    assert all(len(path.read_text("utf-8").splitlines()) < 120 for path in lab)
+    assert set(ON_A_LINE.findall(PAGE.read_text("utf-8"))) == {
+        f"experiments/scripts/{path.name}" for path in lab
+    }
