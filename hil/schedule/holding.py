@@ -39,8 +39,14 @@ def ahead(standing: Standing, now: datetime) -> str:
     )
 
 
-def hold(ledger: Ledger, now: datetime, reason: str) -> Line:
+def hold(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
     """Let nothing begin from now on; what is under way comes to its end.
+
+    Args:
+        ledger: Of the schedule.
+        now: The moment.
+        reason: In words.
+        by: Who says so; by default the user of this process.
 
     Raises:
         DataError: It is held already.
@@ -50,11 +56,17 @@ def hold(ledger: Ledger, now: datetime, reason: str) -> Line:
         raise DataError(
             f"the schedule is held already: {held['why']}", hint="hil schedule show FILE"
         )
-    return ledger.add("held", now, why=reason, by=operator())
+    return ledger.add("held", now, why=reason, by=by or operator())
 
 
-def release(ledger: Ledger, now: datetime, reason: str) -> Line:
+def release(ledger: Ledger, now: datetime, reason: str, by: str = "") -> Line:
     """Let it go on; from now on, where its ledger is ahead of the clock.
+
+    Args:
+        ledger: Of the schedule.
+        now: The moment.
+        reason: In words.
+        by: Who says so; by default the user of this process.
 
     Raises:
         DataError: Nothing holds it.
@@ -65,4 +77,4 @@ def release(ledger: Ledger, now: datetime, reason: str) -> Line:
         again = {"anchor": time_text(min(standing.anchor, now)), "until": time_text(now)}
     elif standing.held is None:
         raise DataError("the schedule is not held", hint="hil schedule show FILE")
-    return ledger.add("released", now, why=reason, by=operator(), **again)
+    return ledger.add("released", now, why=reason, by=by or operator(), **again)

@@ -113,15 +113,15 @@ def coming(settings: Settings) -> list[dict[str, Any]]:
             continue
         told = {"name": one.name, "address": one.address, "held": one.held, "run_by": one.run_by}
         found += [
-            {**told, "due": due, "when": moment_words(due, one.zone), "job": job}
+            {**told, "due": due, "when": f"{moment_words(due, one.zone)} ({one.zone})", "job": job}
             for due, job in one.due(COMING)
         ]
     return sorted(found, key=lambda each: each["due"])[:COMING]
 
 
 def moment_words(moment: datetime, zone: ZoneInfo) -> str:
-    """`Sat 28 Nov 2026, 03:00 (UTC)`."""
-    return f"{moment.astimezone(zone):%a %d %b %Y, %H:%M} ({zone})"
+    """`Sat 28 Nov 2026, 03:00` there."""
+    return f"{moment.astimezone(zone):%a %d %b %Y, %H:%M}"
 
 
 def _known(name: str, settings: Settings, file: Path | None) -> Known:
