@@ -32,7 +32,7 @@ PAGES = [
 BLOCK = re.compile(
     r"(?:^<!-- ((?:run|file:)(?:(?!-->).)*?) ?-->\n)?^```(\w*)\n(.*?)^```$", re.M | re.S
 )
-COMMAND = re.compile(r"(?:[A-Z_]+=\S+ )*(hil|make) ")
+COMMAND = re.compile(r"\s*(?:[A-Z_]+=\S+ )*(hil|make) ")
 
 
 @dataclass(frozen=True)

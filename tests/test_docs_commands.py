@@ -37,6 +37,7 @@ NOT_RUN = {
     "docs/how-to/record-a-program.md": {HARDWARE: 4},
     "docs/how-to/run-a-fleet.md": {LONG: 8},
     "docs/how-to/run-a-series.md": {LONG: 2},
+    "docs/how-to/run-under-systemd.md": {BEGUN: 1},
     "docs/how-to/simulate-a-schedule.md": {LONG: 1},
     "docs/how-to/spread-fits.md": {LONG: 1},
     "docs/how-to/train-networks.md": {LONG: 2},
