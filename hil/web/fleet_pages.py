@@ -56,7 +56,7 @@ def fleet(request: Request) -> Response:
         name=name_of(path, settings), started=when(opened.head.get("started")),
         source=str(opened.head.get("source") or ""), held=str(held) if held else "",
         told=_told(rows), members=rows, page_address=_page_address(path, settings),
-        commands=_commands(path, rows, held is not None),
+        commands=_commands(path, rows, held is not None, settings),
     )  # fmt: skip
 
 
@@ -130,13 +130,16 @@ def _page_address(path: Path, settings: Settings) -> str:
     return f"{address_of(path, settings)}/{PAGE}" if (path / PAGE).is_file() else ""
 
 
-def _commands(path: Path, rows: list[dict[str, Any]], live: bool) -> list[tuple[str, str]]:
-    where = shlex.quote(str(path))
+def _commands(
+    path: Path, rows: list[dict[str, Any]], live: bool, settings: Settings
+) -> list[tuple[str, str]]:
+    where, registry = shlex.quote(str(path)), f"--registry {shlex.quote(str(settings.registry))}"
     found = []
     if not live and any(row["status"] != "completed" for row in rows):
         found.append(("Go on with what ended early or was not begun:", f"hil fleet resume {where}"))
-    found.append(("Fit a model to every robot:", f"hil fleet fit {where}"))
-    found.append(("Make its page:", f"hil fleet report {where}"))
+    fit = f"hil fleet fit {where} --estimator rigid-wls --register {registry}"
+    found.append(("Fit a model to every robot, and register them:", fit))
+    found.append(("Make its page:", f"hil fleet report {where} {registry}"))
     return found
 
 
