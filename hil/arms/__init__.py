@@ -5,6 +5,22 @@ source in the YAML beside this file. Nothing here says what a *particular* robot
 lives in the mock, estimates live in models.
 """
 
-from hil.arms.description import ArmDescription, Capsule, arm_names, load_arm
+from hil.arms.description import (
+    ArmDescription,
+    Capsule,
+    arm_from_dict,
+    arm_names,
+    is_described,
+    is_description,
+    load_arm,
+)
 
-__all__ = ["ArmDescription", "Capsule", "arm_names", "load_arm"]
+__all__ = [
+    "ArmDescription",
+    "Capsule",
+    "arm_from_dict",
+    "arm_names",
+    "is_described",
+    "is_description",
+    "load_arm",
+]

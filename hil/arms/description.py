@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ class ArmDescription:
     `load_arm` gives everybody the same one, so its arrays cannot be written.
 
     Attributes:
-        name: Key of the arm, e.g. `ur5`.
+        name: Key of the arm, e.g. `ur5`, or the path of its description.
         joint_names: Length n.
         dh: (n, 4) rows of a [m], alpha [rad], d [m], theta offset [rad].
         q_min, q_max: Position limits [rad], (n,).
@@ -93,31 +94,62 @@ def arm_names() -> tuple[str, ...]:
     return tuple(sorted(f.name[:-5] for f in folder.iterdir() if f.name.endswith(".yaml")))
 
 
+def is_description(model: str) -> bool:
+    """Whether a robot's `model` is the path of a description, in place of a built-in arm's name."""
+    return model.casefold().endswith((".yaml", ".yml"))
+
+
+def is_described(model: str) -> bool:
+    """Whether an arm is built in, or described in a file of one's own: with collision bodies."""
+    return model in arm_names() or is_description(model)
+
+
 def load_arm(name: str) -> ArmDescription:
-    """The built-in arm called `name`, parsed once per process.
+    """The built-in arm called `name`, or the one that a file describes; parsed once per process.
 
     Raises:
-        SpecError: There is no such arm.
+        SpecError: There is no such arm, or its description cannot be used.
     """
     return _parsed(name)
 
 
 @cache
 def _parsed(name: str) -> ArmDescription:
-    if name not in arm_names():
+    if is_description(name):
+        arm = _of_file(Path(name))
+    elif name in arm_names():
+        text = files("hil.arms").joinpath(f"{name}.yaml").read_text("utf-8")
+        arm = arm_from_dict(name, yaml.safe_load(text))
+    else:
         raise SpecError(
             f"there is no built-in arm {name!r}",
             hint=f"built in are {', '.join(arm_names())}; a path to a URDF works too",
         )
-    text = files("hil.arms").joinpath(f"{name}.yaml").read_text("utf-8")
-    arm = _from_dict(name, yaml.safe_load(text))
     for value in (getattr(arm, field.name) for field in fields(arm)):
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
     return arm
 
 
-def _from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
+def _of_file(path: Path) -> ArmDescription:
+    """An arm that a file describes as those beside this module are."""
+    hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
+    try:
+        return arm_from_dict(str(path), yaml.safe_load(path.read_text("utf-8")))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
+    except KeyError as error:
+        raise SpecError(f"{path}: the arm lacks {error.args[0]!r}", hint=hint) from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise SpecError(f"{path}: describes no arm: {error}", hint=hint) from None
+
+
+def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
+    """An arm from the content of its file.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: It describes none.
+    """
     joints, links = raw["joints"], raw["links"]
 
     def column(key: str, scale: float = 1.0) -> FloatArray:

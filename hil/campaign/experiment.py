@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil import arms
 from hil.errors import SpecError
+from hil.spec.checks import is_path
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, load_station, resolve_robot
 from hil.spec.overrides import resolved_text
@@ -148,7 +149,12 @@ def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str,
     chosen = named or _station_nearby(folder)
     if chosen is None:
         return mock_bench(), "", BUILT_IN
-    return load_station(chosen), chosen.read_text("utf-8"), str(chosen)
+    station = load_station(chosen)
+    text = chosen.read_text("utf-8")
+    if any(is_path(robot.model) for robot in station.robots.values()):
+        # A copy is read from the folder of a run, where a relative path means something else.
+        text = f"# {chosen.name}, with whole paths\n{station.model_dump_json(indent=1)}\n"
+    return station, text, str(chosen)
 
 
 def mock_bench() -> Station:

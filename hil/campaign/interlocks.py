@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from hil.arms import arm_names, load_arm
+from hil.arms import is_described, load_arm
 from hil.campaign.experiment import Experiment
 from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
 from hil.plan.interlocks import flange_space
@@ -40,7 +40,7 @@ def interlocks_for(
 
     can, surroundings = robot.capabilities, experiment.robot.surroundings
     sizes = [load.size_m for load in plan.loads]
-    arm = load_arm(plan.robot_model) if plan.robot_model in arm_names() else None
+    arm = load_arm(plan.robot_model) if is_described(plan.robot_model) else None
     loads = [(load.payload, load.size_m) for load in plan.loads]
     context = InterlockContext(
         joint_names=can.joint_names,

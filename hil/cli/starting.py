@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, print_json, print_table, print_warnings, say
+from hil.cli.output import JsonFlag, print_json, print_table, say
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
@@ -60,7 +60,8 @@ def new(
             hint=f"hil new {URDF} --urdf ARM.urdf",
         )
     robot = urdf.stem if urdf is not None and robot == USUAL_ROBOT else robot
-    name = name or (file.stem if file else "" if kind == "station" else f"{robot}-{kind}")
+    usual = {"station": "", URDF: robot}.get(kind, f"{robot}-{kind}")
+    name = name or (file.stem if file else usual)
     path = out / (file or f"{name or 'station'}.yaml")
     _require_name("--robot", robot)
     _require_name("--name", name := name or "bench")
@@ -134,7 +135,8 @@ def _tell(kind: str, files: list[Path], made: list[Draft], notes: list[str], jso
         return
     for file in files:
         typer.echo(file)
-    print_warnings(notes)
+    for note in notes:
+        say(f"note: {note}")
     typer.echo("next:")
     for command in commands:
         typer.echo(f"  {command}")

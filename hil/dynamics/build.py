@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,21 +28,33 @@ def model_from_arm(arm: ArmDescription) -> pin.Model:
     inertial parameters are about that frame. The centres of mass are given in the DH frames, which
     is why a body is appended at the same placement as the joint that follows.
     """
-    model = pin.Model()
+    limits = (arm.effort_max, arm.qd_max, arm.q_min, arm.q_max)
+    model = model_of_dh(arm.dh, arm.mass, arm.com, arm.inertia, arm.joint_names, limits)
     model.name = arm.name
+    return model
+
+
+def model_of_dh(
+    dh: FloatArray,
+    mass: FloatArray,
+    com: FloatArray,
+    inertia: FloatArray,
+    names: Sequence[str] = (),
+    limits: Sequence[FloatArray] = (),
+) -> pin.Model:
+    """The same of bare numbers: (n, 4), (n,), (n, 3), (n, 3, 3) as `ArmDescription` has them.
+
+    `limits` are those of torque, speed and position, each (n,); none by default.
+    """
+    model = pin.Model()
     parent, placement = 0, pin.SE3.Identity()
-    for i, (a, alpha, d, theta) in enumerate(arm.dh):
+    for i, (a, alpha, d, theta) in enumerate(dh):
         zero = pin.SE3(pin.utils.rotate("z", theta), np.zeros(3))
-        parent = model.addJoint(
-            parent,
-            pin.JointModelRZ(),
-            placement * zero,
-            arm.joint_names[i],
-            *(np.array([x[i]]) for x in (arm.effort_max, arm.qd_max, arm.q_min, arm.q_max)),
-        )
+        name = names[i] if names else f"joint_{i + 1}"
+        bounds = [np.array([limit[i]]) for limit in limits]
+        parent = model.addJoint(parent, pin.JointModelRZ(), placement * zero, name, *bounds)
         placement = pin.SE3(pin.utils.rotate("x", alpha), np.array([a, 0.0, d]))
-        body = pin.Inertia(float(arm.mass[i]), arm.com[i], arm.inertia[i])
-        model.appendBodyToJoint(parent, body, placement)
+        model.appendBodyToJoint(parent, pin.Inertia(float(mass[i]), com[i], inertia[i]), placement)
     model.addFrame(pin.Frame("flange", parent, 0, placement, pin.FrameType.OP_FRAME))
     return model
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from hil.arms import ArmDescription, load_arm
+from hil.arms import ArmDescription, is_description, load_arm
 from hil.dynamics.build import (
     JointGeometry,
     joint_geometry,
@@ -340,12 +340,14 @@ def load_model(
     rotor_inertia: Sequence[float] | FloatArray | None = None,
     gravity: Sequence[float] = GRAVITY,
 ) -> RobotModel:
-    """A built-in arm by name, or a URDF by path.
+    """A built-in arm by name, or a URDF or a description of an arm by path.
 
     Raises:
         SpecError: Neither exists, or the URDF cannot be used.
     """
     text = str(name_or_path)
+    if is_description(text):
+        return RobotModel.from_arm(text, rotor_inertia, gravity)
     if Path(text).suffix or "/" in text or Path(text).is_file():
         return RobotModel.from_urdf(text, rotor_inertia, gravity)
     return RobotModel.from_arm(text, rotor_inertia, gravity)

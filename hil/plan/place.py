@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.arms import ArmDescription, arm_names, load_arm
+from hil.arms import ArmDescription, arm_names, is_described, load_arm
 from hil.errors import PlanError
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
@@ -26,12 +26,12 @@ def plannable_arm(station_robot: StationRobot) -> ArmDescription:
     Raises:
         PlanError: Nobody knows its collision bodies.
     """
-    if station_robot.model not in arm_names():
+    if not is_described(station_robot.model):
         raise PlanError(
             f"no motion is planned for {station_robot.model}: "
             "without collision bodies nobody can tell whether one is clear",
-            hint=f"plans are made for the built-in arms {', '.join(arm_names())}; "
-            "recordings of other robots can be imported and fitted",
+            hint="`hil new own-urdf --urdf ARM.urdf` describes it with them; built in are "
+            f"{', '.join(arm_names())}",
         )
     return load_arm(station_robot.model)
 

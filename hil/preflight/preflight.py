@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil import plugins
-from hil.arms import arm_names, load_arm
+from hil.arms import is_described, load_arm
 from hil.errors import HilError, PreflightFailed, SpecError
 from hil.excite.workspace import Clearance
 from hil.plan.plan import Plan
@@ -51,7 +51,7 @@ def preflight_context(
         loads = [(load.payload, load.size_m) for load in plan.loads]
         return collision_model(load_arm(station_robot.model), surroundings, loads)
 
-    known = station_robot.model in arm_names()
+    known = is_described(station_robot.model)
     return Context(
         folder=folder,
         collision=collision if known else None,

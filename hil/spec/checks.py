@@ -76,9 +76,13 @@ def check_pose_file(source: Source, folder: FilePath) -> None:
         source.add(path, f"there is no file {_path(folder / file)}")
 
 
+PATHS = (".urdf", ".xml", ".yaml", ".yml")
+"""Endings of models that are files: a URDF, or a description of an arm."""
+
+
 def is_path(model: str) -> bool:
-    """True when a robot's `model` is a path to a URDF and not the name of a built-in arm."""
-    return "/" in model or "\\" in model or model.casefold().endswith((".urdf", ".xml"))
+    """True when a robot's `model` is a path and not the name of a built-in arm."""
+    return "/" in model or "\\" in model or model.casefold().endswith(PATHS)
 
 
 def is_file(path: FilePath) -> bool:

@@ -82,10 +82,10 @@ def _written(line: tuple[str, tuple[str, ...], str], known: list[KeyInfo]) -> It
     if WIDTH - column - 2 < NARROWEST:
         indent = len(code) - len(code.lstrip())
         room = WIDTH - indent - 2
-        yield from (" " * indent + f"# {part}" for part in textwrap.wrap(comment, room))
+        yield from (" " * indent + f"# {part}" for part in _wrapped(comment, room))
         yield code
         return
-    first, *others = textwrap.wrap(comment, WIDTH - column - 2)
+    first, *others = _wrapped(comment, WIDTH - column - 2)
     yield f"{code:<{column}}# {first}"
     yield from (" " * column + f"# {part}" for part in others)
 
@@ -96,6 +96,10 @@ def _info_of(path: tuple[str, ...], kind: str, known: list[KeyInfo]) -> KeyInfo:
         if info.kind in ("", kind) and _is_at(info, path):
             return info
     raise SpecError(f"a template has the key {'.'.join(path)}, which no file may have")
+
+
+def _wrapped(comment: str, width: int) -> list[str]:
+    return textwrap.wrap(comment, width, break_on_hyphens=False)
 
 
 def _is_at(info: KeyInfo, path: tuple[str, ...]) -> bool:

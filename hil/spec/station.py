@@ -59,8 +59,8 @@ class StationRobot(Strict):
         description="Name under `hil.drivers`: `mock`, or what `hil plugins` lists."
     )
     model: str = Field(
-        description="A built-in arm (`ur5`) or a path to a URDF; a relative path starts at the "
-        "folder of the station."
+        description="A built-in arm (`ur5`), or a path to a description of an arm "
+        "(`hil new own-urdf`) or to a URDF; a relative path starts at the folder of the station."
     )
     options: dict[str, Any] = Field({}, description="The driver's own options.")
     own_process: bool = Field(

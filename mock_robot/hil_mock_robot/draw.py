@@ -6,6 +6,7 @@ import zlib
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
 
 def _draw_full(arm: ArmDescription, seed: int) -> Truth:
     table = ranges()
-    dice = _Dice(np.random.default_rng([seed, zlib.crc32(arm.name.encode())]))
+    dice = _Dice(np.random.default_rng([seed, zlib.crc32(Path(arm.name).stem.encode())]))
     thermal = table["thermal"]
     links = tuple(_draw_link(arm, i, dice) for i in range(arm.n_joints))
     base = _scaled_table(arm)

@@ -1,0 +1,175 @@
+"""`hil new`: what it writes is valid, says what it is about, and runs on the mock."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner, Result
+
+import hil
+from hil.cli.app import app
+from hil.errors import SpecError
+from hil.spec import load_spec, load_station
+from hil.spec.commented import COLUMN, WIDTH, commented
+from hil.spec.experiment import ExperimentSpec
+from hil.spec.new import KINDS
+from hil.spec.schema import schema_files
+
+URDF = Path(__file__).with_name("own_arm.urdf")
+EXPERIMENTS = ("dwell", "fourier", "load-sweep")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def told(*words: str) -> dict[str, list[str]]:
+    document: dict[str, list[str]] = json.loads(invoke("new", *words, "--json").stdout)
+    return document
+
+
+def refused(*words: str) -> SpecError:
+    error = invoke("new", *words).exception
+    assert isinstance(error, SpecError)
+    return error
+
+
+def written(kind: str) -> list[Path]:
+    more = ("--urdf", str(URDF)) if kind == "own-urdf" else ()
+    return [Path(file) for file in told(kind, *more)["files"]]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_everything_is_valid_and_names_a_schema_that_is_there(kind: str) -> None:
+    files = [file for file in written(kind) if file.suffix == ".yaml"]
+    for file in files:
+        text = file.read_text()
+        named = re.search(r"^# yaml-language-server: \$schema=(\S+)$", text, re.M)
+        assert "@" not in text.replace("lab@example.org", "")
+        if named is None:
+            assert file.name.endswith("-arm.yaml")
+        else:
+            assert (file.parent / named[1]).read_text() == schema_files()[Path(named[1]).name]
+    if kind == "station":
+        load_station(files[0])
+    else:
+        station = ("--station", str(files[1])) if kind == "own-urdf" else ()
+        assert invoke("validate", str(files[0]), *station).exit_code == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_comments_stay_in_their_column(kind: str) -> None:
+    for file in written(kind):
+        if file.suffix == ".yaml" and not file.name.endswith("-arm.yaml"):
+            assert max(map(len, file.read_text().splitlines())) <= WIDTH
+
+
+@pytest.mark.parametrize("kind", EXPERIMENTS)
+def test_plans_are_made(kind: str) -> None:
+    (file, *_) = written(kind)
+    assert hil.plan(hil.load(file))
+
+
+@pytest.mark.parametrize(
+    ("kind", "fewer"),
+    [
+        ("dwell", {"excitation.waypoints": "12", "warm_up.duration_s": "2"}),
+        ("fourier", {"excitation.trajectories": "4", "warm_up.duration_s": "2"}),
+    ],
+)
+def test_programs_pass_on_the_mock(kind: str, fewer: dict[str, str]) -> None:
+    (file, *_) = written(kind)
+    report = hil.run(hil.load(file, overrides=fewer))
+    assert (report.outcome, report.verdict) == ("completed", "passed")
+
+
+def test_an_arm_of_ones_own_runs_as_a_mock() -> None:
+    spec, station, arm, *_ = written("own-urdf")
+    fewer = {"excitation.trajectories": "4", "warm_up.duration_s": "2"}
+    report = hil.run(hil.load(spec, station, overrides=fewer))
+
+    assert (report.outcome, report.verdict) == ("completed", "passed")
+    start = json.loads((report.run / "start.json").read_text())
+    assert start["robot"]["joint_names"] == ["A1", "A2", "A3", "A4", "A5", "A6"]
+    assert start["robot"]["model"] == str(arm.resolve())
+    # The run's own copy of the station is read from another folder.
+    assert load_station(report.run / "station.yaml").robots["own_arm"].model == str(arm.resolve())
+
+
+def test_a_schedule_is_lived_through_on_the_mock() -> None:
+    schedule, *_ = written("re-identify")
+    done = invoke("run", str(schedule), "--simulate", "1min", "--json")
+    (first,) = json.loads(done.stdout)["occasions"]
+    assert first["result"]["outcome"] == "promoted"
+
+
+def test_files_that_are_there_are_left_alone() -> None:
+    Path("mine-campaign.yaml").write_text("precious")
+    error = refused("re-identify", "mine.yaml")
+
+    assert "mine-campaign.yaml: there is such a file already; nothing was written" in error.message
+    assert [path.name for path in Path().iterdir()] == ["mine-campaign.yaml"]
+
+
+def test_schemas_that_are_there_are_left_alone() -> None:
+    Path("schema").mkdir()
+    Path("schema/experiment.schema.json").write_text("{}")
+    assert told("dwell")["files"] == ["ur5-dwell.yaml"]
+    assert Path("schema/experiment.schema.json").read_text() == "{}"
+
+
+def test_robot_name_and_folder_are_the_users() -> None:
+    document = told("fourier", "--robot", "lab6", "--name", "friday", "--out", "specs/new")
+    spec = load_spec("specs/new/friday.yaml")
+    assert (spec.name, spec.robot) == ("friday", "lab6")
+    assert document["next"][0] == "hil validate specs/new/friday.yaml"
+
+
+def test_a_robot_that_the_station_has_not_is_told() -> None:
+    (note,) = told("fourier", "--robot", "ur15")["notes"]
+    assert "has no robot 'ur15'; did you mean 'ur5'" in note
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("dwel",), "hil new makes no 'dwel'"),
+        (("own-urdf",), "needs --urdf"),
+        (("dwell", "--urdf", str(URDF)), "nothing else takes it"),
+        (("dwell", "--name", "a: b"), "--name 'a: b'"),
+        (("dwell", "--robot", "x\ny: 1"), "--robot"),
+        (("own-urdf", "--urdf", "missing.urdf"), "missing.urdf: cannot be read"),
+    ],
+)
+def test_what_cannot_be_begun_is_refused(words: tuple[str, ...], message: str) -> None:
+    assert message in refused(*words).message
+    assert not list(Path().iterdir())
+
+
+def test_kinds_are_listed() -> None:
+    assert [
+        one["kind"] for one in json.loads(invoke("new", "--list", "--json").stdout)["kinds"]
+    ] == [*KINDS]
+
+
+def test_a_comment_of_a_key_that_is_none_fails() -> None:
+    with pytest.raises(SpecError, match=r"excitation\.dwel_s"):
+        commented("excitation:\n  kind: dwell\n  dwel_s: 1  #?\n", ExperimentSpec)
+
+
+def test_comments_do_not_change_what_a_file_says() -> None:
+    text = "excitation:\n  kind: dwell\n  dwell_s: 1  #? More of it.\n  # seed: 2  #?\n"
+    made = commented(text, ExperimentSpec)
+    assert yaml.safe_load(made) == {"excitation": {"kind": "dwell", "dwell_s": 1}}
+    assert made.splitlines()[2].index("# s, ≥ 0.01") == COLUMN
+    assert "More of it." in made
