@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from hil.catalogue.stamp import ALWAYS_READ, stamp_of
 from hil.identify.model_folder import MODEL_FILE, models_below
 from hil.record.files import sha256_of
 from hil.report.documents import Document, as_float, as_object, as_objects
@@ -41,7 +43,7 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
     if not (run / "start.json").is_file() and not (run / "plan.json").is_file():
         told = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
         return {"unreadable": told, "name": run.name, **files}
-    facts = read_facts(run)
+    facts = _read(run)
     badge = badge_of(facts)
     return {
         "unreadable": "",
@@ -62,6 +64,17 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
         ],
         **files,
     }
+
+
+def _read(run: Path) -> RunFacts:
+    """Of one that was interrupted the recordings are counted, which takes a while: once."""
+    stamp = stamp_of(run)
+    return read_facts(run) if stamp == ALWAYS_READ else _settled(run, stamp)
+
+
+@lru_cache(maxsize=16)
+def _settled(run: Path, stamp: str) -> RunFacts:
+    return read_facts(run)
 
 
 def _warnings(facts: RunFacts) -> list[str]:
