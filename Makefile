@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast wire lint types walls proof proof-short proof-state matrix fault-matrix fuzz soak bench docs clean
+.PHONY: help demo test test-fast wire lint types walls proof proof-short proof-state matrix fault-matrix fuzz soak bench wheels docs example clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -90,12 +90,18 @@ proof-state: ## have the long must-show runs passed with just these inputs?
 	@$(PYTHON) tests/proof_inputs.py --check \
 	  || echo "note: inputs of the proofs have changed since \`make proof\` last passed"
 
+wheels: $(VENV)/.dev ## the wheel in fresh environments: each set of extras under each Python at hand
+	$(BIN)/python tests/install_matrix.py
+
 bench: $(VENV)/.dev ## every benchmark, each against a peer in the same run
 	$(BIN)/hil bench all
 
 # MkDocs' theme tells every build that a successor of MkDocs is on its way.
 docs: $(VENV)/.dev ## the documentation as a site that needs no network: site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+example: $(VENV)/.dev ## the example projects' own CI against the wheel of this checkout
+	PYTHON=$(abspath $(BIN)/python) examples/against-the-wheel.sh
 
 clean: ## remove the virtual environment and caches (runs are kept)
 	rm -rf $(VENV) build site *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

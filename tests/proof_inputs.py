@@ -11,13 +11,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 LOCK = Path(__file__).with_name("proof.lock")
-FOLDERS = ("hil", "mock_robot", "drivers", "benchmarks", "experiments")
+FOLDERS = ("hil", "mock_robot", "drivers", "benchmarks", "experiments", "examples")
 FILES = (
     "pyproject.toml",
     "constraints.txt",
     "tests/test_proof.py",
     "tests/test_proof_docs.py",
     "tests/test_proof_drift_null.py",
+    "tests/test_proof_example.py",
     "tests/test_proof_fleet.py",
     "tests/test_proof_fleet_mock.py",
     "tests/test_proof_identification.py",
@@ -31,6 +32,7 @@ FILES = (
     "tests/test_proof_separation.py",
     "tests/test_proof_simulation.py",
     "tests/test_proof_ur.py",
+    "tests/test_proof_wheels.py",
     "tests/test_proof_static.py",
     "tests/test_proof_stick_friction.py",
     "tests/test_trial_proof.py",
