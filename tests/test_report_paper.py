@@ -156,10 +156,10 @@ def test_without_matplotlib_the_error_says_what_to_install(
     assert caught.value.hint == 'pip install "hil[paper]"'
 
 
-def test_a_run_without_studies_says_how_to_make_them(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no studies") as caught:
+def test_a_run_without_studies_and_report_says_how_to_make_it(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="no report") as caught:
         write_papers(tmp_path, tmp_path)
-    assert caught.value.hint == f"make one first: hil study {tmp_path} --study static-separation"
+    assert caught.value.hint == f"make it first: hil report {tmp_path}"
 
 
 @pytest.mark.parametrize(("formats", "width"), [(("gif",), "column"), (("pdf",), "poster")])

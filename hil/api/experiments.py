@@ -157,10 +157,10 @@ def study(
 def figures(
     run: AnyPath, out: AnyPath, *, formats: Sequence[str] = ("pdf",), width: str = "column"
 ) -> list[Path]:
-    """Write the figures and tables of a run's studies as files for papers.
+    """Write the figures of a run or a page, and tables of studies, as files for papers.
 
     Args:
-        run: The run directory.
+        run: The run directory, or an HTML page that hil wrote.
         out: Folder for the files; made when missing.
         formats: Of the figures: `pdf`, `svg`, `png`.
         width: `column` (88 mm) or `page` (181 mm).
@@ -170,7 +170,7 @@ def figures(
 
     Raises:
         PluginError: matplotlib is not installed.
-        DataError: The run has no studies, or one is damaged.
+        DataError: There is no figure, or a study or the page is damaged.
         SpecError: There is no such format or width.
     """
     from hil.report.paper import write_papers

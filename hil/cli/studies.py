@@ -66,7 +66,9 @@ def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> No
 
 
 def figures(
-    run: RunArgument,
+    run: Annotated[
+        str, typer.Argument(help="Run (directory, name or number), or an HTML page that hil wrote.")
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the files.")],
     formats: Annotated[
         list[str] | None,
@@ -78,11 +80,12 @@ def figures(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write the figures and tables of a run's studies as files for papers."""
+    """Write the figures of a run or a page, and tables of studies, as files for papers."""
     from hil import api
     from hil.record.catalogue import find_run
 
-    path = find_run(run, runs)
+    page = Path(run)
+    path = page if page.suffix == ".html" and page.is_file() else find_run(run, runs)
     written = api.figures(path, out, formats=tuple(formats or ("pdf",)), width=width)
     if json:
         print_json({"run": str(path), "files": [str(file) for file in written]})

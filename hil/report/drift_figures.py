@@ -156,7 +156,7 @@ def joints_over(
     """(P, n) one line per joint, with marks; names in the legend above the plots."""
     data = []
     for j, name in enumerate(joints):
-        trace = line(values[:, j], values[:, j], name, colours.of_joint(j))
+        trace = line(values[:, j], values[:, j], joint_title(j, name), colours.of_joint(j))
         trace |= {"mode": "lines+markers", "showlegend": False}
         trace["line"] = trace["line"] | {"dash": colours.dash_of_joint(j)}
         trace["marker"] = {"symbol": colours.symbol_of_joint(j), "size": 6}

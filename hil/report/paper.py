@@ -1,4 +1,4 @@
-"""Figures and tables of a run's studies as files for papers, named by their keys.
+"""Figures of runs and pages, and tables of studies, as files for papers.
 
 matplotlib is imported when figures are drawn, not before.
 """
@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias, get_args
 
 from hil.errors import DataError, PluginError, SpecError
 from hil.record.files import write_replacing
+from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_tables import csv_text, latex_text
 from hil.report.study_words import distinct_titles
 from hil.study.result import Figure, Part, StudyResult, Table
@@ -23,6 +24,7 @@ Format: TypeAlias = Literal["pdf", "svg", "png"]
 Width: TypeAlias = Literal["column", "page"]
 
 CONTENTS = "contents.md"
+REPORT_FILE = "report.html"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +47,13 @@ class Item:
 def write_papers(
     run: Path, out: Path, *, formats: Sequence[str] = ("pdf",), width: str = "column"
 ) -> list[Path]:
-    """Write every figure and table of a run's studies into a folder; files there are replaced.
+    """Write every figure of a run or a page into a folder; files there are replaced.
 
-    A figure becomes `<key>.pdf` and the like, a table `<key>.csv` and `<key>.tex`; `contents.md`
-    holds titles, captions and notes.
+    A figure of a study becomes `<key>.pdf` and the like, a table `<key>.csv` and `<key>.tex`, a
+    figure of the page `<section>-<title>.pdf`; `contents.md` holds titles, captions and notes.
 
     Args:
-        run: The run directory.
+        run: The run directory, or an HTML page that hil wrote.
         out: The folder; made when missing.
         formats: Of the figures: `pdf`, `svg`, `png`.
         width: `column` (88 mm) or `page` (181 mm).
@@ -61,23 +63,19 @@ def write_papers(
 
     Raises:
         PluginError: matplotlib is not installed.
-        DataError: The run has no studies, or one is damaged.
+        DataError: There is no figure, or a study or the page is damaged.
         SpecError: There is no such format or width.
         RecordingError: The folder cannot be written to.
     """
     _require(formats, get_args(Format), "format")
     _require((width,), get_args(Width), "width")
-    results = [read_study(path) for path in study_files(run)]
-    if not results:
-        raise DataError(
-            f"{run} has no studies yet",
-            hint=f"make one first: hil study {run} --study static-separation",
-        )
+    results = [read_study(path) for path in study_files(run)] if run.is_dir() else []
+    found, plots = items(results), _page_plots(run, bool(results))
     _require_matplotlib()
-    found = items(results)
     out.mkdir(parents=True, exist_ok=True)
     files = [file for item in found for file in _files(item, formats, width)]
-    files.append((CONTENTS, _contents(found).encode()))
+    files += [file for stem, each in plots for file in _page_files(stem, each, formats, width)]
+    files.append((CONTENTS, (_contents(found) + _page_contents(plots)).encode()))
     for name, content in files:
         write_replacing(out / name, content)
     return [out / name for name, _ in files]
@@ -116,6 +114,49 @@ def _files(item: Item, formats: Sequence[str], width: str) -> Iterator[tuple[str
 
     for name in dict.fromkeys(formats):
         yield f"{item.stem}.{name}", drawn(item.what, name, width)
+
+
+def _page_plots(run: Path, told: bool) -> list[tuple[str, PagePlots]]:
+    """The plots of a page, or of a run's report but those of its studies, with names for files.
+
+    Args:
+        run: A page or a run directory.
+        told: Whether the run has figures besides; else a report without plots is an error.
+    """
+    page = run / REPORT_FILE if run.is_dir() else run
+    if run.is_dir() and not page.exists():
+        if told:
+            return []
+        raise DataError(f"{run} has no report yet", hint=f"make it first: hil report {run}")
+    plots = [each for each in figures_of(page) if run.is_file() or not _is_of_study(each)]
+    stems = _unique([_stem(each) for each in plots])
+    return list(zip(stems, plots, strict=True))
+
+
+def _stem(plots: PagePlots) -> str:
+    """`excitation-pose-map`; what a title adds behind a comma is left out."""
+    title = _slug(re.split(r"[,?]", plots.title.lower())[0])
+    return title if title == plots.section else _slug(plots.section, title)
+
+
+def _is_of_study(plots: PagePlots) -> bool:
+    return plots.section.startswith("study-")
+
+
+def _page_files(
+    stem: str, plots: PagePlots, formats: Sequence[str], width: str
+) -> Iterator[tuple[str, bytes]]:
+    from hil.report.paper_plots import drawn_plots
+
+    for name in dict.fromkeys(formats):
+        yield f"{stem}.{name}", drawn_plots(plots.panels, name, width)
+
+
+def _page_contents(plots: Sequence[tuple[str, PagePlots]]) -> str:
+    if not plots:
+        return ""
+    lines = [f"- `{stem}`: {each.place}: {each.title}." for stem, each in plots]
+    return "\n## Page\n\n" + "\n".join(lines) + "\n"
 
 
 def _contents(found: Sequence[Item]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Sheet
 
+
 POINTS = 1000
 """Points of a line or cloud: more than 88 mm of print show."""
 
@@ -57,18 +58,25 @@ def drawn(figure: Figure, format_: str, width: str = "column") -> bytes:
     Returns:
         The bytes of the file; equal figures give equal bytes.
     """
+    columns = _columns(figure, WIDTHS[width])
+    rows = math.ceil(len(figure.panels) / columns) or 1
+    height = rows * _height(figure, WIDTHS[width] / columns) + 7
+    return on_sheet(
+        lambda sheet: _draw(sheet, figure, rows, columns), WIDTHS[width], height, format_
+    )
+
+
+def on_sheet(draw: Callable[[Sheet], None], width: float, height: float, format_: str) -> bytes:
+    """The file of a sheet of `width` × `height` mm that `draw` has drawn on."""
     import matplotlib as mpl
     from matplotlib.figure import Figure as Sheet
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     out = io.BytesIO()
     with mpl.rc_context(STYLE):
-        columns = _columns(figure, WIDTHS[width])
-        rows = math.ceil(len(figure.panels) / columns) or 1
-        size = (WIDTHS[width] * MM, (rows * _height(figure, WIDTHS[width] / columns) + 7) * MM)
         apart = ConstrainedLayoutEngine(w_pad=1.5 * MM, h_pad=1 * MM, wspace=0.02, hspace=0.02)
-        sheet = Sheet(figsize=size, layout=apart)
-        _draw(sheet, figure, rows, columns)
+        sheet = Sheet(figsize=(width * MM, height * MM), layout=apart)
+        draw(sheet)
         sheet.savefig(out, format=format_, metadata=METADATA[format_])
     return out.getvalue()
 
@@ -100,42 +108,42 @@ def _draw(sheet: Sheet, figure: Figure, rows: int, columns: int) -> None:
     for axes, panel in zip(places, figure.panels, strict=True):
         shown |= _panel(axes, panel, looks, slanted)
         if len(places) > 1:
-            axes.set_title(_folded(panel.title, width / columns))
-    _titles(sheet, places, figure.panels, columns)
+            axes.set_title(folded(panel.title, width / columns))
+    titles(sheet, places, figure.panels, columns)
     if len(shown) > 1:
-        _legend(sheet, shown, width)
+        legend(sheet, shown, width)
 
 
-def _titles(sheet: Sheet, places: Sequence[Axes], panels: Sequence[Panel], columns: int) -> None:
+def titles(sheet: Sheet, places: Sequence[Axes], panels: Sequence[Panel], columns: int) -> None:
     """Axis titles; one that all panels share stands once, below or beside all of them."""
     width = sheet.get_figwidth() / MM
     x, y = ({getattr(panel, name) for panel in panels} for name in ("x_title", "y_title"))
     if len(x) == 1 and len(places) > 1:
-        sheet.supxlabel(_folded(min(x), width), fontsize=STYLE["axes.labelsize"])
+        sheet.supxlabel(folded(min(x), width), fontsize=STYLE["axes.labelsize"])
     if len(y) == 1 and len(places) > columns:
-        sheet.supylabel(_folded(min(y), 60), fontsize=STYLE["axes.labelsize"])
+        sheet.supylabel(folded(min(y), 60), fontsize=STYLE["axes.labelsize"])
     for i, (axes, panel) in enumerate(zip(places, panels, strict=True)):
         if len(x) > 1 or len(places) == 1:
-            axes.set_xlabel(_folded(panel.x_title, width / columns))
+            axes.set_xlabel(folded(panel.x_title, width / columns))
         if len(y) > 1 or (len(places) <= columns and i == 0):
-            axes.set_ylabel(_folded(panel.y_title, 40))
+            axes.set_ylabel(folded(panel.y_title, 40))
 
 
-def _folded(text: str, room: float) -> str:
+def folded(text: str, room: float) -> str:
     """A title in as many lines as it takes in `room` mm."""
     return "\n".join(wrap(text, max(12, int(room / LETTER)))) if text else ""
 
 
-def _legend(sheet: Sheet, shown: Mapping[str, Any], width: float) -> None:
+def legend(sheet: Sheet, shown: Mapping[str, Any], width: float) -> None:
     """Above all panels: in one row if it fits, else in columns as wide as the longest name."""
     from matplotlib.lines import Line2D
 
     rooms = [10 + LETTER * len(name) for name in shown]
     across = len(rooms) if sum(rooms) < width else max(1, int(width / max(rooms)))
-    legend = sheet.legend(
+    drawn = sheet.legend(
         list(shown.values()), list(shown), loc="outside upper center", ncols=across
     )
-    for handle in legend.legend_handles:
+    for handle in drawn.legend_handles:
         if isinstance(handle, Line2D):  # a mark of a dense cloud is too small to be told
             handle.set_markersize(3.5)
             handle.set_alpha(1)

@@ -67,6 +67,8 @@ MARKS = {
     "triangle-up": "^",
     "triangle-down": "v",
     "cross": "P",
+    "x": "x",
+    "line-ew": "_",
 }
 """Of what plotly calls `square`, or `square-open` when it is only an outline."""
 HATCHES = {"": "", "/": "/////", "x": "xxxxx", ".": ".....", "\\": "\\\\\\\\\\", "+": "+++++",
