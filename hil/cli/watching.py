@@ -11,14 +11,12 @@ from typing import Any
 from hil.campaign.live_state import standing_in
 from hil.cli.output import duration, fold
 from hil.holder import plain
+from hil.live.log_words import MOST, words_of
 from hil.live.standing import ENDING, Standing
-from hil.live.words import answer_words, state_words, step_words
+from hil.live.words import state_words, step_words
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0
-MOST = 2000
-"""Characters of one line; what files say was written by anybody."""
-
 Item = Mapping[str, Any]
 
 QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
@@ -99,54 +97,6 @@ def end_line(end: Item) -> str:
     if end["status"] != "completed":
         return f"{text}\n  next: hil resume {end['run']}"
     return text
-
-
-def words_of(event: Item, run: str) -> str:
-    """One event of the log, for people."""
-    known = _WORDS.get(str(event["kind"]), _any)
-    try:
-        told = known(event, run)
-    except (KeyError, TypeError, ValueError):  # written by another version
-        told = _any(event, run)
-    return plain(told, most=MOST)
-
-
-def _any(event: Item, run: str) -> str:
-    details = {key: value for key, value in event.items() if key not in ("t", "time", "kind")}
-    return " ".join([str(event["kind"]), *(f"{key}={value}" for key, value in details.items())])
-
-
-def _asked(event: Item, run: str) -> str:
-    return f"asks: {event['text']} (answer: hil answer {run} yes)"
-
-
-def _control(event: Item, run: str) -> str:
-    reason = f": {event['reason']}" if event.get("reason") else ""
-    refused = f" (not done: {event['problem']})" if event.get("problem") else ""
-    return f"{event.get('who', 'somebody')} asked to {event['what']}{reason}{refused}"
-
-
-def _dwell(event: Item, run: str) -> str:
-    how = "settled" if event["settled"] else "did not settle"
-    return f"step {event['step'] + 1}: dwell {how} in {event['elapsed_s']:.2f} s"
-
-
-def _state(event: Item, run: str) -> str:
-    return f"{event['state']}" + (f": {event['reason']}" if event.get("reason") else "")
-
-
-_WORDS: dict[str, Callable[[Item, str], str]] = {
-    "state": _state,
-    "checkpoint": lambda event, run: f"step {event['step'] + 1}: checkpoint",
-    "dwell": _dwell,
-    "payload": lambda event, run: f"load {event['load']}: {event['mass_kg']:g} kg set",
-    "asked": _asked,
-    "prompt": lambda event, run: answer_words(event),
-    "paused": lambda event, run: f"paused: {event['reason']}",
-    "resumed": lambda event, run: f"resumed by {event['by']}",
-    "trip": lambda event, run: f"tripped: {event['reason']}",
-    "control": _control,
-}
 
 
 def _left(view: Item, run: Standing) -> str:

@@ -27,6 +27,8 @@ PAGES = (
     "hil.web.schedule_pages",
     "hil.web.fleet_pages",
     "hil.web.run_files",
+    "hil.web.live_pages",
+    "hil.web.start_pages",
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""
 

@@ -1,17 +1,61 @@
-"""The first page: what is going on."""
+"""The first page: what is going on, what came last, what comes next."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
 
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.web.rendering import page
+from hil.campaign.view import entry_of
+from hil.record.catalogue import listing_of
+from hil.record.numbering import number_of, run_folders
+from hil.report.words import duration
+from hil.web.bench_facts import stations_of
+from hil.web.catalogue_pages import status_mark
+from hil.web.live_facts import header_of
+from hil.web.places import address_of, live_runs, name_of
+from hil.web.rendering import page, settings_of
+from hil.web.schedules_known import coming
+from hil.web.settings import Settings
+
+NEWEST = 8
+VERDICTS = {"passed": "pass", "rejected": "fail"}
 
 
 def overview(request: Request) -> Response:
     """What is going on."""
-    return page(request, "overview.html.j2", title="Overview")
+    settings = settings_of(request)
+    return page(
+        request,
+        "overview.html.j2",
+        title="Overview",
+        going=[header_of(run, settings) for run in live_runs(settings)],
+        newest=[_run(run, settings) for run in _newest(settings)],
+        stations=stations_of(settings),
+        coming=coming(settings),
+    )
+
+
+def _newest(settings: Settings) -> list[Path]:
+    found = sorted(run_folders(settings.runs), key=lambda run: (number_of(run), run), reverse=True)
+    return found[:NEWEST]
+
+
+def _run(run: Path, settings: Settings) -> dict[str, Any]:
+    entry = entry_of(listing_of(run))
+    return {
+        "name": name_of(run, settings),
+        "address": address_of(run, settings),
+        "status": entry["status"],
+        "status_mark": status_mark(str(entry["status"])),
+        "verdict": entry["verdict"],
+        "verdict_mark": VERDICTS.get(entry["verdict"], "quiet"),
+        "duration": duration(entry["duration_s"]),
+        "problem": entry["problem"],
+    }
 
 
 routes = [Route("/", overview)]

@@ -14,7 +14,8 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from hil import __version__
 from hil.errors import HilError
-from hil.web.places import address_of, live_runs, name_of
+from hil.web.live_facts import header_of
+from hil.web.places import live_runs
 from hil.web.settings import Settings
 
 if TYPE_CHECKING:
@@ -62,10 +63,7 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
         **context: What the template shows; `title` is wanted by the base.
     """
     settings = settings_of(request)
-    live = [
-        {"name": name_of(run, settings), "address": address_of(run, settings)}
-        for run in live_runs(settings)
-    ]
+    live = [header_of(run, settings) for run in live_runs(settings)]
     html = (
         _environment()
         .get_template(template)

@@ -1,0 +1,211 @@
+"""Starting runs that outlive whoever starts them: each is a `hil run` of its own.
+
+What was started is kept in `RUNS/.started/`: `ID.json` says what, `ID.log` is what it prints. A run
+that dies before it has a run directory is heard of nowhere else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from hil.campaign.driver_check import check_driver
+from hil.campaign.experiment import Experiment, load_experiment
+from hil.campaign.extras import require_extras
+from hil.errors import DataError, RecordingError, SpecError
+from hil.record.files import json_document, read_json, write_replacing
+from hil.record.numbering import run_folders
+from hil.spec.schedule import is_schedule
+from hil.spec.series import is_series
+
+FOLDER = ".started"
+KEPT = 20
+"""Of so many starts records and logs are kept."""
+
+LAST_LINES = 10
+SLACK_S = 2.0
+"""File systems and clocks may differ so much about when something was [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A run that was started, which need not have a run directory yet.
+
+    Attributes:
+        id: Names it below its folder of runs.
+        runs: The folder of runs.
+        spec, station: What was started; the station is empty for the usual one.
+        operator: Who asked for it.
+        pid: Its process.
+        ticks: When that began, in the kernel's own count: other processes may get its pid.
+        time: When it was started [s, Unix time].
+        host: On which computer.
+    """
+
+    id: str
+    runs: str
+    spec: str
+    station: str
+    operator: str
+    pid: int
+    ticks: int
+    time: float
+    host: str
+
+    @property
+    def log(self) -> Path:
+        """What it prints."""
+        return Path(self.runs) / FOLDER / f"{self.id}.log"
+
+    @property
+    def alive(self) -> bool:
+        """Whether its process still runs."""
+        return self.host == platform.node() and 0 < self.ticks == _ticks(self.pid)
+
+    @property
+    def made(self) -> list[Path]:
+        """Its run directories: none while it plans, several for a series."""
+        return [run for run in run_folders(Path(self.runs)) if self._is_mine(run)]
+
+    @property
+    def last_words(self) -> list[str]:
+        """The last lines it printed."""
+        try:
+            text = self.log.read_text("utf-8", "replace")
+        except OSError:
+            return []
+        return text.replace("\r", "\n").splitlines()[-LAST_LINES:]
+
+    def cancel(self) -> None:
+        """End its process as Ctrl-C would; does nothing when it has ended."""
+        if self.alive:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGTERM)
+
+    def _is_mine(self, run: Path) -> bool:
+        start = run / "start.json"
+        try:
+            if start.stat().st_mtime < self.time - SLACK_S:
+                return False
+            said = read_json(start)
+        except (OSError, DataError):
+            return False
+        return said.get("pid") == self.pid and said.get("host") == self.host
+
+
+def check_start(
+    spec: Path, station: Path | None, overrides: Mapping[str, str] | None = None
+) -> tuple[Experiment, ...]:
+    """What would be run: one experiment, or those of a series.
+
+    Raises:
+        SpecError: Spec or station have problems; all are listed. Or it is a schedule.
+        PluginError: An extra that it needs is not installed.
+    """
+    if is_schedule(spec):
+        raise SpecError(
+            f"{spec} is a schedule, which runs by itself", hint=f"hil schedule run {spec}"
+        )
+    if is_series(spec):
+        from hil.campaign.series import load_series
+
+        if overrides:
+            raise SpecError(f"{spec} is a series: --set is for experiments")
+        experiments = load_series(spec, station).experiments
+    else:
+        experiments = (load_experiment(spec, station, overrides or {}),)
+    for experiment in experiments:
+        check_driver(experiment)
+        require_extras(experiment.spec)
+    return experiments
+
+
+def start_run(
+    spec: Path,
+    runs: Path,
+    *,
+    station: Path | None = None,
+    operator: str = "",
+    overrides: Mapping[str, str] | None = None,
+) -> Started:
+    """Start `hil run SPEC --elsewhere` in a session of its own.
+
+    Args:
+        spec: An experiment or a series.
+        runs: The folder of runs.
+        station: Its file; by default the one `hil run` would use.
+        operator: Who asks; recorded as who is at the robot.
+        overrides: Laid over the spec, YAML text by dotted path.
+
+    Raises:
+        SpecError, PluginError: See `check_start`; nothing was started.
+        RecordingError: The folder of runs cannot be written to.
+    """
+    check_start(spec, station, overrides)
+    folder = runs / FOLDER
+    name = f"{time.time_ns():020d}-{os.getpid()}"
+    command = [sys.executable, "-m", "hil", "run", str(spec), "--runs", str(runs), "--elsewhere"]
+    command += ["--station", str(station)] if station else []
+    command += [f"--operator={operator}"] if operator else []
+    command += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{name}.log").open("xb") as log:
+            process = subprocess.Popen(  # noqa: S603 - our own command line, no shell
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+    except OSError as error:
+        raise RecordingError(f"cannot write to {folder}: {error.strerror or error}") from error
+    ticks = _ticks(process.pid)
+    # Whoever started it hears of its end, so that none is left as a zombie.
+    threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
+    started = Started(
+        id=name, runs=str(runs), spec=str(spec), station=str(station or ""), operator=operator,
+        pid=process.pid, ticks=ticks, time=time.time(), host=platform.node(),
+    )  # fmt: skip
+    write_replacing(folder / f"{name}.json", json_document(asdict(started)))
+    _forget_old(runs)
+    return started
+
+
+def started_runs(runs: Path) -> list[Started]:
+    """What was started, the newest first; damaged records are left out."""
+    return list(_records(runs))
+
+
+def _records(runs: Path) -> Iterator[Started]:
+    for path in sorted((runs / FOLDER).glob("*.json"), reverse=True):
+        try:
+            yield Started(**(read_json(path) | {"id": path.stem, "runs": str(runs)}))
+        except (DataError, TypeError):
+            continue
+
+
+def _forget_old(runs: Path) -> None:
+    for old in started_runs(runs)[KEPT:]:
+        if not old.alive:
+            for path in (old.log, old.log.with_suffix(".json")):
+                path.unlink(missing_ok=True)
+
+
+def _ticks(pid: int) -> int:
+    """When a process began, 0 for one that has ended."""
+    try:
+        about = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace")
+    except OSError:
+        return 0
+    state, *fields = about[about.rindex(")") + 2 :].split()
+    return 0 if state in "ZX" else int(fields[18])

@@ -1,0 +1,93 @@
+"""The robots of the stations that are offered, and who holds them; no driver is opened for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.experiment import find_station
+from hil.errors import HilError
+from hil.holder import Holder, plain, since_words
+from hil.robot.lease import held_leases
+from hil.spec.station import Station
+from hil.web.offered import offered
+from hil.web.places import address_of
+from hil.web.settings import Settings
+
+MOST = 12
+"""Stations that are shown."""
+
+
+def stations_of(settings: Settings) -> list[dict[str, Any]]:
+    """`name`, `source`, `problem` and `robots` (`name`, `driver`, `model`, `held`, `run`) each.
+
+    Robots that are held and belong to no station shown come last, under `elsewhere`.
+    """
+    leases = held_leases()
+    shown = [_station(source, settings, leases) for source in _sources(settings)]
+    known = {id(robot["lease"]) for one in shown for robot in one["robots"]}
+    others = [_held(lease, settings) for lease in leases if id(lease) not in known]
+    if others:
+        shown.append({"name": "elsewhere", "source": "", "problem": "", "robots": others})
+    return shown
+
+
+def _sources(settings: Settings) -> Iterator[Path | None]:
+    """The station that is taken where none is named, then those offered."""
+    yield None
+    if settings.specs is not None:
+        yield from [settings.specs / name for name in offered(settings, "station")[:MOST]]
+
+
+def _station(file: Path | None, settings: Settings, leases: list[Holder]) -> dict[str, Any]:
+    try:
+        station, _, source = find_station(settings.specs or Path(), file)
+    except HilError as error:
+        return {"name": str(file), "source": "", "problem": error.message, "robots": []}
+    robots = list(_robots(station, source, settings, leases))
+    return {"name": station.name, "source": source, "problem": "", "robots": robots}
+
+
+def _robots(
+    station: Station, source: str, settings: Settings, leases: list[Holder]
+) -> Iterator[dict[str, Any]]:
+    for name, robot in station.robots.items():
+        lease = next((one for one in leases if _is_of(one, name, source)), None)
+        held = _held(lease, settings) if lease else {"held": "", "run": None, "lease": None}
+        yield {**held, "name": name, "driver": robot.driver, "model": robot.model}
+
+
+def _is_of(lease: Holder, robot: str, source: str) -> bool:
+    station = Path(str(lease.content.get("station", "")))
+    same = station == Path(source) or (station.is_file() and station.resolve() == _whole(source))
+    return same and lease.content.get("robot") == robot
+
+
+def _whole(source: str) -> Path:
+    return Path(source).resolve()
+
+
+def _held(lease: Holder, settings: Settings) -> dict[str, Any]:
+    said = lease.content
+    who = ", ".join(
+        filter(None, (plain(said.get("user", "?")), lease.process, since_words(said, None)))
+    )
+    return {
+        "name": plain(said.get("robot", "?")),
+        "driver": plain(said.get("driver", "?")),
+        "model": "",
+        "held": who,
+        "run": _run(plain(said.get("run", ""), most=1000), settings),
+        "lease": lease,
+    }
+
+
+def _run(run: str, settings: Settings) -> dict[str, str] | None:
+    """Where the run has a page, its address."""
+    if not run:
+        return None
+    try:
+        return {"name": Path(run).name, "address": address_of(Path(run), settings)}
+    except ValueError:  # it is kept in another folder of runs
+        return {"name": run, "address": ""}

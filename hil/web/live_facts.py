@@ -1,0 +1,247 @@
+"""What a page shows of a live run: the same texts when it is made and while it is looked at.
+
+A document names places of the page: `texts` are put into the elements with that `data-text`,
+`values` into those with that `data-value`, `shown` says which `data-shown` are there, and `series`
+are the newest numbers of `data-spark`. So the page needs no words of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.follow import EventTail, how_it_ended
+from hil.campaign.live_state import read_live, standing_in
+from hil.errors import HilError
+from hil.holder import plain
+from hil.live.log_words import words_of
+from hil.live.standing import ENDING, PAUSED, Standing
+from hil.live.words import state_words, step_words
+from hil.record.lock import is_live
+from hil.record.rundir import RunDirectory
+from hil.report.words import duration
+from hil.web.places import address_of, name_of
+from hil.web.settings import Settings
+
+SILENT_AFTER_S = 5.0
+FIRST_LINES = 30
+"""Of the event log, when a page is made."""
+
+NOT_KNOWN = "–"
+
+Document = dict[str, Any]
+
+
+class LiveRun:
+    """Looks at a run again and again.
+
+    Args:
+        run: The run directory.
+        settings: What is served.
+        after: Lines of its event log that are known already.
+    """
+
+    def __init__(self, run: Path, settings: Settings, after: int = 0) -> None:
+        self._run, self._settings = run, settings
+        self._log = EventTail(RunDirectory(run).events_path, from_start=True)
+        self._lines, self._after = 0, after
+        self._seen: Document = {}
+
+    def look(self) -> Document:
+        """How it is now; the same as before where nothing has changed."""
+        live = is_live(self._run)  # asked first: what was written before the end is read after it
+        log = list(self._new_lines())
+        self._seen = {**_shown(self._run, live), "log": log, **self._where()}
+        return self._seen
+
+    def _where(self) -> Document:
+        return {
+            "name": name_of(self._run, self._settings),
+            "address": address_of(self._run, self._settings),
+        }
+
+    def _new_lines(self) -> Iterator[Document]:
+        for event in self._log.read():
+            self._lines += 1
+            if self._lines > self._after:
+                yield _line(self._lines, event, self._run.name)
+
+
+def header_of(run: Path, settings: Settings) -> Document:
+    """What every page shows of a live run."""
+    run_now = standing_in(read_live(run))
+    return {
+        "name": name_of(run, settings),
+        "address": address_of(run, settings),
+        "text": _headline(run_now, run),
+        "asks": bool(run_now.prompt),
+        "percent": round(100 * run_now.share),
+        "left": _left(run_now),
+        "over": run_now.state == "done",
+    }
+
+
+def _shown(run: Path, live: bool) -> Document:
+    view = read_live(run) if live else {}
+    now = standing_in(view)
+    arm = _mapping(view.get("arm"))
+    margins = [each for each in _listed(view.get("interlocks")) if isinstance(each, dict)]
+    texts = {
+        "headline": _headline(now, run) if live else _ended(run),
+        "percent": f"{100 * now.share:.0f} %" if now.steps else NOT_KNOWN,
+        "left": _left(now),
+        "doing": step_words(now) or now.stage or NOT_KNOWN,
+        "samples": f"{now.samples:,}".replace(",", " "),
+        "troubles": ", ".join(now.troubles) or "none",
+        "silent": _silent(view) if live else "",
+        "prompt": plain(now.prompt, most=2000),
+        **_joint_texts(arm),
+        **_margin_texts(margins),
+    }
+    return {
+        "over": not live,
+        "t": view.get("t", 0),
+        "texts": texts,
+        "values": {"share": now.share, **_margin_values(margins)},
+        "shown": {
+            "question": bool(now.prompt),
+            "arm": bool(arm),
+            "margins": bool(margins),
+            "silent": bool(texts["silent"]),
+            "over": not live,
+        },
+        "series": _series(arm),
+        "joints": [str(name) for name in _listed(arm.get("joints"))],
+        "margins": [str(each.get("name")) for each in margins],
+        "unit": str(arm.get("effort_unit", "")),
+    }
+
+
+def _headline(now: Standing, run: Path) -> str:
+    """What a person has to know first; short, for it is read aloud when it changes."""
+    if now.state == "done":
+        return _motion_over(now, run)
+    if now.state in ENDING:
+        return plain(state_words(now), most=500)
+    if now.prompt:
+        return "waiting for an answer"
+    if now.pausing and now.state != PAUSED:
+        return plain(f"running, pauses at the next checkpoint: {now.pausing}", most=500)
+    if now.state == "idle":
+        return plain(now.stage or "preparing", most=500)
+    return plain(state_words(now), most=500)
+
+
+def _motion_over(now: Standing, run: Path) -> str:
+    """How the motion ended, and what is being made of it."""
+    try:
+        stop = RunDirectory(run).stop or {}
+    except HilError:
+        stop = {}
+    outcome, reason = stop.get("outcome", "motion over"), stop.get("reason") or now.reason
+    told = f": {reason}" if reason and reason != outcome else ""
+    return plain(f"{outcome}{told}" + (f"; {now.stage}" if now.stage else ""), most=500)
+
+
+def _ended(run: Path) -> str:
+    try:
+        end = how_it_ended(RunDirectory(run))
+    except HilError as error:
+        return plain(error.message, most=500)
+    told = f": {end['reason']}" if end["reason"] else ""
+    verdict = f"; model {end['verdict']}" if end["verdict"] != "not judged" else ""
+    return plain(f"{end['status']}{told}{verdict}", most=500)
+
+
+def _left(now: Standing) -> str:
+    if now.state in ENDING or not now.duration_s:
+        return NOT_KNOWN
+    return f"{duration(now.left_s)} left"
+
+
+def _silent(view: Document) -> str:
+    told = view.get("t")
+    quiet = time.time() - told if isinstance(told, int | float) else 0.0
+    # While models are fitted nothing is heard of the arm, and nothing need be.
+    if quiet < SILENT_AFTER_S or view.get("state") == "done":
+        return ""
+    return f"no news for {duration(quiet)}"
+
+
+def _joint_texts(arm: Document) -> Document:
+    columns = {
+        "q": ("q_rad", math.degrees(1), ".2f"),
+        "qd": ("qd_rad_s", math.degrees(1), ".1f"),
+        "effort": ("effort", 1.0, ".2f"),
+        "temperature": ("temperature_c", 1.0, ".1f"),
+    }
+    found = {
+        f"{name}.{i}": _number(value, scale, form)
+        for name, (key, scale, form) in columns.items()
+        for i, value in enumerate(_listed(arm.get(key)))
+    }
+    pairs = zip(_listed(arm.get("q_rad")), _listed(arm.get("q_target_rad")), strict=False)
+    for i, (q, target) in enumerate(pairs):
+        known = isinstance(q, float) and isinstance(target, float)
+        found[f"lag.{i}"] = _number(q - target if known else None, math.degrees(1), ".3f")
+    return found
+
+
+def _margin_texts(margins: list[Document]) -> Document:
+    return {f"margin.{each.get('name')}": _margin_words(each) for each in margins}
+
+
+def _margin_words(margin: Document) -> str:
+    value, limit = (_figures(margin.get(key)) for key in ("value", "limit"))
+    bound = "at least" if margin.get("least") else "limit"
+    unit = margin.get("unit", "")
+    return plain(f"{margin.get('subject')}: {value} {unit}, {bound} {limit} {unit}", most=200)
+
+
+def _margin_values(margins: list[Document]) -> Document:
+    return {f"margin.{each.get('name')}": _finite(each.get("share")) for each in margins}
+
+
+def _series(arm: Document) -> Document:
+    """The newest numbers of what is drawn."""
+    keys = {"effort": "effort", "temperature": "temperature_c"}
+    return {
+        f"{name}.{i}": value
+        for name, key in keys.items()
+        for i, value in enumerate(_listed(arm.get(key)))
+        if isinstance(value, int | float)
+    }
+
+
+def _line(number: int, event: Document, run: str) -> Document:
+    told = event.get("t")
+    known = isinstance(told, int | float) and 0 <= told < 1e11
+    clock = time.strftime("%H:%M:%S", time.localtime(told)) if known else "--:--:--"
+    return {"n": number, "clock": clock, "text": words_of(event, run)}
+
+
+def _number(value: object, scale: float, form: str) -> str:
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return NOT_KNOWN
+    text = format(scale * value, form)
+    return text.lstrip("-") if not text.strip("-0.") else text  # rounded to zero: no sign
+
+
+def _figures(value: object) -> str:
+    big = isinstance(value, int | float) and abs(value) >= 1000
+    return _number(value, 1.0, ".0f" if big else ".4g")
+
+
+def _finite(value: object) -> float:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
+
+
+def _mapping(value: object) -> Document:
+    return value if isinstance(value, dict) else {}
+
+
+def _listed(value: object) -> list[Any]:
+    return value if isinstance(value, list) else []

@@ -1,0 +1,170 @@
+"""Starting a run: choose, check and plan, start, and what became of it before it had a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import Route
+
+from hil.campaign.experiment import Experiment
+from hil.campaign.operator import prompts_of
+from hil.campaign.preview import preview_experiment
+from hil.campaign.starting import Started, check_start, start_run, started_runs
+from hil.errors import DataError, HilError, SpecError
+from hil.report.words import duration, number
+from hil.web.offered import file_offered, offered
+from hil.web.places import address_of
+from hil.web.rendering import page, settings_of, who_of
+from hil.web.security import form_of
+from hil.web.settings import Settings
+
+SHOWN = 5
+"""Of so many runs that were started it is told what became of them."""
+
+
+def start_page(request: Request) -> Response:
+    """The form, empty or with the spec that the address names."""
+    return _form(request, {"spec": request.query_params.get("spec", "")})
+
+
+async def begin(request: Request) -> Response:
+    """Check what the form says and show the plan, or start it."""
+    given = await form_of(request)
+    return await run_in_threadpool(_begin, request, given)
+
+
+def started_page(request: Request) -> Response:
+    """What became of a run that was started; leads to its page once it has one."""
+    settings = settings_of(request)
+    started = _started(request.path_params["id"], settings)
+    if made := started.made:
+        return RedirectResponse(address_of(made[-1], settings), 303)
+    answer = page(
+        request,
+        "started.html.j2",
+        title="Starting" if started.alive else "It did not begin",
+        started=_told(started, settings),
+        last_words=started.last_words,
+    )
+    if started.alive:
+        answer.headers["Refresh"] = "1"
+    return answer
+
+
+async def cancel(request: Request) -> Response:
+    """End a started run that has no page yet."""
+    await form_of(request)
+    started = _started(request.path_params["id"], settings_of(request))
+    await run_in_threadpool(started.cancel)
+    return RedirectResponse(f"/start/{started.id}", 303)
+
+
+def _begin(request: Request, given: Mapping[str, str]) -> Response:
+    settings = settings_of(request)
+    try:
+        spec = file_offered(given.get("spec", ""), settings, "experiment", "series")
+        named = given.get("station", "")
+        station = file_offered(named, settings, "station") if named else None
+        overrides = overrides_in(given.get("overrides", ""))
+        if given.get("do") == "start":
+            who = given.get("operator", "").strip()[:80] or who_of(request)
+            started = start_run(
+                spec, settings.runs, station=station, operator=who, overrides=overrides
+            )
+            return RedirectResponse(f"/start/{started.id}", 303)
+        plans = [_plan(each) for each in check_start(spec, station, overrides)]
+    except HilError as error:
+        return _form(request, given, error=error, status=422)
+    return _form(request, given, plans=plans)
+
+
+def overrides_in(text: str) -> dict[str, str]:
+    """Lines `path=value`; empty ones say nothing.
+
+    Raises:
+        SpecError: A line says something else.
+    """
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    pairs = [line.partition("=") for line in lines]
+    for line, (path, equals, _) in zip(lines, pairs, strict=True):
+        if not (equals and path.strip()):
+            raise SpecError(f"{line!r} changes nothing", hint="a line is: excitation.waypoints=20")
+    return {path.strip(): value.strip() for path, _, value in pairs}
+
+
+def _form(
+    request: Request,
+    given: Mapping[str, str],
+    *,
+    error: HilError | None = None,
+    plans: list[dict[str, Any]] | None = None,
+    status: int = 200,
+) -> Response:
+    settings = settings_of(request)
+    keys = ("spec", "station", "overrides", "operator")
+    return page(
+        request,
+        "start.html.j2",
+        title="Start a run",
+        status=status,
+        specs=offered(settings, "experiment", "series"),
+        stations=offered(settings, "station"),
+        given={key: given.get(key, "") for key in keys},
+        error=error,
+        plans=plans or [],
+        started=[_told(one, settings) for one in started_runs(settings.runs)[:SHOWN]],
+    )
+
+
+def _plan(experiment: Experiment) -> dict[str, Any]:
+    plan, facts = preview_experiment(experiment)
+    steps = ", ".join(f"{count} {kind}" for kind, count in facts.steps.items())
+    return {
+        "title": experiment.title,
+        "description": experiment.spec.description,
+        "rows": [
+            ("time", duration(facts.duration_s)),
+            ("steps", steps),
+            ("poses", str(facts.waypoints)),
+            ("recording", f"{facts.recording_bytes / 1e6:.3g} MB"),
+            ("condition number", number(facts.condition_number)),
+            *((f"margin: {key}", f"{value:.4g}") for key, value in facts.margins.items()),
+        ],
+        "interlocks": facts.interlocks,
+        "warnings": facts.warnings,
+        "prompts": prompts_of(plan),
+    }
+
+
+def _told(started: Started, settings: Settings) -> dict[str, Any]:
+    made = started.made
+    unmade = "is being planned" if started.alive else "did not begin"
+    return {
+        "id": started.id,
+        "spec": Path(started.spec).name,
+        "operator": started.operator,
+        "alive": started.alive,
+        "text": "has begun" if made else unmade,
+        "log": started.log,
+        "address": address_of(made[-1], settings) if made else f"/start/{started.id}",
+    }
+
+
+def _started(name: str, settings: Settings) -> Started:
+    for one in started_runs(settings.runs):
+        if one.id == name:
+            return one
+    raise DataError(f"nothing was started as {name}", hint="see /start")
+
+
+routes = [
+    Route("/start", start_page),
+    Route("/start", begin, methods=["POST"]),
+    Route("/start/{id}", started_page),
+    Route("/start/{id}/cancel", cancel, methods=["POST"]),
+]
