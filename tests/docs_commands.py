@@ -61,7 +61,8 @@ class Block:
         """What is done for this block: its setup, its lines with what stands for something else."""
         if self.asked.startswith("file:"):
             name = self.asked.removeprefix("file:").strip()
-            return f"cat > {shlex.quote(name)} <<'END OF FILE'\n{self.text}END OF FILE\n"
+            made = f"mkdir -p {shlex.quote(str(Path(name).parent))}\n"
+            return f"{made}cat > {shlex.quote(name)} <<'END OF FILE'\n{self.text}END OF FILE\n"
         setup, text = "", self.text
         for line in self.asked.splitlines()[1:]:
             old, arrow, new = line.partition(" → ")
@@ -118,6 +119,8 @@ def parse(line: str) -> None:
 
     command: Any = typer.main.get_command(app)
     arguments, context = words[1:], None
+    if arguments[:1] and arguments[0] in [name for own in command.params for name in own.opts]:
+        return  # `--version`, `--install-completion`: parsing them is doing them
     while hasattr(command, "commands"):
         context = command.make_context(command.name, arguments, parent=context)
         rest = [*context._protected_args, *context.args]

@@ -18,7 +18,7 @@ SERVES = "serves until Ctrl-C, or asks one that does: the tests of the mocks and
 HARDWARE = "needs a robot, or recordings, of the reader's own"
 LONG = "minutes to hours, or a cluster: proofs with the same experiments do it"
 BEGUN = "goes on with what is under way: tests of runs, registry and fleets do it"
-INSTALLS = "makes a virtual environment: continuous integration does it"
+INSTALLS = "writes into the environment or the shell of who calls it"
 
 NOT_RUN = {
     "README.md": {INSTALLS: 2, LONG: 5},
@@ -38,6 +38,7 @@ NOT_RUN = {
     "docs/how-to/run-a-fleet.md": {LONG: 8},
     "docs/how-to/run-a-series.md": {LONG: 2},
     "docs/how-to/run-under-systemd.md": {BEGUN: 1},
+    "docs/how-to/shell-completion.md": {INSTALLS: 1},
     "docs/how-to/simulate-a-schedule.md": {LONG: 1},
     "docs/how-to/spread-fits.md": {LONG: 1},
     "docs/how-to/train-networks.md": {LONG: 2},
