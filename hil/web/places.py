@@ -28,8 +28,8 @@ def run_at(name: str, settings: Settings) -> Path:
         DataError: There is none, or it is outside the folder of runs.
     """
     root = settings.runs.resolve()
-    path = (root / name).resolve()
-    if not path.is_relative_to(root) or path == root or not path.is_dir():
+    path = _there(root / name)
+    if path is None or not path.is_relative_to(root) or path == root:
         raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
     return path
 
@@ -38,4 +38,15 @@ def live_runs(settings: Settings) -> list[Path]:
     """The runs that processes hold at the moment."""
     if not settings.runs.is_dir():
         return []
-    return [run for run in run_folders(settings.runs) if is_live(run)]
+    live = (run for run in run_folders(settings.runs) if is_live(run))
+    root = settings.runs.resolve()
+    return [run for run in live if run.resolve().is_relative_to(root)]
+
+
+def _there(path: Path) -> Path | None:
+    """A folder that is there, links followed; names may be such as no folder can have."""
+    try:
+        found = path.resolve()
+        return found if found.is_dir() else None
+    except (OSError, ValueError):  # too long; with a NUL
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -10,10 +11,18 @@ from typing import Any
 from hil.catalogue.stamp import ALWAYS_READ, stamp_of
 from hil.identify.model_folder import MODEL_FILE, models_below
 from hil.record.files import sha256_of
+from hil.report.blocks import Badge
 from hil.report.documents import Document, as_float, as_object, as_objects
-from hil.report.facts import RunFacts, read_facts
+from hil.report.facts import PLURALS, RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
-from hil.report.judgement import badge_of, failed_fits, next_command, sentence_of, verdict_words
+from hil.report.judgement import (
+    ENDINGS,
+    badge_of,
+    failed_fits,
+    next_command,
+    sentence_of,
+    verdict_words,
+)
 from hil.report.words import (
     counted,
     criterion_text,
@@ -44,14 +53,14 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
         told = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
         return {"unreadable": told, "name": run.name, **files}
     facts = _read(run)
-    badge = badge_of(facts)
+    badge = badge_of(facts) if facts.whole else Badge(*ENDINGS["damaged"])
     return {
         "unreadable": "",
         "name": facts.name,
         "badge": {"text": badge.text.lower(), "mark": badge.mark or "quiet"},
         "sentence": sentence_of(facts),
         "hint": str(facts.stop.get("hint") or ""),
-        "command": next_command(facts, facts.run_name),
+        "command": next_command(facts, shlex.quote(str(run))),
         "warnings": _warnings(facts),
         "details": [(label, text) for label, text in _details(facts) if text],
         "complete": list(_complete(facts)),
@@ -112,7 +121,10 @@ def _program(facts: RunFacts) -> str:
     if not facts.steps:
         return ""
     kinds = [str(step.get("kind")) for step in facts.steps]
-    told = ", ".join(counted(kinds.count(kind), kind) for kind in dict.fromkeys(kinds))
+    counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
+    told = ", ".join(
+        f"{n} {kind if n == 1 else PLURALS.get(kind, f'{kind}s')}" for kind, n in counts.items()
+    )
     ended = f"; ended in {facts.ended_in}" if facts.ended_in else ""
     return f"{counted(len(kinds), 'step')}: {told}{ended}"
 

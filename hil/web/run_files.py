@@ -34,6 +34,8 @@ SHUT_IN = {
 
 FOLDERS = ("recording", "fit", "study")
 MOST_LISTED = 300
+DEEP = 3
+"""Folders of a run below that of all: day, robot, run."""
 
 
 def report_of(request: Request) -> Response:
@@ -66,7 +68,9 @@ def require_run(name: str, settings: Settings) -> Path:
         DataError: There is none.
     """
     run = run_at(name, settings)
-    if not number_of(run) and not (run / "start.json").is_file():
+    # A day has a number, too, but is not where runs are.
+    in_place = number_of(run) and len(run.relative_to(settings.runs.resolve()).parts) == DEEP
+    if not in_place and not (run / "start.json").is_file():
         raise DataError(f"there is no run {name} in {settings.runs}", hint="look at /runs")
     return run
 
