@@ -12,7 +12,7 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast wire lint types walls proof proof-short proof-state matrix fault-matrix fuzz soak bench wheels docs example clean
+.PHONY: help demo test test-fast wire lint types walls proof proof-short proof-state matrix fault-matrix gallery fuzz soak bench wheels docs example clean
 
 help:
 	@sed -n '/^[a-z-]*:.*##/s/:.*##/ —/p' $(MAKEFILE_LIST)
@@ -58,6 +58,9 @@ matrix: $(VENV)/.dev ## fault matrices: everything that may go wrong, at some of
 
 fault-matrix: $(VENV)/.dev ## the same, and the tables in docs/reference/fault-matrix*.md
 	$(BIN)/python tests/faults/table.py
+
+gallery: $(VENV)/.dev ## the pictures of docs/gallery.md, by its commands (minutes; needs Chromium)
+	$(BIN)/python tests/gallery.py
 
 fuzz: $(VENV)/.dev ## thousands of damaged specs, stations, run directories and recordings
 	HIL_FUZZ_EXAMPLES=$${HIL_FUZZ_EXAMPLES:-3000} $(BIN)/python tests/fuzz_long.py

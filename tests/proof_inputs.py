@@ -25,6 +25,7 @@ FILES = (
     "tests/test_proof_inverse_dynamics.py",
     "tests/test_proof_loads.py",
     "tests/test_proof_networks.py",
+    "tests/test_proof_notebooks.py",
     "tests/test_proof_null_campaigns.py",
     "tests/test_proof_pipeline_kill.py",
     "tests/test_proof_recording.py",

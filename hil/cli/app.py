@@ -96,6 +96,10 @@ def main() -> None:
     _one_blas_thread()
     _end_like_ctrl_c()
     out = guard_streams()
+    if "_HIL_COMPLETE" in os.environ:  # a shell asks which words fit
+        from hil.cli.completing import attach
+
+        attach(app)
     try:
         app(prog_name="hil")
     except HilError as error:

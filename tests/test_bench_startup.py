@@ -1,0 +1,15 @@
+"""`hil bench startup` measures what it says, each start beside an empty Python of the same run."""
+
+from __future__ import annotations
+
+from hil.benchmarking import measure
+
+
+def test_every_start_is_measured_beside_an_empty_python() -> None:
+    document = measure("startup", quick=True)
+    figures, ratios = document["figures"], document["ratios"]
+    for name in ("import_hil", "hil_version", "hil_help", "completion"):
+        assert figures[f"{name}_ms"] > figures["python_ms"]
+        ratio = figures[f"{name}_ms"] / figures["python_ms"]
+        assert ratios[f"{name}_vs_python"] == ratio
+    assert ratios["import_hil_vs_python"] < ratios["hil_help_vs_python"]
