@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from can_mock import mock_can
 
+from hil.testing.can_bus import CanBus
 from hil_mock_robot.cia402.faults import KINDS, OWN_DURATION, Fault, read_faults
 from hil_mock_robot.cia402.options import parser_of
 from hil_mock_robot.cia402.side import Requests
@@ -86,8 +86,7 @@ def test_every_option_is_there() -> None:
 
 
 @pytest.mark.wire
-def test_the_examples_run(capsys: pytest.CaptureFixture[str]) -> None:
-    with mock_can() as mock:
-        for example in blocks(MOCK, "python"):
-            exec(compile(example, "mock-can.md", "exec"), {"CHANNEL": mock.channel})
+def test_the_examples_run(can_bus: CanBus, capsys: pytest.CaptureFixture[str]) -> None:
+    for example in blocks(MOCK, "python"):
+        exec(compile(example, "mock-can.md", "exec"), {"CHANNEL": can_bus.channel})
     assert "SWITCH_ON_DISABLED" in capsys.readouterr().out
