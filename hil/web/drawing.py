@@ -21,6 +21,7 @@ ROW, TOP, BELOW = 30.0, 14.0, 44.0
 HEIGHT = 240.0
 MOST_DEEDS = 40
 MOST_LABELS = 6
+DATE = len("2026-11-22")
 
 GLYPHS = {
     "registered": ("○", "registered"),
@@ -79,7 +80,7 @@ def _reigns(
     """From a promotion, or the way back, to the next."""
     crowned = [(i, e.version) for i, (_, e) in enumerate(deeds)
                if e.event in ("promoted", "rolled-back")]  # fmt: skip
-    ends = [*(i for i, _ in crowned[1:]), len(deeds)]
+    ends = [*(i for i, _ in crowned), len(deeds)][1:]  # none where nobody was crowned
     for (begin, version), end in zip(crowned, ends, strict=True):
         last = WIDTH - RIGHT if end == len(deeds) else x(end)
         yield {"x": x(begin), "y": y[version], "width": round(last - x(begin), 1)}
@@ -149,13 +150,14 @@ def _levels(low: float, high: float) -> list[float]:
 
 def _ticks(x: Sequence[float], labels: Sequence[str]) -> list[dict[str, Any]]:
     """Days below the marks, of one day times; as many as there is room for, none twice."""
-    found: list[dict[str, Any]] = []
-    room = (WIDTH - LEFT - RIGHT) / MOST_LABELS
-    one_day = len({label[:10] for label in labels}) == 1 and len(labels[0]) > 10
+    one_day = len({label[:10] for label in labels}) == 1 and len(labels[0]) > DATE
+    room, found, used = (WIDTH - LEFT - RIGHT) / MOST_LABELS, list[dict[str, Any]](), set[str]()
     for where, label in zip(x, labels, strict=True):
-        text = label[11:16] if one_day and found else label[: 16 if one_day else 10]
-        text = text.replace("T", " ")
-        far = not found or where - found[-1]["x"] >= room
-        if far and (not found or text != found[-1]["label"]):
-            found.append({"x": where, "label": text})
+        text = label[DATE + 1 : 16] if one_day else label[:DATE]
+        wide = 2 if one_day and len(found) == 1 else 1  # the first says the day, too
+        free = not found or where >= found[-1]["x"] + wide * room
+        if free and text not in used:
+            used.add(text)
+            shown = text if found or not one_day else f"{label[:DATE]} {text}"
+            found.append({"x": where, "label": shown})
     return found
