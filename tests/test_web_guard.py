@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
-pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
-
 from pathlib import Path
 
+import pytest
+from starlette.routing import Route
 from starlette.testclient import TestClient
 
 from hil.web.app import create_app
@@ -162,3 +160,17 @@ def test_what_is_not_there_is_told_as_a_page_or_as_json(own: Settings) -> None:
     assert page.status_code == 404
     assert "<b>x" not in page.text
     assert client(own).get("/nothing").json()["error"]
+
+
+def test_a_page_that_fails_says_so_and_leaves_the_others(own: Settings) -> None:
+    def broken(request: object) -> None:
+        raise ValueError("two <b>")
+
+    made = create_app(own)
+    made.router.routes.insert(0, Route("/broken", broken))
+    visitor = TestClient(made, base_url=HERE, raise_server_exceptions=False)
+    answer = visitor.get("/broken", headers={"accept": "text/html"})
+    assert answer.status_code == 500
+    assert "ValueError: two &lt;b&gt;" in answer.text
+    assert answer.headers["content-security-policy"] == POLICY
+    assert visitor.get("/").status_code == 200

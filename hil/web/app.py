@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 
 from hil.errors import HilError
 from hil.web.rendering import WHO, back, refused
-from hil.web.security import Guard, form_of
+from hil.web.security import HEADERS, Guard, form_of
 from hil.web.settings import Settings
 
 PAGES = (
@@ -44,7 +44,12 @@ def create_app(settings: Settings) -> Starlette:
     app = Starlette(
         routes=_routes(),
         middleware=[Middleware(Guard, settings=settings)],
-        exception_handlers={HilError: _refused, PermissionError: _refused, 404: _refused},
+        exception_handlers={
+            HilError: _refused,
+            PermissionError: _refused,
+            404: _refused,
+            Exception: _failed,
+        },
     )
     app.state.settings = settings
     return app
@@ -58,6 +63,14 @@ def _routes() -> list[BaseRoute]:
 
 async def _refused(request: Request, error: Exception) -> Response:
     return await run_in_threadpool(refused, request, error)
+
+
+async def _failed(request: Request, error: Exception) -> Response:
+    """Answered outside of the guard, which is why its headers are added here."""
+    answer = await _refused(request, error)
+    for name, value in HEADERS.items():
+        answer.headers.setdefault(name, value)
+    return answer
 
 
 async def _who(request: Request) -> Response:

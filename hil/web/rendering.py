@@ -9,6 +9,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urlsplit
 
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
@@ -95,9 +96,14 @@ def _told(error: Exception) -> tuple[int, str, str]:
         return _STATUS.get(type(error).__name__, 409), error.message, error.hint or ""
     if isinstance(error, PermissionError):
         return 403, str(error), ""
-    return 404, "there is no such page", "the navigation above leads to all there are"
+    if isinstance(error, HTTPException):
+        return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
+    # A mistake of ours on one page: whoever watches a run still has all others, and Stop.
+    told = f"this page could not be made: {type(error).__name__}: {error}"
+    return 500, told, "the terminal of hil serve has the details"
 
 
+_HTTP = {404: ("there is no such page", "the navigation above leads to all there are")}
 _STATUS = {"DataError": 404, "SpecError": 422, "RegistryError": 404}
 
 

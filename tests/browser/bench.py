@@ -1,0 +1,65 @@
+"""A dashboard as its own process, and the distribution's Chromium in front of it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+STARTS_WITHIN_S = 30.0
+SMALL = """
+hil: 1
+name: small
+description: Two loads, mounted by hand
+robot: ur5
+excitation: {kind: fourier, trajectories: 2, fundamental_hz: 0.1, seed: 3}
+warm_up: {duration_s: 0}
+loads:
+  - {mass_kg: 0, prompt: Remove everything from the flange}
+  - {mass_kg: 1.5, com_m: [0, 0, 0.05], prompt: Mount the weight}
+"""
+STATION = """
+hil_station: 1
+name: bench
+robots:
+  ur5: {driver: mock, model: ur5, options: {seed: 5, clock: wall}}
+"""
+
+
+def chromium() -> str:
+    """The browser of the distribution; tests are skipped, with what to install, without one."""
+    for name in NAMES:
+        if path := shutil.which(name):
+            return path
+    pytest.skip("no Chromium: apt install chromium")
+
+
+@contextlib.contextmanager
+def serving(folder: Path, *options: str) -> Iterator[str]:
+    """`hil serve` in a folder of its own; its address."""
+    command = [sys.executable, "-m", "hil", "serve", "--port", "0", *options]
+    environment = {**os.environ, "HIL_LEASES": str(folder / "leases")}
+    with (folder / "serve.log").open("wb") as errors:
+        process = subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=errors, env=environment, text=True
+        )
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            assert line.startswith("dashboard: "), (folder / "serve.log").read_text("utf-8")
+            yield line.removeprefix("dashboard: ").strip()
+        finally:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(10)
+            finally:
+                process.kill()
+                process.stdout.close()
