@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from hil.plan.picture_style import STYLE
 from hil.report import colours
 from hil.report.study_curves import PALETTE
 from hil.typing import FloatArray
@@ -103,6 +104,20 @@ def test_letters_can_be_read(theme: str) -> None:
     weak = {(a, b): contrast(css[a], css[b]) for a, b in pairs if contrast(css[a], css[b]) < 4.5}
     assert weak == {}
     assert contrast(css["axis"], css["page"]) >= 3.0
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_picture_of_a_plan_speaks_the_same_language(theme: str) -> None:
+    light, _, dark = STYLE.partition("@media")
+    told = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", light if theme == "light" else dark))
+    of = THEMES[theme][1]
+    assert [told[f"j{j}"].upper() for j in range(7)] == [of[c] for c in colours.JOINTS]
+    named = {"mark": colours.MEASURED, "up": colours.UP, "down": colours.DOWN}
+    named |= {"limit": colours.LIMIT}
+    assert {name: told[name].upper() for name in named} == {k: of[c] for k, c in named.items()}
+    assert min(contrast(told[name], told["page"]) for name in ("speed", "acceleration")) >= 3.0
+    assert min(contrast(told["inbar"], told[n]) for n in ("speed", "acceleration")) >= 4.5
+    assert min(contrast(told[name], told["page"]) for name in ("ink", "soft")) >= 4.5
 
 
 def test_joints_differ_in_dash_and_mark_as_well() -> None:

@@ -200,7 +200,7 @@ def joints_over_time(
     Args:
         t: Time [s].
         values: One column per joint; a joint that is NaN throughout is left out.
-        names: Joint names, for legend and hovering.
+        names: Joint names, for hovering.
         y_title: Axis title with unit.
         limit: Drawn as a horizontal line; NaN for none.
         marked: Also draw the points (for few of them).
@@ -217,7 +217,7 @@ def joints_over_time(
             trace["mode"] = "lines+markers"
             trace["marker"] = {"symbol": colours.symbol_of_joint(j), "size": 6}
         traces.append(trace)
-    layout = axes("time [s]", y_title, showlegend=True) | attempts(t[list(begins)])
+    layout = axes("time [s]", y_title) | attempts(t[list(begins)])
     if np.isfinite(limit):
         traces.append(
             line(t[[0, -1]], np.full(2, limit), "limit", colours.NEUTRAL, dash="dot", width=2.5)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.report import figures
+from hil.report import colours, figures
 from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
 from hil.report.decimate import Shown
 from hil.report.documents import as_float
@@ -31,7 +31,7 @@ def health(
         _continuity(facts, recording),
         *_weighings(facts),
         _ranges(recording, drift, names, unit),
-        Plots("Over time", "", tuple(_panels(facts, recording, drift, names))),
+        _over_time(facts, recording, drift, names),
     ]
     return Section("recording", "Recording health", "", tuple(blocks))
 
@@ -98,11 +98,24 @@ def _over_rows(what: np.ufunc | object, values: FloatArray) -> FloatArray:
     return np.array([float(what(column)) if len(column) else np.nan for column in columns])
 
 
+def _over_time(
+    facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
+) -> Plots:
+    """What changes over the run, under one legend."""
+    titles = [joint_title(j, name) for j, name in enumerate(names)]
+    panels = tuple(_panels(facts, recording, drift, titles))
+    drawn = {trace["name"] for panel in panels for trace in panel.figure["data"]}
+    legend = [
+        (title, colours.of_joint(j), colours.dash_of_joint(j)) for j, title in enumerate(titles)
+    ]
+    limit = [("limit", colours.NEUTRAL, "dot")] if "limit" in drawn else []
+    return Plots("Over time", "", panels, (*legend, *limit))
+
+
 def _panels(
     facts: RunFacts, recording: Recording, drift: Drift | None, names: Sequence[str]
 ) -> list[Panel]:
     t, panels, begins = recording.t, [], recording.begins
-    names = [joint_title(j, name) for j, name in enumerate(names)]
     error = 1e3 * np.abs(recording.tracking_error())
     if np.isfinite(error).any():
         limit = 1e3 * facts.interlock_limit("tracking_error", "limit_rad")
