@@ -51,6 +51,21 @@ def test_work_that_takes_longer_than_its_interval_has_an_end() -> None:
     assert 30 <= len(worker.done) <= 3600 / 94 + 1
 
 
+def test_once_is_over_when_what_was_due_then_is_done() -> None:
+    """Though something came due meanwhile: that is for the next call, which settles all of it."""
+    loop, worker, clock = scheduler(schedule(probe={"spec": "probe.yaml", "every": "1min"}))
+    worker.lasting = timedelta(seconds=130)
+    clock.sleep_until(MONDAY + HOUR)
+    loop.run_once()
+    first, begun = list(worker.done), clock.now()
+    assert len(first) == 1
+    assert begun == MONDAY + HOUR + timedelta(seconds=130)
+    loop.run_once()
+    assert len(worker.done) == 2
+    missed = [line for line in loop.ledger.lines if line["event"] == "missed"]
+    assert missed[-1]["count"] == 1
+
+
 def test_what_was_started_within_the_minute_is_due(tmp_path: Path) -> None:
     loop, worker, _ = scheduler(schedule(), at("23 03:00") + timedelta(seconds=2))
     loop.run_due()

@@ -18,7 +18,7 @@ from hil.cli.output import (
     say,
 )
 from hil.cli.registry import HERE, RegistryOption
-from hil.cli.schedule_words import held_words, next_words, print_ledger, print_plan, words
+from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
 from hil.errors import DataError, SpecError
 
 if TYPE_CHECKING:
@@ -86,7 +86,10 @@ def run(
             tell=lambda line: say(words(line, zone)),
             notify=Command(spec.notify, spec.name),
         )  # fmt: skip
-        scheduler.run_due()
+        if once:
+            scheduler.run_once()
+        else:
+            scheduler.run_due()
         if held := ledger.standing.held:
             say(held_words(held, file, zone))
         elif not once:
@@ -131,7 +134,7 @@ def plan(
     require_room(spec, took, now)
     ledger = Ledger.read(_state(spec, state))
     ledger.require_of(spec.name)
-    expected = forecast(spec, ledger, took, now, end)
+    expected = forecast(spec, ledger, took, now, end, alike=None if json else SHOWN)
     if json:
         told: dict[str, object] = {
             "schedule": spec.name, "from": _iso(now, zone), "until": _iso(end, zone),

@@ -39,13 +39,16 @@ class Choice:
     again: bool = False
 
 
-def choose(spec: ScheduleSpec, standing: Standing, now: datetime) -> Choice:
+def choose(
+    spec: ScheduleSpec, standing: Standing, now: datetime, due_by: datetime | None = None
+) -> Choice:
     """What is done at a moment.
 
     Args:
         spec: The schedule.
         standing: Of its ledger, which has been started.
         now: The moment.
+        due_by: What is due later waits; by default that moment.
     """
     latest = now - lateness(spec)
     if standing.begun and standing.open is not None:
@@ -53,7 +56,7 @@ def choose(spec: ScheduleSpec, standing: Standing, now: datetime) -> Choice:
         if touched < now - spec.missed_within:
             return Choice(late=(standing.open,))
         return Choice(chosen=standing.open, again=True)
-    due = (*((standing.open,) if standing.open else ()), *due_until(spec, standing, now))
+    due = (*((standing.open,) if standing.open else ()), *due_until(spec, standing, due_by or now))
     late = tuple(each for each in due if each.due < latest)
     timely = [each for each in due if each.due >= latest]
     if not timely:

@@ -15,6 +15,7 @@ from hil.schedule.ledger import Ledger, Line, occasion_of
 from hil.schedule.loop import Scheduler
 from hil.schedule.motions import Motions
 from hil.schedule.occasion import Occasion
+from hil.schedule.times import begin_of, dues
 from hil.spec.durations import duration_text
 from hil.spec.schedule import ScheduleSpec
 
@@ -30,7 +31,7 @@ class Expected:
         begins: When it would begin, None if it would not.
         motion: How long it would move the robot, were nothing found.
         why: Why it would not begin when it is due, or not at all; empty if it would.
-        count: How many are left out for that reason.
+        count: How many are left out for that reason, or follow as regularly as those before.
         again: Whether it was begun before, and is gone on with.
     """
 
@@ -57,8 +58,17 @@ class Expected:
         }
 
 
+_REGULAR = "as regularly as those before"
+
+
 def forecast(
-    spec: ScheduleSpec, ledger: Ledger, motions: Motions, now: datetime, end: datetime
+    spec: ScheduleSpec,
+    ledger: Ledger,
+    motions: Motions,
+    now: datetime,
+    end: datetime,
+    *,
+    alike: int | None = None,
 ) -> list[Expected]:
     """What would happen if the schedule ran from now on, the robot were free and nothing found.
 
@@ -70,6 +80,8 @@ def forecast(
         motions: How long its programs move the robot.
         now: When it would be started.
         end: Of the time that is looked at.
+        alike: So many probes in a row are told one by one, and those that follow as regularly as
+            one entry: a probe every minute is 40320 in four weeks. By default all are.
     """
     clock = VirtualClock(now)
     imagined = Ledger(None, tuple(ledger.lines))
@@ -81,8 +93,44 @@ def forecast(
         clock.advance(motions.expected(occasion.job))
         return {"outcome": "quiet", "text": ""}
 
-    Scheduler(spec, imagined, work, clock, lasting=motions.longest).run(end)
+    scheduler = Scheduler(spec, imagined, work, clock, lasting=motions.longest)
+    if alike is None or not _is_regular(spec, motions):
+        scheduler.run(end)
+        return _told(imagined.lines[known:], motions)
+    assert spec.probe is not None
+    assert spec.probe.every is not None
+    while clock.now() < end:
+        scheduler.run(min(end, clock.now() + alike * spec.probe.every))
+        _skip(spec, scheduler, clock, end)
     return _told(imagined.lines[known:], motions)
+
+
+def _is_regular(spec: ScheduleSpec, motions: Motions) -> bool:
+    """Whether probes between two campaigns are done one like the other, each when it is due."""
+    every = spec.probe.every if spec.probe else None
+    return every is not None and motions.probe < every and not spec.blackout
+
+
+def _skip(spec: ScheduleSpec, scheduler: Scheduler, clock: VirtualClock, end: datetime) -> None:
+    """Go on to the last probe but one before the next campaign, or the end, noting how many."""
+    standing, now = scheduler.ledger.standing, clock.now()
+    assert standing.anchor is not None
+    assert spec.probe is not None
+    assert spec.probe.every is not None
+    assert standing.until is not None
+    start, every = begin_of(spec, standing.anchor), spec.probe.every
+    campaign = next(dues(spec.campaign, spec.timezone, start, standing.until), end)
+    first = next(dues(spec.probe, spec.timezone, start, standing.until))
+    if standing.open is not None or min(first, campaign) <= now:
+        return
+    count = (min(campaign, end) - first) // every - 1
+    if count < 1:
+        return
+    last = first + (count - 1) * every
+    told = {"since": Occasion(first, "probe").id, "occasion": Occasion(last, "probe").id}
+    # Nothing is left out; it only settles all of them at once.
+    scheduler.ledger.add("missed", now, **told, count=count, why=_REGULAR, until=last.isoformat())
+    clock.sleep_until(last)
 
 
 def _told(lines: list[Line], motions: Motions) -> list[Expected]:
@@ -92,6 +140,11 @@ def _told(lines: list[Line], motions: Motions) -> list[Expected]:
             waits = line["why"]
         elif line["event"] == "missed":
             first = occasion_of(line["since"])
+            if line["why"] == _REGULAR:
+                long = motions.expected("probe")
+                regular = (first.due, "probe", "done", first.due, long, "", line["count"])
+                found.append(Expected(*regular))
+                continue
             nothing = timedelta()
             told = (first.due, first.job, "missed", None, nothing, line["why"], line["count"])
             found.append(Expected(*told))

@@ -95,6 +95,16 @@ class Scheduler:
         except KeyboardInterrupt:
             raise Stopped("stopped between two occasions", by_signal=True) from None
 
+    def run_once(self) -> None:
+        """Do what is due at this moment, as far as it can be done; what comes due meanwhile waits.
+
+        Raises:
+            Stopped, DataError, RecordingError, RegistryError: See `run`.
+        """
+        due_by = self.clock.now()
+        while self._one(due_by):
+            pass
+
     def run_due(self, end: datetime | None = None) -> None:
         """Do everything that is due now, as far as it can be done now, and before `end`.
 
@@ -122,22 +132,23 @@ class Scheduler:
             moments.append(free if window and free else now + LOOK_AGAIN)
         return min(moments, default=None)
 
-    def _one(self) -> bool:
-        """Do what is most due; returns whether there may be more."""
+    def _one(self, due_by: datetime | None = None) -> bool:
+        """Do what is most due, now or by some moment; returns whether there may be more."""
         self.ledger.refresh()
         now, standing = self.clock.now(), self.ledger.standing
+        due_by = min(due_by or now, now)
         if standing.held is None and (why := ahead(standing, now)):
             self._announce(self._note("held", why=why))
         if self.ledger.standing.held is not None:
             return False
-        choice = choose(self.spec, standing, now)
+        choice = choose(self.spec, standing, now, due_by)
         if choice.late:
             why = late_words(self.spec, standing, choice.late)
             self._leave_out(choice.late, why, choice.late[-1].due)
         if choice.chosen is None:
             return bool(choice.late)
         # What was begun was chosen before: others that became due since are still to be looked at.
-        until = (standing.until if choice.again else None) or now
+        until = (standing.until if choice.again else None) or due_by
         if choice.instead:
             why = f"{choice.chosen.id} stands for it"
             self._leave_out(choice.instead, why, until, instead=choice.chosen.id)
@@ -149,7 +160,7 @@ class Scheduler:
         # The robot may have been waited for, and the schedule held meanwhile.
         self.ledger.refresh()
         standing = self.ledger.standing
-        late = choose(self.spec, standing, self.clock.now()).late
+        late = choose(self.spec, standing, self.clock.now(), due_by).late
         if standing.held or choice.chosen in late or self._in_the_way(choice.chosen) is not None:
             return True
         return self._do(choice.chosen, until, again=choice.again)
