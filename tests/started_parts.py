@@ -25,7 +25,7 @@ reference: {{every: 0}}
 WALL = """\
 hil_station: 1
 name: wall
-robots: {ur5: {driver: mock, model: ur5, options: {clock: wall}}}
+robots: {ur5: {driver: mock, model: ur5, options: {clock: wall, speed: 4}}}
 """
 
 

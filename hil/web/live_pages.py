@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +38,6 @@ from hil.web.settings import Settings
 LOOK_EVERY_S = 0.25
 LISTENS_WITHIN_S = 3.0
 """A run that has just begun hears nothing for a moment."""
-
-FROM = "from the dashboard"
 
 
 def run_page(request: Request) -> Response:
@@ -127,12 +127,12 @@ async def run_events(request: Request) -> Response:
 
 async def events(request: Request) -> Response:
     """Which runs are live and where they are, whenever that has changed."""
-    settings = settings_of(request)
+    known = _live_runs(settings_of(request))
 
     async def told() -> AsyncIterator[dict[str, str]]:
         seen: list[dict[str, Any]] | None = None
         while True:
-            now = await run_in_threadpool(_live_now, settings)
+            now = await run_in_threadpool(known.now)
             if now != seen:
                 yield {"event": "live", "data": json.dumps(now)}
             seen = now
@@ -141,8 +141,27 @@ async def events(request: Request) -> Response:
     return EventSourceResponse(told(), ping=15)
 
 
-def _live_now(settings: Settings) -> list[dict[str, Any]]:
-    return [header_of(run, settings) for run in live_runs(settings)]
+class _LiveRuns:
+    """The live runs, looked for once for all that are told of them."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._looking = threading.Lock()
+        self._until, self._seen = 0.0, list[dict[str, Any]]()
+
+    def now(self) -> list[dict[str, Any]]:
+        """What every page shows of each of them."""
+        with self._looking:
+            if time.monotonic() >= self._until:
+                runs = live_runs(self._settings)
+                self._seen = [header_of(run, self._settings) for run in runs]
+                self._until = time.monotonic() + LOOK_EVERY_S
+            return self._seen
+
+
+@lru_cache(maxsize=4)
+def _live_runs(settings: Settings) -> _LiveRuns:
+    return _LiveRuns(settings)
 
 
 routes = [

@@ -108,16 +108,19 @@ function addTo(key, value) {
   curves.set(key, numbers);
 }
 
+// At least so much room, or noise would look like a storm; with `zero` as much below as above it.
+function range(numbers, { room, zero }) {
+  let [low, high] = [Math.min(...numbers), Math.max(...numbers)];
+  if (zero !== undefined) [low, high] = [-1, 1].map((side) => side * Math.max(-low, high));
+  const more = Math.max(0, Number(room) - (high - low)) / 2;
+  return [low - more, high + more];
+}
+
 function draw(svg) {
   const numbers = curves.get(svg.dataset.spark);
   if (!numbers || numbers.length < 2) return;
-  let low = Math.min(...numbers);
-  let high = Math.max(...numbers);
-  if ("zero" in svg.dataset) {
-    high = Math.max(Math.abs(low), Math.abs(high));
-    low = -high;
-  }
-  const room = Math.max(high - low, Number(svg.dataset.room || 0)) || 1;
+  const [low, high] = range(numbers, svg.dataset);
+  const room = high - low;
   const point = (value, i) => `${((120 * i) / (KEPT - 1)).toFixed(1)},${(23 - (22 * (value - low)) / room).toFixed(1)}`;
   svg.querySelector("polyline").setAttribute("points", numbers.map(point).join(" "));
 }

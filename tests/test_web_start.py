@@ -1,0 +1,130 @@
+"""Starting runs from the dashboard: what is offered, what is checked, what becomes of it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live_run import until
+from starlette.testclient import TestClient
+from started_parts import PROMPT, written
+
+from hil.campaign.starting import started_runs
+from hil.record.rundir import RunDirectory
+from hil.web.app import create_app
+from hil.web.settings import Settings
+
+PAGE = {"accept": "text/html"}
+
+
+class Desk:
+    """A browser at a dashboard with some specs."""
+
+    def __init__(self, folder: Path, **more: Any) -> None:
+        specs = folder / "specs"
+        specs.mkdir()
+        self.files = written(specs)
+        self.settings = Settings(folder / "runs", folder / "registry", specs, port=8350, **more)
+        app = create_app(self.settings)
+        self.browser = TestClient(app, base_url="http://127.0.0.1:8350", follow_redirects=False)
+
+    def post(self, **fields: str) -> Any:
+        given = {"csrf": self.settings.csrf, "spec": "asks.yaml", "station": "wall.yaml"} | fields
+        return self.browser.post("/start", data=given, headers=PAGE)
+
+    def options(self) -> list[str]:
+        return re.findall(r"<option[^>]*>([^<]+)<", self.browser.get("/start").text)
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def test_specs_and_stations_of_the_folder_are_offered_and_nothing_else(desk: Desk) -> None:
+    specs = desk.settings.specs
+    assert specs is not None
+    (specs / "deep").mkdir()
+    (specs / "deep" / "s.yaml").write_text("hil_series: 1\nname: s\n")
+    (specs / "weekly.yaml").write_text("hil_schedule: 1\n")
+    (specs / "other.yaml").write_text("x: 1\n# hil: 1\n")
+    options = desk.options()
+    assert options[1:] == [
+        "asks.yaml", "deep/s.yaml", "the one beside the spec, or the built-in mock bench",
+        "wall.yaml",
+    ]  # fmt: skip
+
+
+def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
+    answer = desk.post(do="check", overrides="excitation.waypoints=8")
+    assert answer.status_code == 200
+    shown = dict(re.findall(r'<th scope="row">([^<]+)</th><td>([^<]+)</td>', answer.text))
+    assert shown["poses"] == "8"
+    assert PROMPT in answer.text
+    assert shown["tracking error"]
+    assert not desk.settings.runs.exists()
+    assert "excitation.waypoints=8" in answer.text  # what was typed is still there
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({"spec": "../asks.yaml"}, "not offered"),
+        ({"spec": "/etc/passwd"}, "not offered"),
+        ({"station": "asks.yaml"}, "not offered"),
+        ({"overrides": "excitation.waypoints"}, "changes nothing"),
+        ({"overrides": "excitation.waypoint=3"}, "waypoint"),
+        ({"overrides": "excitation.waypoints=many"}, "waypoints"),
+    ],
+)
+@pytest.mark.parametrize("do", ["check", "start"])
+def test_what_is_wrong_is_said_and_nothing_starts(
+    desk: Desk, fields: dict[str, str], told: str, do: str
+) -> None:
+    answer = desk.post(do=do, **fields)
+    assert answer.status_code == 422
+    assert told in re.sub("<[^>]+>", "", answer.text)
+    assert not desk.settings.runs.exists()
+
+
+def test_read_only_offers_no_start(tmp_path: Path) -> None:
+    desk = Desk(tmp_path, read_only=True)
+    assert desk.post(do="start").status_code == 403
+    assert "<form" not in desk.browser.get("/start").text
+
+
+@pytest.mark.wire
+def test_a_run_is_started_by_whom_it_says_with_what_was_laid_over_it(desk: Desk) -> None:
+    answer = desk.post(do="start", operator="Žofie", overrides="excitation.waypoints=8")
+    assert answer.status_code == 303
+    where = answer.headers["location"]
+    (started,) = started_runs(desk.settings.runs)
+    try:
+        waiting = desk.browser.get(where, headers=PAGE)
+        assert waiting.headers.get("refresh") == "1" or waiting.status_code == 303
+        until(lambda: started.made, 30)
+        leads = desk.browser.get(where, headers=PAGE).headers["location"]
+        assert leads == f"/runs/{started.made[0].relative_to(desk.settings.runs)}"
+        until(lambda: "operator" in RunDirectory(started.made[0]).start)
+        assert RunDirectory(started.made[0]).start["operator"] == "Žofie"
+        assert "waypoints: 8" in (started.made[0] / "spec.yaml").read_text()
+    finally:
+        started.cancel()
+        until(lambda: not started.alive, 20)
+
+
+@pytest.mark.wire
+def test_one_that_did_not_begin_says_its_last_words(desk: Desk) -> None:
+    answer = desk.post(do="start")
+    (started,) = started_runs(desk.settings.runs)
+    cancelled = desk.browser.post(
+        f"{answer.headers['location']}/cancel", data={"csrf": desk.settings.csrf}
+    )
+    assert cancelled.status_code == 303
+    until(lambda: not started.alive, 20)
+    ended = desk.browser.get(answer.headers["location"], headers=PAGE)
+    if not started.made:  # it is quick, but not that quick
+        assert "did not begin" in ended.text
+        assert "refresh" not in ended.headers
