@@ -78,6 +78,8 @@ def test_a_damaged_file_is_named_and_the_rest_is_shown(
     html = seen(dashboard(lab), address(run, lab))
     assert 'class="trouble"' in html
     assert name in plain(html.split('class="trouble"')[1].split("</div>")[0])
+    needed = name in ("start.json", "plan.json", "stop.json")
+    assert ('<span class="badge fail">damaged</span>' in html) == needed
     assert "00.mcap" in html
 
 

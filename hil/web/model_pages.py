@@ -18,7 +18,6 @@ from hil.registry.version import ModelVersion
 from hil.report.documents import as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, joint_title, number, when
 from hil.web.drawing import GLYPHS, timeline
-from hil.web.drift_facts import drift_of
 from hil.web.registered import model_address, run_link, versions_of
 from hil.web.rendering import page, settings_of
 from hil.web.settings import Settings
@@ -34,6 +33,8 @@ def models(request: Request) -> Response:
 
 def model(request: Request) -> Response:
     """One name: champions, drift, versions, and what was done to them."""
+    from hil.web.drift_facts import drift_of  # SciPy and more: a dashboard starts without
+
     settings, name = settings_of(request), request.path_params["name"]
     registry, problems = Registry(settings.registry), list[str]()
     versions = readable_versions(registry, name, problems)
