@@ -111,7 +111,7 @@ def _style() -> str:
 
 
 _LAYOUT = """
-.hil-card{box-sizing:border-box;max-width:60rem;padding:.6rem .9rem;
+.hil-card{box-sizing:border-box;max-width:60rem;margin:.4rem 0;padding:.6rem .9rem;
 border:1px solid var(--hil-rule);border-radius:.5rem;background:var(--hil-page);
 color:var(--hil-ink);font:14px/1.5 system-ui,sans-serif}
 .hil-card p{margin:.2rem 0;overflow-wrap:anywhere}.hil-title span:first-child,.hil-card dt,

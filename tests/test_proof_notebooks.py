@@ -1,4 +1,4 @@
-"""The notebooks run from beginning to end, each in less than two minutes of a quiet computer."""
+"""The notebooks run from beginning to end without the recorded data, and say that those are missing."""
 
 from __future__ import annotations
 
