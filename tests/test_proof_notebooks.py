@@ -1,4 +1,4 @@
-"""The notebooks run from beginning to end without the recorded data, and say that those are missing."""
+"""The notebooks run from beginning to end, and say so where recorded data are missing."""
 
 from __future__ import annotations
 
