@@ -148,8 +148,8 @@ def _next(kind: str, file: Path) -> list[str]:
     if kind == "re-identify":
         return [
             f"hil validate {file}",
-            f"hil schedule plan {file} --weeks 0.001",
-            f"hil run {file}",
+            f"hil schedule plan {file}",
+            f"hil run {file} --simulate 30min",
             f"hil schedule run {file}",
         ]
     named = file.with_name(f"{file.stem}-station.yaml")
