@@ -82,9 +82,10 @@ def _colour(trace: dict[str, Any]) -> str:
 
 
 def _shape(trace: dict[str, Any]) -> tuple[Any, ...]:
-    """What tells a trace without colour: kind, dash, width, symbol, pattern, bars."""
+    """What tells a trace without colour: kind, dash, symbol, pattern, bars, straight."""
     mark, line = trace.get("marker") or {}, trace.get("line") or {}
     return (
-        trace["type"], trace.get("mode"), line.get("dash"), line.get("width"), mark.get("symbol"),
+        trace["type"], trace.get("mode"), line.get("dash"), mark.get("symbol"),
         str(mark.get("pattern")), (trace.get("error_y") or {}).get("thickness"),
+        len(trace["x"]) == 2,
     )  # fmt: skip

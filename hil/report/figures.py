@@ -40,7 +40,7 @@ def measured_predicted(
     return {
         "data": [
             line(*decimated(t, measured), "measured", colours.MEASURED, width=1.2),
-            line(*decimated(t, predicted), "predicted", colours.PREDICTED, dash="solid", width=1.8),
+            line(*decimated(t, predicted), "predicted", colours.PREDICTED, dash="dash", width=1.8),
         ],
         "layout": axes("time [s]", f"{quantity} [{unit}]"),
     }

@@ -22,7 +22,7 @@ Legend = tuple[tuple[str, str, str], ...]
 
 OVER_TIME: Legend = (
     ("measured", colours.MEASURED, "solid"),
-    ("predicted", colours.PREDICTED, "solid"),
+    ("predicted", colours.PREDICTED, "dash"),
 )
 APPROACHES: Legend = (
     ("measured, from below", colours.UP, "▲"),

@@ -39,7 +39,10 @@ def measured(facts: RunFacts, recording: Recording) -> Dataset:
 def _origin(facts: RunFacts) -> Origin:
     robot = facts.robot
     if not robot.get("model") or not facts.joint_names:
-        raise DataError(f"{facts.path / 'start.json'} does not describe the robot")
+        raise DataError(
+            f"{facts.path / 'start.json'} does not describe the robot",
+            hint="the run directory is damaged or was edited: take it from a copy",
+        )
     described = {"joint_names": list(facts.joint_names), "effort_kind": _effort_kind(facts)}
     return origin_of_run({"robot": {**robot, **described}}, str(facts.path))
 

@@ -66,14 +66,19 @@ def figures_of(page: Path) -> list[PagePlots]:
     try:
         text = page.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{page} cannot be read: {error}") from error
+        raise DataError(
+            f"{page} cannot be read: {error}", hint="see whether it exists and may be read"
+        ) from error
     reader = _Reader()
     try:
         reader.feed(text)
         reader.close()
         found = reader.found()
     except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise DataError(f"{page} is no page of hil, or damaged: {error}") from error
+        raise DataError(
+            f"{page} is no page of hil, or damaged: {error}",
+            hint="make the page anew: hil report RUN",
+        ) from error
     if not found:
         raise DataError(f"{page} has no plots", hint="give a page that hil wrote, or a run")
     return found

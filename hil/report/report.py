@@ -207,7 +207,8 @@ def _require_same_joints(fit: FitFacts, data: Dataset) -> None:
     if len(fit.joint_names) != len(data.joint_names):
         raise DataError(
             f"its evaluation is of {len(fit.joint_names)} joints, the data have "
-            f"{len(data.joint_names)}"
+            f"{len(data.joint_names)}",
+            hint="the run directory was put together from several: take it from a copy",
         )
 
 
