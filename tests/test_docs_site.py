@@ -50,8 +50,15 @@ def test_every_page_is_in_the_navigation(site: Path) -> None:
     linked = {(site / "reference" / link).resolve() for link in tabs if "#" not in link}
     docs = ROOT / "docs"
     made = {(site / path.relative_to(docs)).with_suffix(".html") for path in docs.rglob("[!R]*.md")}
-    made.add(site / "experiments" / "index.html")
     assert {path.relative_to(site).as_posix() for path in made - linked} == set()
+
+
+def test_a_readme_is_a_page_of_its_section_and_not_the_section(site: Path) -> None:
+    home = re.sub(r"\s+", " ", (site / "index.html").read_text("utf-8"))
+    for path, title in (("experiments", "Ready experiments"), ("decisions", "Decision records")):
+        assert re.search(
+            rf'href="{path}/index.html"[^>]*> <span class="md-ellipsis"> {title}', home
+        )
 
 
 def test_links_lead_to_files_of_the_site(site: Path) -> None:

@@ -62,8 +62,6 @@ def slug(title: str, separator: str) -> str:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what pages link to outside docs/, and what that links to in turn."""
     root = Path(config.docs_dir).parent
-    index = (root / HERE / "README.md").read_text("utf-8")
-    listed = {site_uri("README.md", target) for target in LINK.findall(index)}
     waiting = {file.src_uri: file.content_string for file in files.documentation_pages()}
     while waiting:
         uri, text = waiting.popitem()
@@ -73,8 +71,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
                 continue
             content = shown(source)
             made = File.generated(config, wanted, content=content)
-            if wanted not in listed:
-                made.inclusion = InclusionLevel.NOT_IN_NAV
+            made.inclusion = InclusionLevel.NOT_IN_NAV
             files.append(made)
             waiting[wanted] = content
     return files
