@@ -130,7 +130,10 @@ def find_rest_poses(
     place, around = place_of(model, station, robot)
     clearance = place.surroundings.clearance_m if clearance_mm is None else 1e-3 * clearance_mm
     if not 0 <= clearance < np.inf:
-        raise SpecError(f"a clearance of {1e3 * clearance:g} mm cannot be kept")
+        raise SpecError(
+            f"a clearance of {1e3 * clearance:g} mm cannot be kept",
+            hint="--clearance-mm takes 0 or more, and less than the arm is long",
+        )
     arm = None if unchecked else _described_arm(model, load)
     bodies = collision_model(arm, place.surroundings, [(load, None)]) if arm else None
     begin = time.perf_counter()
@@ -213,7 +216,8 @@ def _described_arm(model: RobotEstimator, load: Payload) -> ArmDescription:
     if load.mass > arm.payload_max_kg:
         raise SpecError(
             f"a load of {load.mass:g} kg is beyond the {arm.payload_max_kg:g} kg the {arm.name} "
-            "is rated for"
+            "is rated for",
+            hint="give the load that is mounted: --payload M",
         )
     return arm
 

@@ -35,7 +35,11 @@ def _judge(
     if "commissioning" in recorded.directory.start:
         return None  # a part of the program, or another speed: there is no model to be judged
     if signals.seen:
-        return Stopped("stopped after the motion, before the fit", by_signal=True)
+        return Stopped(
+            "stopped after the motion, before the fit",
+            by_signal=True,
+            hint="hil fit RUN -e ESTIMATOR fits what was recorded",
+        )
     names = ", ".join(fit.estimator for fit in experiment.spec.fit)
     watching.publish({"kind": "stage", "stage": f"fitting {names}" if names else "judging"})
     try:

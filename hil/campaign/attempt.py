@@ -119,7 +119,10 @@ def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | Non
         told = f"the recording could not be read back: {error.message}"
         return None, RecordingError(told, hint=error.hint)
     except Exception as error:  # the motion is over: whatever this is, its end must be written
-        return None, RecordingError(f"the recording could not be read back: {error!r}")
+        return None, RecordingError(
+            f"the recording could not be read back: {error!r}",
+            hint="hil recover RUN makes whole what is left of it",
+        )
     if not complete.missing:
         return complete, None
     told = f"the recording lacks measurements: {complete} are whole"

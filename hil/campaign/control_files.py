@@ -72,7 +72,10 @@ def drop(run: Path, request: ControlRequest) -> Path:
             hint="it is not moving yet, or not any more; see: hil watch",
         ) from error
     except OSError as error:
-        raise RecordingError(f"cannot write to {run}: {error.strerror or error}") from error
+        raise RecordingError(
+            f"cannot write to {run}: {error.strerror or error}",
+            hint="ask as the user who started the run, or see who may write there",
+        ) from error
     return path
 
 

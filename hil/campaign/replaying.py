@@ -166,7 +166,10 @@ def _entry(run: RunDirectory) -> StationRobot:
     name = str(run.start.get("robot_name", ""))
     entry = load_station(run.path / "station.yaml").robots.get(name)
     if entry is None:
-        raise DataError(f"{run.path / 'station.yaml'} has no robot {name!r}")
+        raise DataError(
+            f"{run.path / 'station.yaml'} has no robot {name!r}",
+            hint="the run directory is damaged or was edited: take it from a copy",
+        )
     return entry
 
 

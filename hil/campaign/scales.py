@@ -67,9 +67,15 @@ def reading_of(rows: StructArray, gains: FloatArray | float, settle_rad_s: float
     usable = rows[(rows["status"] & (Status.MASKED | Status.FAULT)) == 0]
     effort: FloatArray = usable["effort"] * gains
     if not len(usable) or not np.isfinite(effort).all():
-        raise DataError("the robot reported no usable effort")
+        raise DataError(
+            "the robot reported no usable effort",
+            hint="see whether the drives are on and their effort is recorded",
+        )
     if np.abs(usable["qd"]).max() >= settle_rad_s:
-        raise DataError("the arm did not come to rest")
+        raise DataError(
+            "the arm did not come to rest",
+            hint="see whether the arm is held, or its noise at rest too large to tell",
+        )
     return Reading(effort.mean(axis=0), effort.var(axis=0) / len(usable))
 
 

@@ -200,6 +200,10 @@ def _ended(experiment: Experiment, execute: Execute, before: Document) -> Ended:
     except HilError as error:
         return replace(blank, error=error)
     except KeyboardInterrupt:  # between two runs; a run itself says what stopped it
-        told = Stopped("stopped between two runs of the series", by_signal=True)
+        told = Stopped(
+            "stopped between two runs of the series",
+            by_signal=True,
+            hint="hil resume with the folder of the series goes on",
+        )
         return replace(blank, error=told)
     return replace(blank, report=report, error=wrong)

@@ -70,7 +70,10 @@ class SeriesFolder:
         require_known_version(path / DOCUMENT, document, "hil_series_run", FORMAT)
         runs = document.pop("runs", [])
         if not isinstance(runs, list) or not all(isinstance(run, dict) for run in runs):
-            raise DataError(f"{path / DOCUMENT}: `runs` is no list of runs")
+            raise DataError(
+                f"{path / DOCUMENT}: `runs` is no list of runs",
+                hint="it is damaged or was edited: take it from a copy",
+            )
         for run in runs:
             paths = {key: run[key] for key in ("run", "report") if isinstance(run.get(key), str)}
             run.update({key: os.path.normpath(path / told) for key, told in paths.items()})

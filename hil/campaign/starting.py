@@ -168,7 +168,10 @@ def start_run(
                 start_new_session=True,
             )
     except OSError as error:
-        raise RecordingError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise RecordingError(
+            f"cannot write to {folder}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
     ticks = _ticks(process.pid)
     # Whoever started it hears of its end, so that none is left as a zombie.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()

@@ -192,4 +192,7 @@ def _digests(run: Path, recordings: Iterable[Path]) -> set[str]:
         missing = [path for path in recordings if path.relative_to(run).as_posix() not in noted]
         return found | {sha256_of(path) for path in missing}
     except OSError as error:
-        raise DataError(f"cannot read {error.filename}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {error.filename}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error

@@ -82,7 +82,13 @@ def fit(
     if failed := [one for one in fits if one.error]:
         lack = "are not registered" if register else "have no model"
         first = f"{failed[0].robot}: {failed[0].error}"
-        fail(FitError(f"{len(failed)} of {len(fits)} robots {lack}; {first}"), json)
+        fail(
+            FitError(
+                f"{len(failed)} of {len(fits)} robots {lack}; {first}",
+                hint="see the robots named above; the others are fitted",
+            ),
+            json,
+        )
 
 
 def drift(
@@ -109,7 +115,13 @@ def drift(
         print_table(("robot", "changed", "what"), map(_drift_row, told))
     if failed := [one for one in told if one.error]:
         first = f"{failed[0].robot}: {failed[0].error}"
-        fail(DataError(f"{len(failed)} of {len(told)} robots are not judged; {first}"), json)
+        fail(
+            DataError(
+                f"{len(failed)} of {len(told)} robots are not judged; {first}",
+                hint="see the robots named above; the others are judged",
+            ),
+            json,
+        )
 
 
 def report(

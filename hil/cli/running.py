@@ -120,7 +120,10 @@ def run(
         reidentify.run_schedule(spec, station, runs, registry, state, campaign=campaign, json=json)
         return
     if simulate:
-        raise SpecError(f"{spec} is no schedule: there are no weeks to --simulate")
+        raise SpecError(
+            f"{spec} is no schedule: there are no weeks to --simulate",
+            hint="name a schedule (hil_schedule: …), or leave --simulate out",
+        )
     part = commissioning_of(speed, first)
     views = (live, live_port, live_host)
     attended = Attended(operator, answers, tuple(waive or ()), wait, views, elsewhere)

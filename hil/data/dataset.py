@@ -252,4 +252,7 @@ def _require_compatible(a: Dataset, b: Dataset) -> None:
         and b.drive_gains is not None
         and not np.allclose(a.drive_gains, b.drive_gains)
     ):
-        raise DataError("cannot pool data: the sources declare different drive gains")
+        raise DataError(
+            "cannot pool data: the sources declare different drive gains",
+            hint="fit them separately, or give the same gains to all: --gains FILE",
+        )

@@ -81,7 +81,10 @@ def split(
     else:
         held_out = _named(everything, by, test)
     if held_out and len(held_out) == len(everything):
-        raise DataError(f"nothing would be left to fit on: all {by} groups are held out")
+        raise DataError(
+            f"nothing would be left to fit on: all {by} groups are held out",
+            hint="hold out fewer, or record more",
+        )
     return _split_at(dataset, by, held_out)
 
 

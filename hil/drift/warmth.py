@@ -36,7 +36,10 @@ def _rms(model: RobotEstimator, data: Dataset, celsius: FloatArray) -> FloatArra
     at = data.with_columns(temperature=np.broadcast_to(celsius, data["q"].shape).copy())
     prediction = model.predict(at)
     if "friction" not in prediction.components:
-        raise DataError(f"{model.estimator} does not say which part of its prediction is friction")
+        raise DataError(
+            f"{model.estimator} does not say which part of its prediction is friction",
+            hint="take a model whose estimator tells friction apart, such as rigid-hysteresis",
+        )
     friction = prediction.components["friction"][np.all(prediction.valid, axis=1)]
     found: FloatArray = np.sqrt(np.mean(friction**2, axis=0))
     return found

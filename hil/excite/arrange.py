@@ -111,7 +111,10 @@ class Arrangement:
         for visit in visits:
             lines = self.roadmap.way(here, visit.entry)
             if lines is None:
-                raise PlanError(f"{visit.label}: no clear way leads there from {_degrees(here)}")
+                raise PlanError(
+                    f"{visit.label}: no clear way leads there from {_degrees(here)}",
+                    hint="make the range smaller, or give the obstacles of the station more room",
+                )
             out += _group(lines, visit)
             here = visit.exit
         return out

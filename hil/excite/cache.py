@@ -66,7 +66,10 @@ class ExcitationCache:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(f"cannot make {file.parent}: {error.strerror or error}") from error
+            raise RecordingError(
+                f"cannot make {file.parent}: {error.strerror or error}",
+                hint="name another folder: HIL_CACHE=DIR, or none: HIL_CACHE=off",
+            ) from error
         write_replacing(file, json_document(document | {"trajectories": motions}))
 
     def file(self, key: str) -> Path | None:

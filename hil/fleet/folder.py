@@ -89,7 +89,10 @@ class FleetFolder:
         if not isinstance(members, list) or not all(
             isinstance(one, dict) and isinstance(one.get("robot"), str) for one in members
         ):
-            raise DataError(f"{path / DOCUMENT}: `members` is no list of robots and their runs")
+            raise DataError(
+                f"{path / DOCUMENT}: `members` is no list of robots and their runs",
+                hint="it is damaged or was edited: take it from a copy",
+            )
         for one in members:
             paths = {key: one[key] for key in ("run", "report") if isinstance(one.get(key), str)}
             one.update({key: os.path.normpath(path / told) for key, told in paths.items()})
@@ -134,7 +137,10 @@ class FleetFolder:
         try:
             taken = hold(self.path / ".lock", this_process())
         except OSError as error:
-            raise RecordingError(f"cannot lock {self.path}: {error.strerror or error}") from error
+            raise RecordingError(
+                f"cannot lock {self.path}: {error.strerror or error}",
+                hint="see whether the folder may be written to and the disk has room",
+            ) from error
         if isinstance(taken, Holder):
             raise DataError(f"{self.path} belongs to {taken}", hint="wait until that has ended")
         with taken:

@@ -43,9 +43,20 @@ class FleetReport:
         early = [one.error for one in self.ended if not one.measured and one.error]
         wrong = [one.error for one in self.ended if one.error]
         if self.left and not stopped:
-            stopped = [Stopped(f"{len(self.left)} robots were not begun", by_signal=True)]
+            stopped = [
+                Stopped(
+                    f"{len(self.left)} robots were not begun",
+                    by_signal=True,
+                    hint="hil fleet resume FOLDER goes on with them",
+                )
+            ]
         bad = [one for one in self.ended if one.word == "rejected"]
-        missed = [Rejected(f"{len(bad)} of {len(self.ended)} models missed their criteria")]
+        missed = [
+            Rejected(
+                f"{len(bad)} of {len(self.ended)} models missed their criteria",
+                hint="hil fleet report FOLDER shows which and by how much",
+            )
+        ]
         return next(iter([*stopped, *early, *wrong, *(missed if bad else ())]), None)
 
     def to_dict(self) -> Document:

@@ -75,7 +75,10 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
     robot, age = robot_of(run), _age(run)
     try:
         if model is None:
-            raise FitError("it has no model: hil fleet fit")
+            raise FitError(
+                "it has no model: hil fleet fit",
+                hint="fit it first: hil fleet fit FOLDER -e ESTIMATOR",
+            )
         names, friction, temperature = _friction(run, model)
     except HilError as error:
         none = np.empty(0)
@@ -92,7 +95,10 @@ def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, Floa
     data = usable_part(load_source(run), fitted)
     prediction = fitted.predict(data)
     if "friction" not in prediction.components:
-        raise FitError(f"{fitted.estimator} does not say which part of its prediction is friction")
+        raise FitError(
+            f"{fitted.estimator} does not say which part of its prediction is friction",
+            hint="fit with an estimator that tells friction apart",
+        )
     torque = prediction.components["friction"] * fitted.torque_scale_
     friction: FloatArray = np.sqrt(np.nanmean(torque**2, axis=0))
     measured = "temperature" in data.columns

@@ -151,7 +151,8 @@ class RobotEstimator(Parametrised):
         if dataset.joint_names != self.joint_names_:
             raise DataError(
                 f"the model is for the joints {', '.join(self.joint_names_)}, "
-                f"the data have {', '.join(dataset.joint_names)}"
+                f"the data have {', '.join(dataset.joint_names)}",
+                hint="take recordings of the robot that the model is for",
             )
         if dataset.effort_kind != self.effort_kind_:
             raise DataError(

@@ -73,7 +73,10 @@ class RigidLeastSquares(RigidClassical):
         self.method = choice("method", method, METHODS)
         self.alpha = None if alpha is None else number("alpha", alpha, at_least=0.0)
         if alpha is not None and method != "ridge":
-            raise SpecError(f"alpha belongs to method ridge, not to {method}")
+            raise SpecError(
+                f"alpha belongs to method ridge, not to {method}",
+                hint="leave alpha out, or set method: ridge",
+            )
 
     @property
     def certain(self) -> bool:  # type: ignore[override]

@@ -87,7 +87,10 @@ class StaticLinear(PoseClustered):
         if l1_ratio > 1.0:
             raise SpecError(f"l1_ratio is {l1_ratio!r}, but must be a share between 0 and 1")
         if form == "shared" and method in ("lasso", "elastic-net"):
-            raise SpecError(f"method: {method} goes with form: paper only")
+            raise SpecError(
+                f"method: {method} goes with form: paper only",
+                hint="add form: paper, or choose another method",
+            )
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the dwells of the data, or to the stays found in motions without a plan.

@@ -115,7 +115,10 @@ class StaticModel(WlsEstimator):
 
     def _require_form(self) -> None:
         if self.current_term and self.form != "paper":
-            raise SpecError("current_term is eq. 20 of the paper and goes with form: paper only")
+            raise SpecError(
+                "current_term is eq. 20 of the paper and goes with form: paper only",
+                hint="add form: paper, or leave current_term out",
+            )
 
     def _scale(self, dataset: Dataset) -> FloatArray:
         """Currents need no gains when every joint is on its own and nothing is mounted."""

@@ -122,7 +122,10 @@ class StaticMlpLm(StaticModel):
         self._mlp = Mlp(layers, activations)
         Settings.given(self._settings())
         if validation_percent >= 100.0:
-            raise SpecError(f"validation_percent is {validation_percent:g}, but must be below 100")
+            raise SpecError(
+                f"validation_percent is {validation_percent:g}, but must be below 100",
+                hint="20 is usual",
+            )
 
     def extras(self) -> dict[str, str]:
         """PyTorch on any device but the CPU."""

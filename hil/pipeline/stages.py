@@ -130,7 +130,10 @@ def _keep(path: Path, name: str, key: str, document: Document) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json_document(told))
     except OSError as error:
-        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+        raise RecordingError(
+            f"cannot write {path}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def _kept(path: Path, key: str) -> Document | None:

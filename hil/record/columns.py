@@ -37,7 +37,10 @@ def read_rows(recording: Recording, topic: str, *, salvage: bool) -> StructArray
     channels = [channel for channel in named if recording.count([channel])] or named
     dtype = recording.dtype_of(channels[0])
     if any(recording.dtype_of(channel) != dtype for channel in channels):
-        raise DataError(f"{recording.path}: the messages of {topic} are of several kinds")
+        raise DataError(
+            f"{recording.path}: the messages of {topic} are of several kinds",
+            hint="the recording is damaged, or several were put into one file",
+        )
     if not salvage:
         _require_whole(recording, topic, channels)
     of_topic = np.zeros(1 << 16, np.bool_)

@@ -41,7 +41,10 @@ class EventLog:
             _end_torn_line(self._descriptor)
             fsync_directory(self.path.parent)
         except OSError as error:
-            raise RecordingError(f"cannot open {path}: {error.strerror or error}") from error
+            raise RecordingError(
+                f"cannot open {path}: {error.strerror or error}",
+                hint="see whether the folder may be written to and the disk has room",
+            ) from error
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._error: OSError | None = None
         self._closed = self._ended = False
@@ -145,7 +148,10 @@ def _lines_of(path: Path) -> list[bytes]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
 
 
 def _is_torn_event(line: bytes) -> bool:

@@ -37,7 +37,10 @@ def write_once(path: Path, content: bytes) -> None:
         fsync_directory(path.parent)
     except OSError as error:
         draft.unlink(missing_ok=True)
-        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+        raise RecordingError(
+            f"cannot write {path}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def write_replacing(path: Path, content: bytes) -> None:
@@ -98,7 +101,10 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         document = json.loads(path.read_bytes())
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not valid JSON: {error}", hint=_DAMAGED) from error
     if not isinstance(document, dict):

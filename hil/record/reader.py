@@ -116,9 +116,15 @@ def _opened(path: Path) -> Iterator[Recording]:
         with Path(path).open("rb") as file:
             yield Recording(file, Path(path))
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
     except MemoryError:
-        raise DataError(f"{path} asks for more memory than there is") from None
+        raise DataError(
+            f"{path} asks for more memory than there is",
+            hint="the file is damaged: hil recover FILE makes whole what is left",
+        ) from None
 
 
 def _topic_info(recording: Recording, topic: str) -> TopicInfo:

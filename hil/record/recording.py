@@ -97,7 +97,10 @@ class Recording:
             require_known_version(where, channel.metadata, "schema_version", known)
         schema = self.layout.schemas.get(channel.schema_id)
         if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
-            raise DataError(f"{self.path}: {channel.topic} is not CDR with a ROS 2 definition")
+            raise DataError(
+                f"{self.path}: {channel.topic} is not CDR with a ROS 2 definition",
+                hint="hil reads recordings of its own; import others: hil import",
+            )
         try:
             return dtype_of_schema(schema.data.decode("utf-8", "replace"))
         except DataError as error:

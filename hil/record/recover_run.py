@@ -109,7 +109,10 @@ def _inside(folder: Path | None, file: Path) -> Path | None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RecordingError(f"cannot make {folder}: {error.strerror or error}") from error
+        raise RecordingError(
+            f"cannot make {folder}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
     return folder / file.name.removesuffix(PARTIAL_SUFFIX)
 
 

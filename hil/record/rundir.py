@@ -154,7 +154,8 @@ class RunDirectory:
             if stop.get("outcome") == outcome:
                 return outcome
         raise DataError(
-            f"{self.path / name_of_attempt('stop.json', self.attempts - 1)} names no known outcome"
+            f"{self.path / name_of_attempt('stop.json', self.attempts - 1)} names no known outcome",
+            hint="the run directory is damaged or was edited: take it from a copy",
         )
 
     @property
@@ -291,7 +292,10 @@ class RunDirectory:
             log = self.events_path
             return {"sha256": sums, "events_bytes": log.stat().st_size if log.exists() else 0}
         except OSError as error:
-            raise RecordingError(f"cannot read {self.path} back: {error}") from error
+            raise RecordingError(
+                f"cannot read {self.path} back: {error}",
+                hint="hil recover RUN makes whole what is left of it",
+            ) from error
 
 
 def _changed(path: Path, name: str, digest: object, length: object) -> str:

@@ -120,7 +120,10 @@ def tally_of(path: Path) -> Tally:
                 times = (item.create_time, item.log_time)
                 tally.explain("attachment", item.name, times, item.media_type, item.data)
     except (OSError, McapError, ValueError, KeyError, struct.error) as error:
-        raise RecordingError(f"{path} cannot be read back: {error}") from error
+        raise RecordingError(
+            f"{path} cannot be read back: {error}",
+            hint="hil recover FILE makes whole what is left of it",
+        ) from error
     return tally
 
 

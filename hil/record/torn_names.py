@@ -64,7 +64,10 @@ def held(path: Path) -> Iterator[IO[bytes]]:
                 raise _busy(path)  # whoever had it a moment ago has given it another name
             yield file
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
 
 
 def _lock(file: IO[bytes], path: Path) -> None:

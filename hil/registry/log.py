@@ -95,7 +95,10 @@ def append_line(path: Path, document: Mapping[str, Any]) -> None:
             os.close(descriptor)
         fsync_directory(path.parent)
     except OSError as error:
-        raise RegistryError(f"cannot write {path}: {error.strerror}") from error
+        raise RegistryError(
+            f"cannot write {path}: {error.strerror}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def read_lines(path: Path) -> list[tuple[int, bytes]]:
@@ -109,7 +112,9 @@ def read_lines(path: Path) -> list[tuple[int, bytes]]:
     except FileNotFoundError:
         return []
     except OSError as error:
-        raise RegistryError(f"cannot read {path}: {error.strerror}") from error
+        raise RegistryError(
+            f"cannot read {path}: {error.strerror}", hint="see whether it exists and may be read"
+        ) from error
     return list(enumerate(content.split(b"\n")[:-1], start=1))
 
 

@@ -39,7 +39,10 @@ def leave_pointer(registry: Path, sources: Iterable[Path]) -> None:
             _add(file, line)
         except OSError as error:
             if error.errno not in _NOT_OURS:
-                raise RegistryError(f"cannot write {file}: {error.strerror or error}") from error
+                raise RegistryError(
+                    f"cannot write {file}: {error.strerror or error}",
+                    hint="see whether the folder may be written to and the disk has room",
+                ) from error
 
 
 def pointed(runs: Path) -> list[Path]:

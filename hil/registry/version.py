@@ -154,7 +154,10 @@ def write_version(home: Path, version: ModelVersion, files: Mapping[str, bytes])
         draft.rename(version.folder)
         fsync_directory(home)
     except OSError as error:
-        raise RegistryError(f"cannot write {version.folder}: {error.strerror}") from error
+        raise RegistryError(
+            f"cannot write {version.folder}: {error.strerror}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 

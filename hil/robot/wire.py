@@ -45,7 +45,8 @@ class Line:
             self._end.sendall(frame)
         except TimeoutError as error:
             raise RobotTimeout(
-                f"the driver's process has not taken a message within {timeout_s:g} s"
+                f"the driver's process has not taken a message within {timeout_s:g} s",
+                hint="it is overloaded or hangs: stop the robot, then begin anew",
             ) from error
         except OSError as error:
             self.torn = False  # nobody is there to be out of step with
@@ -91,7 +92,10 @@ class Line:
                 self._end.settimeout(left if left is None else max(left, 1e-6))
                 piece = self._end.recv(_CHUNK)
             except TimeoutError as error:
-                raise RobotTimeout("the driver's process does not answer") from error
+                raise RobotTimeout(
+                    "the driver's process does not answer",
+                    hint="the driver hangs: see that the robot is at rest, then begin anew",
+                ) from error
             except OSError as error:
                 raise EndOfLine(f"the line is cut: {error}") from error
             if not piece:

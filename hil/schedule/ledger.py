@@ -280,7 +280,10 @@ def _locked(path: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
     except OSError as error:
-        raise RegistryError(f"cannot write {path}: {error.strerror or error}") from error
+        raise RegistryError(
+            f"cannot write {path}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def _size(path: Path) -> int:

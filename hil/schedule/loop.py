@@ -93,7 +93,9 @@ class Scheduler:
                     return
                 self.clock.sleep_until(min(moments))
         except KeyboardInterrupt:
-            raise Stopped("stopped between two occasions", by_signal=True) from None
+            raise Stopped(
+                "stopped between two occasions", by_signal=True, hint="hil schedule run goes on"
+            ) from None
 
     def run_once(self) -> None:
         """Do what is due at this moment, as far as it can be done; what comes due meanwhile waits.
@@ -203,7 +205,11 @@ class Scheduler:
         except Interruption:
             self.ledger.reload()
         except KeyboardInterrupt:
-            raise Stopped(f"stopped in the middle of {occasion.id}", by_signal=True) from None
+            raise Stopped(
+                f"stopped in the middle of {occasion.id}",
+                by_signal=True,
+                hint="hil schedule run goes on with it",
+            ) from None
         except Exception as error:
             return self._ended_badly(occasion, error, until)
         else:

@@ -59,4 +59,7 @@ def _content_hash(file: Path) -> str:
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError as error:
-        raise SpecError(f"{file}: cannot be read: {error.strerror}") from None
+        raise SpecError(
+            f"{file}: cannot be read: {error.strerror}",
+            hint="see whether it exists and may be read",
+        ) from None

@@ -10,6 +10,9 @@ from hil.spec.yaml_nodes import MOST_BYTES
 from hil.spec.yaml_values import parse_text, place_after
 from hil.suggest import closest
 
+MOST_NAMED = 8
+"""Files of a folder that a hint names."""
+
 
 def read_source(path: str | FilePath, kind: str = "") -> Source:
     """Read and parse one file.
@@ -29,7 +32,10 @@ def read_source(path: str | FilePath, kind: str = "") -> Source:
         raise SpecError(f"{path}: there is no such file", hint=_neighbours(file, kind)) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise SpecError(f"{shown(str(path), most=300)}: cannot be read: {reason}") from None
+        raise SpecError(
+            f"{shown(str(path), most=300)}: cannot be read: {reason}",
+            hint="see whether it exists and may be read",
+        ) from None
     return parse(raw, str(path))
 
 
@@ -64,9 +70,12 @@ def _neighbours(file: FilePath, kind: str) -> str:
         beside = [p for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
         names = [p.name for p in beside if not kind or _is(p, kind)]
     except (OSError, ValueError):
-        return ""
-    match = closest(file.name, names)
-    return f"did you mean {file.parent / match}?" if match else ""
+        names = []
+    if match := closest(file.name, names):
+        return f"did you mean {file.parent / match}?"
+    if 0 < len(names) <= MOST_NAMED:
+        return f"there is {', '.join(sorted(names))}"
+    return "is the path right, seen from this folder?"
 
 
 def _is(file: FilePath, kind: str) -> bool:

@@ -140,5 +140,8 @@ def _failures(found: Sequence[Found]) -> list[str]:
         for key, reason in one.failed.items()
     )
     if not any(one.scores for one in found):
-        raise FitError(f"no method could be fitted: {next(iter(notes), 'none is installed')}")
+        raise FitError(
+            f"no method could be fitted: {next(iter(notes), 'none is installed')}",
+            hint="see the reasons of the others on the page; hil doctor tells what is missing",
+        )
     return list(notes)

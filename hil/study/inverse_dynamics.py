@@ -200,5 +200,8 @@ def _failures(found: Sequence[Found]) -> list[str]:
             rows.setdefault(reason, {}).setdefault(row, []).append(one.protocol)
     notes = [f"{_listed(failed)}: left out, {reason}" for reason, failed in rows.items()]
     if not any(one.scores for one in found):
-        raise FitError(f"no method could be fitted: {next(iter(notes), 'none is installed')}")
+        raise FitError(
+            f"no method could be fitted: {next(iter(notes), 'none is installed')}",
+            hint="see the reasons of the others on the page; hil doctor tells what is missing",
+        )
     return notes

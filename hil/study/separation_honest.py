@@ -158,7 +158,10 @@ class HonestProtocol:
             else:
                 methods[method.key] = _joined(method, found, order)
         if not methods:
-            raise FitError(f"no method could be fitted: {notes[0]}")
+            raise FitError(
+                f"no method could be fitted: {notes[0]}",
+                hint="see the reasons of the others on the page; hil doctor tells what is missing",
+            )
         measured = dwell_means(dwells, dwells["effort"])[numbers[order]]
         common = np.ones(measured.shape, dtype=bool)
         for one in methods.values():

@@ -122,7 +122,10 @@ class StaticSeparation(Study):
         """
         recording = recording_of(dataset, robot)
         if self.joint > robot.n:
-            raise FitError(f"joint is {self.joint}, but {robot.name} has {robot.n}")
+            raise FitError(
+                f"joint is {self.joint}, but {robot.name} has {robot.n}",
+                hint="joints are counted from 1",
+            )
         notes = list(recording.notes)
         followed = self._all_followed(recording, notes)
         tasks = [task for own, _ in followed for task in own]

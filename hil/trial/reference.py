@@ -137,7 +137,10 @@ def leading_for(bench: Bench) -> Leading:
     while not workspace.is_clear(_along(together.start, together.swing)).all():
         together = Leading(start, together.swing / 2)
         if np.abs(together.swing).max() < np.radians(1.0):
-            raise PlanError("no clear way leads all joints of the arm together")
+            raise PlanError(
+                "no clear way leads all joints of the arm together",
+                hint="make the range smaller, or give the obstacles of the station more room",
+            )
     return together
 
 

@@ -55,7 +55,9 @@ def run_trial(
     """
     begin = time.perf_counter()
     if not 0 <= seed <= MOST_SEED:
-        raise SpecError(f"the seed is {seed}, but must be 0 to {MOST_SEED}")
+        raise SpecError(
+            f"the seed is {seed}, but must be 0 to {MOST_SEED}", hint="choose another --seed"
+        )
     model = load_model_file(folder)
     require_torque(model)
     entry, where = place_of(model, station, robot)

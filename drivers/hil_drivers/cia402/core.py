@@ -224,7 +224,10 @@ class Core(Cycling):
             raise kind(problem, hint="see to that drive, then connect again")
         if self.phase in (Phase.OFF, Phase.BRAKING):
             raise CommandRefused(f"{else_text}: they were stopped meanwhile")
-        raise RobotTimeout(f"{else_text} after {within_s:g} s: still {self.phase.value}")
+        raise RobotTimeout(
+            f"{else_text} after {within_s:g} s: still {self.phase.value}",
+            hint="see the drives: hil doctor --station FILE, and their displays",
+        )
 
     def _is_on_the_way_to(self, phase: Phase) -> bool:
         if self._problem or self._gone:

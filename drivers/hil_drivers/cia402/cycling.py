@@ -103,7 +103,12 @@ class Cycling:
             self._fail(error)
         except Exception as error:  # nobody would ever hear of it in this thread
             self._last_words()
-            self._fail(RobotConnectionError(f"the cyclic exchange failed: {error!r}"))
+            self._fail(
+                RobotConnectionError(
+                    f"the cyclic exchange failed: {error!r}",
+                    hint="see whether the bus is up and the drives are on",
+                )
+            )
 
     def _run_cycles(self) -> None:
         self.schedule.restart()

@@ -74,7 +74,10 @@ class Stops:
         """The PLC shows this stop, or one that another thread has given since."""
         seen = int(self._variables.structure("stState", self._line)["nStop"])
         if (self._last - seen) % MODULO > (self._last - value) % MODULO:
-            raise RobotTimeout(f"its program shows stop {seen}, not {value}")
+            raise RobotTimeout(
+                f"its program shows stop {seen}, not {value}",
+                hint="stop the arm by its own means, then look at the PLC program",
+            )
 
 
 def _until(until: float, act: Callable[[], None]) -> None:

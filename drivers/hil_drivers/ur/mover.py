@@ -103,7 +103,12 @@ class Mover(threading.Thread):
         if course.phase is Phase.IDLE or course.obeyed.wait(OBEY_WITHIN_S):
             return
         if self.alone:
-            self._lookout.go(RobotFault("nobody is there, and the program does not stop the arm"))
+            self._lookout.go(
+                RobotFault(
+                    "nobody is there, and the program does not stop the arm",
+                    hint="press the emergency stop if the arm moves, then connect again",
+                )
+            )
             return
         raise RobotTimeout("the program does not stop the arm in time", hint="stop it directly")
 

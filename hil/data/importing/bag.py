@@ -45,7 +45,10 @@ def read_bag(path: Path, layout: ImportMap) -> Raw:
             if why:
                 problems.setdefault(row, why)
     if not stamps:
-        raise DataError(f"{path}: no messages under {layout.topic}")
+        raise DataError(
+            f"{path}: no messages under {layout.topic}",
+            hint="topic in the map says which; ros2 bag info lists those there are",
+        )
     _require_joints(orders, path)
     columns = {name: np.array(rows) for name, rows in samples.items()}
     columns["t"] = np.array(stamps)
@@ -68,11 +71,17 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
                 topics = sorted({c.topic for c in reader.connections})
                 raise DataError(f"{path} has no topic {topic}", hint=did_you_mean(topic, topics))
             if found[0].msgtype != JOINT_STATE:
-                raise DataError(f"{topic} in {path} holds {found[0].msgtype}, not {JOINT_STATE}")
+                raise DataError(
+                    f"{topic} in {path} holds {found[0].msgtype}, not {JOINT_STATE}",
+                    hint="topic in the map must name one of joint states",
+                )
             for connection, logged, data in reader.messages(found):
                 yield logged, reader.deserialize(data, connection.msgtype)
     except (AnyReaderError, OSError) as error:
-        raise DataError(f"cannot read {path} as a ROS 2 bag: {error}") from error
+        raise DataError(
+            f"cannot read {path} as a ROS 2 bag: {error}",
+            hint="is it a folder with metadata.yaml, or one .db3 or .mcap file?",
+        ) from error
 
 
 def _is_bag(folder: Path) -> bool:

@@ -63,5 +63,5 @@ def _to_si(out: Raw, name: str, quantity: Quantity, values: FloatArray) -> Float
 def _factor(text: str) -> tuple[float, float]:
     unit = unit_named(text)
     if unit is None:
-        raise DataError(f"{text!r} is no unit")
+        raise DataError(f"{text!r} is no unit", hint="see the units in docs/reference/maps.md")
     return unit.factor, unit.offset

@@ -98,7 +98,7 @@ def import_file(
     layout = _with_format(layout, format_)
     layout = layout if payload is None else layout.with_payload(payload)
     if not path.exists():
-        raise DataError(f"{path} does not exist")
+        raise DataError(f"{path} does not exist", hint="is the path right, seen from this folder?")
     _require_place(out)
     whole = READERS[layout.format](path, layout)
     numbered = np.arange(1, len(whole) + 1)

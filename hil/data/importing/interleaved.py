@@ -50,11 +50,13 @@ def _samples(path: Path, width: int) -> tuple[FloatArray, list[tuple[int, str]]]
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot read {path}: {error}") from error
+        raise DataError(
+            f"cannot read {path}: {error}", hint="see whether it exists and may be read"
+        ) from error
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
-        raise DataError(f"{path} holds no values")
+        raise DataError(f"{path} holds no values", hint="is it the whole file?")
     values, problems = _numbers(path, lines, width)
     rest = len(values) % width
     if rest:

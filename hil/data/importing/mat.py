@@ -35,12 +35,17 @@ def read_mat(path: Path, layout: ImportMap) -> Raw:
     columns: dict[str, FloatArray] = {}
     if time.rate_hz is None:
         if not time.columns:
-            raise DataError("the map names no variable for t, and no rate either")
+            raise DataError(
+                "the map names no variable for t, and no rate either",
+                hint="add columns.t with a variable, or rate_hz",
+            )
         columns["t"] = np.ravel(_variable(variables, str(time.columns[0]), path))
     for name, quantity in layout.quantities().items():
         addresses = quantity.columns
         if addresses is None:
-            raise DataError(f"the map names no variable for {name}")
+            raise DataError(
+                f"the map names no variable for {name}", hint="add it to columns in the map"
+            )
         try:
             columns[name] = _quantity(variables, addresses, layout.n_joints, path)
         except _Missing:
@@ -48,7 +53,10 @@ def read_mat(path: Path, layout: ImportMap) -> Raw:
                 raise
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) != 1:
-        raise DataError(f"{path}: the variables differ in length: {lengths}")
+        raise DataError(
+            f"{path}: the variables differ in length: {lengths}",
+            hint="name variables of one and the same recording",
+        )
     return Raw(columns, np.arange(1, lengths["q"] + 1), "sample")
 
 
@@ -63,7 +71,10 @@ def _load(path: Path) -> dict[str, Any]:
             hint="save it in MATLAB with: save(name, '-v7')",
         ) from error
     except (OSError, ValueError, TypeError, IndexError) as error:
-        raise DataError(f"cannot read {path} as a MATLAB file: {error}") from error
+        raise DataError(
+            f"cannot read {path} as a MATLAB file: {error}",
+            hint="save it with -v7; files of version 7.3 are HDF5, which is not read",
+        ) from error
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
@@ -79,7 +90,9 @@ def _variable(variables: dict[str, Any], address: str, path: Path) -> FloatArray
     try:
         return np.asarray(place, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise DataError(f"{path}: the variable {address!r} is not numeric") from error
+        raise DataError(
+            f"{path}: the variable {address!r} is not numeric", hint="name a numeric array"
+        ) from error
 
 
 def _quantity(
@@ -88,7 +101,10 @@ def _quantity(
     if len(addresses) == 1:
         return _oriented(_variable(variables, str(addresses[0]), path), n, str(addresses[0]))
     if len(addresses) != n:
-        raise DataError(f"the map gives {len(addresses)} variables for {n} joints")
+        raise DataError(
+            f"the map gives {len(addresses)} variables for {n} joints",
+            hint="give one variable per joint, or one for all",
+        )
     return np.stack([_joint(variables, str(address), path) for address in addresses], axis=1)
 
 
@@ -99,7 +115,9 @@ def _joint(variables: dict[str, Any], address: str, path: Path) -> FloatArray:
     values, number = np.atleast_2d(_variable(variables, match[1], path)), int(match[2])
     joints = min(values.shape)
     if not 1 <= number <= joints:
-        raise DataError(f"{address!r}: the variable has joints 1 to {joints}")
+        raise DataError(
+            f"{address!r}: the variable has joints 1 to {joints}", hint="columns are counted from 1"
+        )
     return _oriented(values, joints, address)[:, number - 1]
 
 
@@ -111,4 +129,7 @@ def _oriented(values: FloatArray, n: int, address: str) -> FloatArray:
         return values
     if values.ndim == 2 and values.shape[0] == n:
         return np.ascontiguousarray(values.T)
-    raise DataError(f"{address!r} is of shape {values.shape}, not samples × {n} joints")
+    raise DataError(
+        f"{address!r} is of shape {values.shape}, not samples × {n} joints",
+        hint="name the variable of positions, or transpose it in the file",
+    )

@@ -129,7 +129,10 @@ def _open(path: Path, layout: ImportMap) -> _Lines:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror or error}") from error
+        raise DataError(
+            f"cannot read {path}: {error.strerror or error}",
+            hint="see whether it exists and may be read",
+        ) from error
     except UnicodeDecodeError as error:
         raise DataError(
             f"{path} is not a text file: byte {error.start} is not UTF-8",
@@ -141,10 +144,10 @@ def _open(path: Path, layout: ImportMap) -> _Lines:
     names = None
     if layout.header or layout.format == "ur_rtde":
         if not filled:
-            raise DataError(f"{path} is empty")
+            raise DataError(f"{path} is empty", hint="is it the whole file?")
         names = _fields(lines[filled.pop(0)], delimiter)
     if not filled:
-        raise DataError(f"{path} holds no rows")
+        raise DataError(f"{path} holds no rows", hint="is it the whole file?")
     data = [lines[i] for i in filled]
     if layout.decimal == ",":
         data = [line.replace(",", ".") for line in data]

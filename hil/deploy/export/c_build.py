@@ -120,4 +120,7 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
             command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise FitError(f"{command[0]} cannot be run: {error}") from error
+        raise FitError(
+            f"{command[0]} cannot be run: {error}",
+            hint="install gcc or clang, or name a compiler: CC=…; --unchecked leaves the check out",
+        ) from error

@@ -62,7 +62,10 @@ def require_new(out: Path) -> None:
     try:
         there = out.exists() or out.is_symlink()  # a link to nothing is written over, too
     except OSError as error:
-        raise RecordingError(f"cannot write {out}: {error.strerror}") from error
+        raise RecordingError(
+            f"cannot write {out}: {error.strerror}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
     if there:
         raise RecordingError(f"{out} exists already", hint="name one with --out that does not")
 
@@ -85,7 +88,10 @@ def write_folder(files: Mapping[str, str], out: Path) -> None:
             shutil.rmtree(made, ignore_errors=True)
             raise
     except OSError as error:
-        raise RecordingError(f"cannot write {out}: {error.strerror}") from error
+        raise RecordingError(
+            f"cannot write {out}: {error.strerror}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def write_file(content: bytes, out: Path) -> None:
@@ -98,4 +104,7 @@ def write_file(content: bytes, out: Path) -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, content)
     except OSError as error:
-        raise RecordingError(f"cannot write {out}: {error.strerror}") from error
+        raise RecordingError(
+            f"cannot write {out}: {error.strerror}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error

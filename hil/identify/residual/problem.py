@@ -153,7 +153,10 @@ def _require_usable(
     motions: Motions, residual: FloatArray, learn: BoolArray, validate: BoolArray
 ) -> None:
     if not (np.any(learn) and np.any(validate)):
-        raise DataError("a residual network needs rows to learn from and rows to stop by")
+        raise DataError(
+            "a residual network needs rows to learn from and rows to stop by",
+            hint="record more, or lower validation_share",
+        )
     columns = {"q": motions.q, "qd": motions.qd, "qdd": motions.qdd, "base": motions.base}
     columns |= {"residual": residual}
     columns |= {} if motions.effort is None else {"effort": motions.effort}
