@@ -126,3 +126,39 @@ def test_a_mistake_in_the_command_line_is_one_document(
     assert code == told["exit_code"] == 2
     assert "--no-such-option" in told["message"]
     assert "--no-such-option" in err
+
+
+LISTS = ("runs", "models list", "robots", "bench list", "mock list", "plugins")
+
+
+@pytest.mark.parametrize("verb", LISTS)
+@pytest.mark.parametrize("columns", [40, 60])
+def test_lists_fit_a_narrow_terminal(
+    verb: str, columns: int, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = call(monkeypatch, *verb.split(), columns=columns)
+    assert code == 0
+    unbroken = [  # a word longer than the terminal, such as a path, stays whole
+        line for line in out.splitlines() if len(line) > columns and " " in line.strip()
+    ]
+    assert unbroken == []
+
+
+@pytest.mark.parametrize("verb", LISTS)
+def test_nothing_is_broken_in_a_pipe(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    code, out, _ = call(monkeypatch, *verb.split())
+    assert code == 0
+    if verb in ("bench list", "plugins", "mock list"):
+        assert max(map(len, out.splitlines())) > 40
+
+
+@pytest.mark.parametrize("verb", ["runs", "models list"])
+def test_where_nothing_is_the_next_command_is_said(
+    verb: str, empty: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, out, _ = call(monkeypatch, *verb.split())
+    assert code == 0
+    assert ": hil " in out

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hil.cli.models import Sources, found
-from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
+from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
 
 RegistryOption = Annotated[
     Path,
@@ -42,7 +42,7 @@ def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None
         print_json({"registry": str(registry), "models": told})
         return
     if not told:
-        typer.echo(f"no models in {registry}; register one: hil models register MODEL --name NAME")
+        say(f"no models in {registry}; register one: hil models register MODEL --name NAME")
         return
     print_table(
         ("name", "versions", "champion", "challenger"),
