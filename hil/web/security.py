@@ -82,11 +82,12 @@ class Guard:
             return None
         query = dict(parse_qsl(scope["query_string"].decode("latin-1")))
         if scope["method"] in SAFE and _equal(query.pop("token", ""), token):
+            # Lax: a link in a report, shown in its sandbox, counts as another site's.
             # Out of the address, so that it stays neither in the history nor in bookmarks.
             left = f"?{urlencode(query)}" if query else ""
             answer = RedirectResponse(f"{scope['path']}{left}", 303)
             answer.set_cookie(
-                cookie, token, max_age=MONTH_S, httponly=True, samesite="strict",
+                cookie, token, max_age=MONTH_S, httponly=True, samesite="lax",
                 secure=scope["scheme"] == "https",
             )  # fmt: skip
             return answer
