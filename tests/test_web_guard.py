@@ -174,3 +174,16 @@ def test_a_page_that_fails_says_so_and_leaves_the_others(own: Settings) -> None:
     assert "ValueError: two &lt;b&gt;" in answer.text
     assert answer.headers["content-security-policy"] == POLICY
     assert visitor.get("/").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "taken"), [({"origin": HERE}, True), ({}, False), ({"origin": "null"}, False)]
+)
+def test_stop_is_taken_from_a_page_of_an_earlier_dashboard(
+    own: Settings, headers: dict[str, str], taken: bool
+) -> None:
+    data = {"csrf": "of the one before"}
+    answer = client(own).post("/runs/2026/ur5/0001-a/stop", data=data, headers=headers)
+    assert answer.status_code == (404 if taken else 403)  # there is no such run
+    other = client(own).post("/runs/2026/ur5/0001-a/pause", data=data, headers=headers)
+    assert other.status_code == 403

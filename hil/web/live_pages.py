@@ -48,14 +48,13 @@ def run_page(request: Request) -> Response:
         facts = facts_of_run(run, settings)
         return page(request, "run.html.j2", title=name_of(run, settings), facts=facts)
     now = LiveRun(run, settings).look()
-    last = now["log"][-1]["n"] if now["log"] else 0
     now["log"] = now["log"][-FIRST_LINES:]
-    return page(request, "live_run.html.j2", title=now["name"], now=now, last=last)
+    return page(request, "live_run.html.j2", title=now["name"], now=now)
 
 
 async def stop(request: Request) -> Response:
     """Stop a run now."""
-    return await _asked(request, lambda run, who, form: stop_run(run, who=who, wait_s=0))
+    return await _asked(request, lambda run, who, form: stop_run(run, who=who, wait_s=0), old=True)
 
 
 async def pause(request: Request) -> Response:
@@ -83,9 +82,12 @@ async def answer(request: Request) -> Response:
 
 
 async def _asked(
-    request: Request, ask: Callable[[Path, str, dict[str, str]], Reaction]
+    request: Request,
+    ask: Callable[[Path, str, dict[str, str]], Reaction],
+    *,
+    old: bool = False,
 ) -> Response:
-    form, settings = await form_of(request), settings_of(request)
+    form, settings = await form_of(request, old=old), settings_of(request)
     run = run_at(request.path_params["name"], settings)
     reaction = await run_in_threadpool(_heard, lambda: ask(run, who_of(request), form), run)
     if "text/html" in request.headers.get("accept", ""):
@@ -107,15 +109,24 @@ def _heard(ask: Callable[[], Reaction], run: Path) -> Reaction:
 
 
 async def run_events(request: Request) -> Response:
-    """How a live run is, whenever that has changed, until it ends."""
+    """How a live run is, whenever that has changed, until it ends; and what `events` tells.
+
+    One connection a page: a browser keeps six to a host, and Stop must find one that is free.
+    """
     settings = settings_of(request)
+    known = _live_runs(settings)
     run = require_run(request.path_params["name"], settings)
     after = request.query_params.get("after", "0")
     looking = LiveRun(run, settings, int(after) if after.isdecimal() else 0)
 
     async def told() -> AsyncIterator[dict[str, str]]:
         seen: dict[str, Any] = {}
+        before: list[dict[str, Any]] | None = None
         while not seen.get("over"):
+            runs = await run_in_threadpool(known.now)
+            if runs != before:
+                yield {"event": "live", "data": json.dumps(runs)}
+            before = runs
             now = await run_in_threadpool(looking.look)
             if now != seen:
                 yield {"event": "over" if now["over"] else "run", "data": json.dumps(now)}

@@ -165,33 +165,40 @@ function showNow(run, now) {
 
 // --- listening ------------------------------------------------------------------------------
 
-function listen(address, kinds) {
-  const source = new EventSource(address);
+// One connection a page, and none while nobody sees it: a browser keeps six to a host, and what is
+// asked, Stop above all, needs one that is free.
+const run = byId("run");
+let source = null;
+
+function showLive(runs) {
+  showHeader(runs);
+  showOverview(runs);
+}
+
+function address() {
+  if (!run || "over" in run.dataset) return "/events";
+  return `${run.dataset.events}?after=${byId("log").querySelector("li")?.dataset.line || 0}`;
+}
+
+function listen() {
+  source?.close();
+  source = new EventSource(address());
   source.onopen = () => setText(byId("link"), "");
   source.onerror = () => setText(byId("link"), "No connection to the dashboard: what is shown is old. ");
-  for (const [kind, take] of Object.entries(kinds)) {
-    source.addEventListener(kind, (event) => take(JSON.parse(event.data), source));
-  }
-  addEventListener("pagehide", () => source.close());
+  const told = (kind, take) => source.addEventListener(kind, (event) => take(JSON.parse(event.data)));
+  told("live", showLive);
+  told("run", (now) => showNow(run, now));
+  told("over", (now) => {
+    showNow(run, now);
+    run.dataset.over = "";
+    listen();
+  });
 }
+
+document.addEventListener("visibilitychange", () => (document.hidden ? source?.close() : listen()));
+addEventListener("pagehide", () => source?.close());
 
 // A page that comes back from the browser's memory has no connection any more.
 addEventListener("pageshow", (event) => event.persisted && location.reload());
 
-listen("/events", {
-  live: (runs) => {
-    showHeader(runs);
-    showOverview(runs);
-  },
-});
-
-const run = byId("run");
-if (run) {
-  listen(run.dataset.events, {
-    run: (now) => showNow(run, now),
-    over: (now, source) => {
-      source.close(); // it would begin anew
-      showNow(run, now);
-    },
-  });
-}
+if (!document.hidden) listen();
