@@ -66,9 +66,9 @@ def segment(q, kind="trajectory", qd=None):
     return Segment(3, kind, q, zeros if qd is None else qd, zeros, 0.0, 0.0)
 
 
-def track(asked, standing=None, model=None):
+def track(asked, standing=None, model=None, *, first=False):
     standing = np.zeros(6) if standing is None else standing
-    return track_of(asked, limits_of("lab6"), standing, 250.0, SCALING, model)
+    return track_of(asked, limits_of("lab6"), standing, 250.0, SCALING, model, first=first)
 
 
 # -- what is told of silence
@@ -259,9 +259,23 @@ def test_an_arm_led_by_a_spring_first_goes_to_where_the_segment_begins():
 
 def test_what_a_brake_gave_since_the_plan_was_made_is_made_good_first():
     asked, standing = segment(np.full((2, 6), 0.001)), np.zeros(6)
-    q = SCALING.position(track(asked, standing).position)
+    q = SCALING.position(track(asked, standing, first=True).position)
     assert q[0] == pytest.approx(standing, abs=1e-7)
     assert q[-1] == pytest.approx(asked.q[-1], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("asked", "first"),
+    [
+        (segment(np.full((2, 6), 0.003)), True),
+        (segment(np.full((2, 6), 0.001)), False),
+        (segment(np.full((1, 6), 0.001), kind="hold"), True),
+    ],
+    ids=["farther than a brake gives", "after a motion", "a hold"],
+)
+def test_nothing_else_is_made_good(asked, first):
+    with pytest.raises(CommandRefused, match="from where the arm stands"):
+        track(asked, np.zeros(6), first=first)
 
 
 # -- torques and loads

@@ -49,6 +49,7 @@ class AxesRobot:
         )
         self._line: Line | None = None
         self._prepared = False
+        self._has_moved = False
         self._stops = 0
 
     @property
@@ -116,7 +117,7 @@ class AxesRobot:
             if self._stops != stops:
                 raise CommandRefused("stopped while connecting", hint="connect again")
 
-        self._payload = Payload()
+        self._payload, self._has_moved = Payload(), False
         line = self._line = line_to(
             self._name, self._model, self._options, self._topic, self._gravity
         )
@@ -166,6 +167,7 @@ class AxesRobot:
             scaling,
             line.torque,
             led=self._options.trajectory_mode != "csp",
+            first=not self._has_moved,
         )
         line.session.core.prepare(track)
         self._prepared = stops == self._stops
@@ -184,6 +186,7 @@ class AxesRobot:
         if not prepared:
             raise CommandRefused("no segment is prepared", hint="call prepare() first")
         line.session.core.start()
+        self._has_moved = True
 
     def read(self, timeout_s: float = 1.0) -> StructArray:
         """All samples since the last call.

@@ -17,7 +17,8 @@ AT_SET_POINT_RAD = 1e-4
 """
 
 GIVEN_RAD = 2e-3
-"""A brake gives when its axis is switched on, after the plan was made from where the arm stood."""
+"""A brake gives when its axis is switched on, after the plan was made from where the arm stood: so
+much is made good before the first motion. Between motions it would hide a mistake."""
 
 LED_RAD = 0.05
 """Led by a spring (CST, CSV), an arm rests beside its set-point, where friction keeps it."""
@@ -34,6 +35,7 @@ def track_of(
     model: TorqueModel | None,
     *,
     led: bool = False,
+    first: bool = False,
 ) -> Track:
     """A segment that can be executed, in the drives' integers.
 
@@ -45,11 +47,13 @@ def track_of(
         scaling: Of the drives.
         model: Says the feed-forward torque; none is sent without.
         led: The master leads the joints; its begin may be farther from there.
+        first: Nothing has moved since the axes were switched on; a brake may have given.
 
     Raises:
         CommandRefused: It leaves the limits, jumps, begins elsewhere or moves at its ends.
     """
-    tolerance = LED_RAD if led else GIVEN_RAD
+    moves = segment.kind != "hold"
+    tolerance = LED_RAD if led else GIVEN_RAD if first and moves else AT_SET_POINT_RAD
     require_executable(segment, limits, standing, at_set_point_rad=tolerance)
     require_smooth(segment, limits, rate_hz)
     q, qd, qdd = segment.q, segment.qd, segment.qdd
