@@ -66,6 +66,9 @@ def test_an_infinite_limit_is_none() -> None:
     found = margin_of(made(context, kind="torque"), with_value("effort", 5.0, 3, 5))
     assert found is not None
     assert (found.joint, found.limit) == (5, pytest.approx(9.5))
+    still = margin_of(made(context, kind="torque"), rows())
+    assert still is not None, "standing still, a joint without a limit hides those that have one"
+    assert (still.joint, still.share) == (5, 1.0)
 
 
 def test_the_nearest_pair_counts() -> None:

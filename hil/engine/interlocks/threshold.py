@@ -83,13 +83,13 @@ class Threshold:
         """See `HasMargin.margin`: that of the joint which is nearest to its limit."""
         magnitude = self._magnitude(block[-1:])[0]
         limit, scale = (np.broadcast_to(x, magnitude.shape) for x in (self.limit, self.scale))
-        used = magnitude / limit
+        used = np.where(np.isfinite(limit), magnitude / limit, np.nan)  # no limit: no margin
         if np.isnan(used).all():
             return None
         joint = int(np.nanargmax(used))
         value, most = float(magnitude[joint] * scale[joint]), float(limit[joint] * scale[joint])
         share = max(0.0, 1.0 - float(used[joint]))
-        return Margin(value, most, self.unit, share, joint) if np.isfinite(most) else None
+        return Margin(value, most, self.unit, share, joint)
 
     def _magnitude(self, block: StructArray) -> FloatArray:
         values: FloatArray = block[self.field]
