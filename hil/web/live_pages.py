@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
-import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from functools import lru_cache
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from sse_starlette import EventSourceResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
@@ -27,15 +21,14 @@ from hil.campaign.steering import (
 )
 from hil.errors import DataError
 from hil.record.lock import is_live
-from hil.web.live_facts import FIRST_LINES, LiveRun, header_of
-from hil.web.places import address_of, live_runs, name_of, run_at
+from hil.web.live_facts import FIRST_LINES, LiveRun
+from hil.web.places import address_of, name_of, run_at
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.run_facts import facts_of_run
 from hil.web.run_files import require_run
 from hil.web.security import form_of
-from hil.web.settings import Settings
+from hil.web.streams import events, run_events
 
-LOOK_EVERY_S = 0.25
 LISTENS_WITHIN_S = 3.0
 """A run that has just begun hears nothing for a moment."""
 
@@ -106,73 +99,6 @@ def _heard(ask: Callable[[], Reaction], run: Path) -> Reaction:
             if not deaf or time.monotonic() >= deadline:
                 raise
         time.sleep(0.05)
-
-
-async def run_events(request: Request) -> Response:
-    """How a live run is, whenever that has changed, until it ends; and what `events` tells.
-
-    One connection a page: a browser keeps six to a host, and Stop must find one that is free.
-    """
-    settings = settings_of(request)
-    known = _live_runs(settings)
-    run = require_run(request.path_params["name"], settings)
-    after = request.query_params.get("after", "0")
-    looking = LiveRun(run, settings, int(after) if after.isdecimal() else 0)
-
-    async def told() -> AsyncIterator[dict[str, str]]:
-        seen: dict[str, Any] = {}
-        before: list[dict[str, Any]] | None = None
-        while not seen.get("over"):
-            runs = await run_in_threadpool(known.now)
-            if runs != before:
-                yield {"event": "live", "data": json.dumps(runs)}
-            before = runs
-            now = await run_in_threadpool(looking.look)
-            if now != seen:
-                yield {"event": "over" if now["over"] else "run", "data": json.dumps(now)}
-            seen = now | {"log": []}
-            await asyncio.sleep(LOOK_EVERY_S)
-
-    return EventSourceResponse(told(), ping=15)
-
-
-async def events(request: Request) -> Response:
-    """Which runs are live and where they are, whenever that has changed."""
-    known = _live_runs(settings_of(request))
-
-    async def told() -> AsyncIterator[dict[str, str]]:
-        seen: list[dict[str, Any]] | None = None
-        while True:
-            now = await run_in_threadpool(known.now)
-            if now != seen:
-                yield {"event": "live", "data": json.dumps(now)}
-            seen = now
-            await asyncio.sleep(2 * LOOK_EVERY_S)
-
-    return EventSourceResponse(told(), ping=15)
-
-
-class _LiveRuns:
-    """The live runs, looked for once for all that are told of them."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._looking = threading.Lock()
-        self._until, self._seen = 0.0, list[dict[str, Any]]()
-
-    def now(self) -> list[dict[str, Any]]:
-        """What every page shows of each of them."""
-        with self._looking:
-            if time.monotonic() >= self._until:
-                runs = live_runs(self._settings)
-                self._seen = [header_of(run, self._settings) for run in runs]
-                self._until = time.monotonic() + LOOK_EVERY_S
-            return self._seen
-
-
-@lru_cache(maxsize=4)
-def _live_runs(settings: Settings) -> _LiveRuns:
-    return _LiveRuns(settings)
 
 
 routes = [

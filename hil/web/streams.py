@@ -1,0 +1,114 @@
+"""What pages are told while they are looked at, by server-sent events.
+
+A browser keeps six connections to a host, and Stop must find one that is free: so all pages of a
+browser share one stream, which tells of every run that one of them shows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import AsyncIterator
+from functools import lru_cache
+from itertools import zip_longest
+from typing import Any
+
+from sse_starlette import EventSourceResponse
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+
+from hil.errors import HilError
+from hil.web.live_facts import LiveRun, header_of
+from hil.web.places import live_runs
+from hil.web.rendering import settings_of
+from hil.web.run_files import require_run
+from hil.web.settings import Settings
+
+LOOK_EVERY_S = 0.25
+BEAT_EVERY_S = 2.0
+"""A page that hears nothing for longer says that what it shows is old."""
+
+MOST_RUNS = 16
+"""Told of in one stream; of the rest only what every page shows."""
+
+Told = AsyncIterator[dict[str, str]]
+
+
+async def run_events(request: Request) -> EventSourceResponse:
+    """How a live run is, whenever that has changed, until it ends; and what `events` tells."""
+    settings = settings_of(request)
+    run = require_run(request.path_params["name"], settings)
+    looking = LiveRun(run, settings, _count(request.query_params.get("after", "")))
+    return EventSourceResponse(_told(_live_runs(settings), [looking], ends=True), ping=15)
+
+
+async def events(request: Request) -> EventSourceResponse:
+    """Which runs are live and where they are, and how every `run` of the query is.
+
+    A stream of `live`, `run`, `over` and `beat`; `after` says for each `run` how many lines of its
+    log are known.
+    """
+    settings = settings_of(request)
+    names = request.query_params.getlist("run")[:MOST_RUNS]
+    known = request.query_params.getlist("after")[: len(names)]
+    looking = []
+    for name, after in zip_longest(names, known, fillvalue=""):
+        # One that has gone is no reason to tell nothing of the others.
+        try:
+            looking.append(LiveRun(require_run(name, settings), settings, _count(after)))
+        except HilError:
+            continue
+    return EventSourceResponse(_told(_live_runs(settings), looking), ping=15)
+
+
+async def _told(known: _LiveRuns, looking: list[LiveRun], *, ends: bool = False) -> Told:
+    seen: dict[LiveRun, dict[str, Any]] = {}
+    before: list[dict[str, Any]] | None = None
+    beat = time.monotonic() + BEAT_EVERY_S
+    while True:
+        runs = await run_in_threadpool(known.now)
+        if runs != before:
+            yield {"event": "live", "data": json.dumps(runs)}
+        before = runs
+        for one in list(looking):
+            now = await run_in_threadpool(one.look)
+            if now != seen.get(one):
+                yield {"event": "over" if now["over"] else "run", "data": json.dumps(now)}
+            seen[one] = now | {"log": []}
+            if now["over"]:
+                looking.remove(one)
+        if ends and not looking:
+            return
+        if time.monotonic() >= beat:
+            yield {"event": "beat", "data": "{}"}
+            beat = time.monotonic() + BEAT_EVERY_S
+        await asyncio.sleep(LOOK_EVERY_S if looking else 2 * LOOK_EVERY_S)
+
+
+class _LiveRuns:
+    """The live runs, looked for once for all that are told of them."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._looking = threading.Lock()
+        self._until, self._seen = 0.0, list[dict[str, Any]]()
+
+    def now(self) -> list[dict[str, Any]]:
+        """What every page shows of each of them."""
+        with self._looking:
+            if time.monotonic() >= self._until:
+                runs = live_runs(self._settings)
+                self._seen = [header_of(run, self._settings) for run in runs]
+                self._until = time.monotonic() + LOOK_EVERY_S
+            return self._seen
+
+
+@lru_cache(maxsize=4)
+def _live_runs(settings: Settings) -> _LiveRuns:
+    return _LiveRuns(settings)
+
+
+def _count(text: str) -> int:
+    return int(text) if text.isdecimal() and len(text) < 12 else 0
