@@ -109,7 +109,36 @@ def test_a_place_that_is_none_is_refused(spec: Path, given: str, told: str) -> N
 
 def test_a_path_is_given_once(spec: Path) -> None:
     twice = ("--set", "excitation.seed=1", "--set", "excitation.seed=2")
-    assert "--set 2: excitation.seed: has been given before" in refused("plan", "spec.yaml", *twice)
+    told = refused("plan", "spec.yaml", *twice)
+    assert told == "--set 2: excitation.seed: has been given before, by --set 1"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "told"),
+    [
+        ("loads.0.mass_kg=1", "loads=[{mass_kg: 2}]", "loads: would replace loads.0.mass_kg of"),
+        ("loads=[{mass_kg: 2}]", "loads.0.mass_kg=1", "loads.0.mass_kg: would change loads of"),
+        ("fit.0.estimator=a", "fit.00.estimator=b", "fit.00.estimator: is fit.0.estimator of"),
+        ("fit.0=a", "fit.0000000000=b", "fit.0000000000: is fit.0 of"),
+    ],
+)
+def test_no_value_undoes_another_without_a_word(
+    spec: Path, first: str, second: str, told: str
+) -> None:
+    message = refused("plan", "spec.yaml", "--set", first, "--set", second)
+    assert message == f"--set 2: {told} --set 1"
+
+
+def test_an_index_is_the_same_with_zeros_before_it(spec: Path) -> None:
+    told = refused("validate", "spec.yaml", "--set", "fit.0000000001.estimator=x")
+    assert "a list with entries 0 to 0, not 1" in told
+
+
+@pytest.mark.parametrize("given", ["fit=", "fit=null"])
+def test_a_value_that_is_none_says_what_can_be_done_here(spec: Path, given: str) -> None:
+    told = refused("validate", "spec.yaml", "--set", given)
+    assert told.startswith("--set 1: fit: has no value: write one behind the =")
+    assert "remove" not in told
 
 
 def test_files_that_name_specs_take_none(spec: Path) -> None:

@@ -181,7 +181,8 @@ def test_a_wrong_override_is_reported_at_the_override() -> None:
         "--set 1: excitation.waypoints: must be a number, not the text 'many'",
         "--set 2: warm_up.duration_ms: unknown key; "
         "quantities carry their unit in the key: use duration_s: 0.005",
-        "--set 3: robot: has no value: give it one, or remove the key",
+        "--set 3: robot: has no value: write one behind the = (an empty list is [], an empty "
+        "text '')",
     ]
 
 

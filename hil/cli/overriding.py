@@ -54,7 +54,8 @@ def _overrides(given: Sequence[str]) -> dict[str, str]:
             )
         if path.strip() in found:
             raise SpecError(
-                f"--set {number}: {path.strip()}: has been given before",
+                f"--set {number}: {path.strip()}: has been given before, "
+                f"by --set {list(found).index(path.strip()) + 1}",
                 hint="give each path once",
             )
         found[path.strip()] = value

@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.spec.findings import Finding
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
-from hil.spec.source import Problem, Source, dotted, shown
+from hil.spec.source import Path, Problem, Source, dotted, shown
 from hil.spec.units import converted, parse_quantity, same_quantity, split_unit, symbol_of
 from hil.spec.yaml_nodes import CORE_SCALARS
 from hil.suggest import closest, did_you_mean
@@ -20,11 +20,18 @@ def explain(finding: Finding, model: Model, source: Source) -> Problem:
     if finding.type == "extra_forbidden":
         message = _unknown_key(finding, model)
     elif finding.value is None and finding.type != "missing":
-        message = "has no value: give it one, or remove the key"
+        message = f"has no value: {_what_to_give(source, path)}"
     else:
         sentence = _SENTENCES.get(finding.type)
         message = sentence(finding) if sentence else finding.told
     return Problem(source.mark(path, key=finding.about_key), path, message)
+
+
+def _what_to_give(source: Source, path: Path) -> str:
+    """What to do about a key without a value; an option of the command line removes none."""
+    if source.mark(path).line:
+        return "give it one, or remove the key"
+    return "write one behind the = (an empty list is [], an empty text '')"
 
 
 def name_of(value: Any) -> str:

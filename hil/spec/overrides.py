@@ -22,8 +22,9 @@ def lay_over(source: Source, overrides: Mapping[str, str]) -> None:
     Problems are collected in the source, under the name `--set N`.
 
     Raises:
-        SpecError: A value is not YAML, or there is no such place.
+        SpecError: A value is not YAML, there is no such place, or one would undo another.
     """
+    _require_apart(list(overrides))
     for number, (dotted_key, text) in enumerate(overrides.items(), 1):
         name = f"--set {number}"
         told = f"{name}: {shown(dotted_key)}"
@@ -69,11 +70,39 @@ def _text(dumper: yaml.SafeDumper, value: str) -> yaml.ScalarNode:
 _Plain.add_representer(str, _text)
 
 
+def _require_apart(dotted_keys: list[str]) -> None:
+    """No path twice and none below another: the last would undo what the first is said to be."""
+    paths = [_comparable(key) for key in dotted_keys]
+    for second, path in enumerate(paths):
+        for first, other in enumerate(paths[:second]):
+            shorter = min(len(path), len(other))
+            if path[:shorter] != other[:shorter]:
+                continue
+            longer = "would change" if len(path) > len(other) else "is"
+            does = "would replace" if len(path) < len(other) else longer
+            raise SpecError(
+                f"--set {second + 1}: {shown(dotted_keys[second])}: {does} "
+                f"{shown(dotted_keys[first])} of --set {first + 1}",
+                hint="give each path once, and none below another: put both into one value",
+            )
+
+
+def _comparable(dotted_key: str) -> tuple[str, ...]:
+    """Steps of a path, an index always written the same."""
+    return tuple(
+        step.lstrip("0") or "0" if _is_index(step) else step for step in dotted_key.split(".")
+    )
+
+
+def _is_index(step: str) -> bool:
+    return step.isascii() and step.isdigit()
+
+
 def _path_in(data: Any, dotted_key: str) -> Path:
     path: list[str | int] = []
     for step in dotted_key.split("."):
-        is_index = isinstance(data, list) and step.isascii() and step.isdigit()
-        path.append(int(step[:9]) if is_index else step)
+        is_index = isinstance(data, list) and _is_index(step)
+        path.append(int(step.lstrip("0")[:9] or "0") if is_index else step)
         data = _child(data, path[-1])
     return tuple(path)
 
