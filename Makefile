@@ -37,6 +37,7 @@ demo: $(VENV)/.demo ## record, fit, validate and report two programs on the mock
 	$(BIN)/hil run experiments/ur5_fourier.yaml --runs $(RUNS)
 	$(BIN)/hil run experiments/ur5_dwell_650.yaml --runs $(RUNS)
 	$(BIN)/hil runs --runs $(RUNS)
+	@echo 'look at them, and start runs of your own, in a browser: $(BIN)/hil serve'
 
 test: test-fast wire matrix ## all tests (lint, types and walls are `make lint types walls`)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.engine import Observer
+from hil.errors import SpecError
 from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
@@ -21,19 +23,34 @@ def load(
     spec: AnyPath,
     station: AnyPath | None = None,
     *,
-    overrides: Mapping[str, str] | None = None,
+    overrides: Mapping[str, object] | None = None,
 ) -> Experiment:
     """Load and check an experiment spec and its station.
 
     Args:
         spec: The spec's file.
         station: The station's file; by default as with `hil run`.
-        overrides: Other values in the spec, YAML text by dotted path, as `--set` has them.
+        overrides: Other values in the spec by dotted path (`excitation.waypoints`); texts are YAML,
+            as those of `--set`.
 
     Raises:
         SpecError: With every problem of both files.
     """
-    return load_experiment(Path(spec), Path(station) if station else None, overrides or {})
+    texts = {
+        key: value if isinstance(value, str) else json.dumps(value, default=_plain)
+        for key, value in (overrides or {}).items()
+    }
+    return load_experiment(Path(spec), Path(station) if station else None, texts)
+
+
+def _plain(value: object) -> object:
+    """A number or list of numpy's as Python's own."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise SpecError(
+        f"overrides: {value!r} is nothing that YAML has",
+        hint="give numbers, texts, lists and mappings",
+    )
 
 
 def plan(experiment: Experiment, *, connect: bool = False) -> Plan:

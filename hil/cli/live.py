@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RunChoice = Annotated[
     str,
     typer.Argument(
-        help="Run directory, or the number or name of a run; by default the only live one.",
+        help="Run directory, number or name of a run, or `last`; by default the only live one.",
         show_default=False,
     ),
 ]
@@ -97,7 +97,7 @@ def watch(
     run: Annotated[
         str,
         typer.Argument(
-            help="Run directory, or the number or name of a run; by default the newest live one.",
+            help="Run directory, number or name of a run, or `last`; by default the newest live.",
             show_default=False,
         ),
     ] = "",

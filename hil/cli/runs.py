@@ -20,7 +20,9 @@ from hil.errors import DataError, HilError, exit_code_of
 
 RunArgument = Annotated[
     str,
-    typer.Argument(help="Run directory, or the number or name of a run.", show_default=False),
+    typer.Argument(
+        help="Run directory, or number or name of a run, or `last`.", show_default=False
+    ),
 ]
 
 _Table: TypeAlias = tuple[tuple[str, ...], list[tuple[str, ...]]]

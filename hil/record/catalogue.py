@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from hil.errors import DataError
 from hil.record.lock import is_live
-from hil.record.numbering import number_of, run_folders
+from hil.record.numbering import name_for_path, number_of, run_folders
 from hil.record.rundir import RunDirectory, RunStatus
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.suggest import closest
+
+LAST = "last"
+"""Names the newest run."""
 
 ListedStatus = RunStatus | Literal["running", "damaged"]
 
@@ -66,7 +70,12 @@ def run_paths(runs_root: Path) -> list[Path]:
 
 
 def find_run(named: str, runs_root: Path) -> Path:
-    """The run directory somebody means by a path, a directory's name, or a number (`42`).
+    """The run directory somebody means.
+
+    Args:
+        named: A path, a directory's name, a number (`42`), the name of an experiment, of which the
+            newest run is meant, or `last` for the newest of all.
+        runs_root: The folder of runs.
 
     Raises:
         DataError: It is a recording instead of a run, or no run under `runs_root` is called so.
@@ -84,9 +93,20 @@ def find_run(named: str, runs_root: Path) -> Path:
     if found:
         listed = ", ".join(str(run) for run in found)
         raise DataError(f"{len(found)} runs are called {named}: {listed}", hint="give the path")
+    if (newest := _newest(named, folders)) is not None:
+        return newest
     guess = None if number else closest(named, [run.name for run in folders])
     hint = f"did you mean {guess!r}?" if guess else f"list them with: hil runs --runs {runs_root}"
     raise DataError(f"there is no run {named}, here or under {runs_root}", hint=hint)
+
+
+def _newest(named: str, folders: Iterable[Path]) -> Path | None:
+    """The newest run of an experiment of that name; `last` stands for any."""
+    own = name_for_path(named)
+    of_it = [run for run in folders if number_of(run)]
+    if named != LAST:
+        of_it = [run for run in of_it if run.name.partition("-")[2] == own]
+    return max(of_it, key=number_of, default=None)
 
 
 def _no_run(file: Path) -> DataError:

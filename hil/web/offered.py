@@ -45,6 +45,9 @@ def file_offered(name: str, settings: Settings, *kinds: str) -> Path:
 def _files(folder: Path) -> list[Path]:
     found = []
     for above, folders, names in os.walk(folder):
+        if "start.json" in names:  # a run: its spec.yaml is what it was run with
+            folders.clear()
+            continue
         folders[:] = sorted(one for one in folders if not one.startswith("."))
         found += [Path(above) / name for name in sorted(names) if name.endswith((".yaml", ".yml"))]
         if len(found) >= LOOKED_AT:
