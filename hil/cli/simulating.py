@@ -13,6 +13,8 @@ from hil.cli.output import print_json, print_table
 from hil.cli.runs import fail
 from hil.errors import HilError, SpecError
 
+WEEK_MIN = 7 * 24 * 60
+
 SimulateOption = Annotated[
     str,
     typer.Option(
@@ -58,8 +60,9 @@ def simulate_schedule(
     if json:
         print_json(told | {"folder": str(folder), "report": str(page)})
     else:
-        columns = ("week", "room [°C]", "champion", "what came of it")
-        print_table(columns, [_row(each) for each in told["occasions"]])
+        weeks = duration >= timedelta(weeks=1)
+        columns = ("week" if weeks else "after", "room [°C]", "champion", "what came of it")
+        print_table(columns, [_row(each, weeks=weeks) for each in told["occasions"]])
         typer.echo(f"report: {page}")
     if failed:
         told_why = f"{len(failed)} of {len(told['occasions'])} occasions failed: {failed[0]['why']}"
@@ -81,7 +84,8 @@ def _said(line: Mapping[str, Any]) -> None:
         typer.echo(f"{line['at'][:16]} {line['occasion']}: {text}", err=True)
 
 
-def _row(each: Mapping[str, Any]) -> tuple[str, ...]:
+def _row(each: Mapping[str, Any], *, weeks: bool) -> tuple[str, ...]:
     result = each["result"] or {}
     text = str(result.get("text") or f"{each['event']}: {each['why']}")
-    return f"{each['week']:g}", f"{each['room_c']:g}", str(result.get("champion") or ""), text
+    at = f"{each['week']:g}" if weeks else f"{each['week'] * WEEK_MIN:.0f} min"
+    return at, f"{each['room_c']:g}", str(result.get("champion") or ""), text

@@ -22,7 +22,8 @@ READING = (
     "mean). What that takes away is shown as the part above the cut-off, for dwells as the scatter "
     "about their mean: noise, and friction that changes fast. NRMSE is RMSE raw over the standard "
     "deviation of the training signal: 1 is as good as always predicting the mean, and all there "
-    "is to reach on a joint without signal."
+    "is to reach on a joint without signal. R is the correlation of the two (Pearson). MEP is the "
+    "largest single error over the largest measured value: one sample decides it."
 )
 
 
