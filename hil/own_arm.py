@@ -16,7 +16,8 @@ from hil.dynamics.collision import CollisionModel
 from hil.dynamics.described import Described, described
 from hil.dynamics.environment import Environment
 from hil.errors import SpecError
-from hil.spec.new import Draft, render
+from hil.spec.new import Draft, quoted, render
+from hil.spec.source import shown
 from hil.typing import FloatArray
 
 MOCKED_JOINTS = 6
@@ -90,7 +91,10 @@ def _notes(found: Described, arm: Path) -> list[str]:
 def _arm_text(urdf: str, found: Described) -> str:
     joints = "\n".join(_joint(found, j) for j in range(len(found.mass)))
     links = "\n".join(_link(found, j) for j in range(len(found.mass)))
-    return _HEAD.format(urdf=urdf) + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
+    return (
+        _HEAD.format(urdf=shown(urdf), source=quoted(f"{urdf}, but for lines marked GUESS"))
+        + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
+    )
 
 
 def _joint(found: Described, j: int) -> str:
@@ -113,7 +117,7 @@ def _joint(found: Described, j: int) -> str:
     silent = found.effort_max[j] == 0 or found.qd_max[j] == 0 or not np.isfinite(found.q_min[j])
     told = "  # GUESS what the URDF leaves out" if silent else ""
     return (
-        f"  - {{name: {_quoted(found.joint_names[j])}, {_row(dh)},\n"
+        f"  - {{name: {quoted(found.joint_names[j])}, {_row(dh)},\n"
         f"     {_row(said)},{told}\n"
         f"     {_row(excited)},  # GUESS\n"
         f"     {_row(drive)}}}  # GUESS"
@@ -140,15 +144,11 @@ def _numbers(values: FloatArray) -> str:
     return "[" + ", ".join(map(_number, values)) + "]"
 
 
-def _quoted(name: str) -> str:
-    return '"' + name.replace("\\", "").replace('"', "") + '"'
-
-
 def _link(found: Described, j: int) -> str:
     body = found.inertia[j]
     six = np.array([body[0, 0], body[1, 1], body[2, 2], body[0, 1], body[0, 2], body[1, 2]])
     return (
-        f"  - {{name: {_quoted(found.link_names[j])}, mass_kg: {_number(found.mass[j])}, "
+        f"  - {{name: {quoted(found.link_names[j])}, mass_kg: {_number(found.mass[j])}, "
         f"com_m: {_numbers(found.com[j])},\n     inertia_kgm2: {_numbers(six)}}}"
     )
 
@@ -199,7 +199,7 @@ _HEAD = """# An arm of one's own, from {urdf}; a station names this file as `mod
 #
 # Friction is nowhere here: the mock draws its own, real arms have theirs, and `hil` identifies it.
 sources:
-  all: "{urdf}, but for lines marked GUESS"
+  all: {source}
 rate_hz: 250  # GUESS of the controller
 payload_max_kg: 1  # GUESS
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,9 +71,12 @@ def new(
         from hil.own_arm import own_arm_drafts
 
         made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
+    elif kind == "station":
+        model, notes = _model_of(robot)
+        made = drafts(kind, path, robot=robot, name=name, model=model)
     else:
         made = drafts(kind, path, robot=robot, name=name)
-        notes = _unknown_robot(kind, path, robot)
+        notes = _unknown_robot(path, robot)
     files = _write(made)
     _tell(kind, files, made, notes, json)
 
@@ -94,13 +98,23 @@ def _require_name(option: str, name: str) -> None:
         )
 
 
-def _unknown_robot(kind: str, path: Path, robot: str) -> list[str]:
+def _model_of(robot: str) -> tuple[str, list[str]]:
+    """The arm of a station's robot, and what to say where its name is not that of one."""
+    from hil.arms import arm_names
+
+    if robot in arm_names():
+        return robot, []
+    return USUAL_ROBOT, [
+        f"there is no built-in arm {robot!r}: the station has `model: {USUAL_ROBOT}`; built in are "
+        f"{', '.join(arm_names())}"
+    ]
+
+
+def _unknown_robot(path: Path, robot: str) -> list[str]:
     """What to say where the station that a spec would run at has no such robot."""
     from hil.campaign.experiment import find_station
     from hil.suggest import did_you_mean
 
-    if kind == "station":
-        return []
     station, _, source = find_station(path.resolve().parent)
     if robot in station.robots:
         return []
@@ -111,8 +125,9 @@ def _unknown_robot(kind: str, path: Path, robot: str) -> list[str]:
 def _write(made: list[Draft]) -> list[Path]:
     """Write all files or none, and the schemas that they name where there are none yet."""
     from hil.record.files import write_replacing
-    from hil.spec.new import schemas_beside
+    from hil.spec.new import require_valid, schemas_beside
 
+    require_valid(made)
     there = [str(draft.path) for draft in made if draft.path.exists()]
     if there:
         raise SpecError(
@@ -143,15 +158,16 @@ def _tell(kind: str, files: list[Path], made: list[Draft], notes: list[str], jso
 
 
 def _next(kind: str, file: Path) -> list[str]:
+    path, folder = (shlex.quote(str(place)) for place in (file, file.parent))
     if kind == "station":
-        return [f"hil new fourier --out {file.parent}", f"hil run SPEC --station {file}"]
+        return [f"hil new fourier --out {folder}", f"hil run SPEC --station {path}"]
     if kind == "re-identify":
         return [
-            f"hil validate {file}",
-            f"hil schedule plan {file}",
-            f"hil run {file} --simulate 30min",
-            f"hil schedule run {file}",
+            f"hil validate {path}",
+            f"hil schedule plan {path}",
+            f"hil run {path} --simulate 30min",
+            f"hil schedule run {path}",
         ]
-    named = file.with_name(f"{file.stem}-station.yaml")
+    named = shlex.quote(str(file.with_name(f"{file.stem}-station.yaml")))
     station = f" --station {named}" if kind == URDF else ""
-    return [f"hil {verb} {file}{station}" for verb in ("validate", "plan", "run")]
+    return [f"hil {verb} {path}{station}" for verb in ("validate", "plan", "run")]

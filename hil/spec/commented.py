@@ -22,7 +22,9 @@ WIDTH = 100
 NARROWEST = 40
 """Comments that have less room stand above their line."""
 
-_LINE = re.compile(r"(?P<indent> *)(?P<off># )?(?P<dash>- )?(?P<key>[\w.<>-]+):(?P<rest>.*)")
+_LINE = re.compile(
+    r"(?P<indent> *)(?P<off># )?(?P<dash>- )?(?P<key>[\w.<>-]+|\"[\w.-]+\"):(?P<rest>.*)"
+)
 _MARK = "  #?"
 
 

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+import yaml
+
+from hil.errors import SpecError
 from hil.spec.commented import commented
 from hil.spec.experiment import ExperimentSpec
-from hil.spec.model_tree import Model
+from hil.spec.load import validated
+from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.schema import schema_files
+from hil.spec.source import shown
 from hil.spec.station import Station
+from hil.spec.yaml_source import parse
 
 SCHEMA_FOLDER = "schema"
 """Beside what is written: a relative path works with every editor, in every checkout, without a
 network, wherever hil is installed."""
 
-_MODELS: dict[str, tuple[str, Model]] = {
+_MODELS: dict[str, tuple[str, type[Strict]]] = {
     "hil": ("experiment", ExperimentSpec),
     "hil_station": ("station", Station),
     "hil_schedule": ("schedule", ScheduleSpec),
@@ -64,12 +71,63 @@ def drafts(kind: str, file: Path, *, robot: str, name: str, model: str = "") -> 
 def render(template: str, words: dict[str, str]) -> str:
     """A template with its words filled in and its comments made."""
     text = files("hil.spec").joinpath(f"templates/{template}.yaml").read_text("utf-8")
-    for word, value in words.items():
-        text = text.replace(f"@{word}@", value)
-    key = next(key for key in _MODELS if f"\n{key}: 1\n" in text)
-    schema, model = _MODELS[key]
+    text = "\n".join(_filled(line, words) for line in text.splitlines()) + "\n"
+    [(schema, model)] = _kinds_of(text)
     head = f"# yaml-language-server: $schema={SCHEMA_FOLDER}/{schema}.schema.json\n#\n"
     return head + commented(text, model)
+
+
+_WORD = re.compile(r"@(\w+)@")
+_TEXT = re.compile(
+    r"(?P<before> *(\w+: (?![\[{]))?)(?P<text>(?! *(\w+: |- ))[^#]*@\w+@.*?)(?P<after>:?(  #.*)?)"
+)
+"""A line whose value, or whose key, is made of words; lists have numbers."""
+
+
+def _filled(line: str, words: dict[str, str]) -> str:
+    """A line of a template; what people named things stays text, whatever YAML takes it for."""
+    found = _TEXT.fullmatch(line)
+    if found is None:
+        return _put(line, words)
+    text = as_scalar(_WORD.sub(lambda word: words[word[1]], found["text"]))
+    return found["before"] + text + _put(found["after"], words)
+
+
+def _put(line: str, words: dict[str, str]) -> str:
+    return _WORD.sub(lambda word: shown(words[word[1]], 300), line)
+
+
+def as_scalar(text: str) -> str:
+    """A text as YAML of one line: plain where every reader takes it for that text, else quoted."""
+    try:
+        line = {"k": text}
+        if yaml.safe_load(f"k: {text}") == line == parse(f"k: {text}", "").data:
+            return text
+    except (yaml.YAMLError, SpecError):
+        pass
+    return quoted(text)
+
+
+def quoted(text: str) -> str:
+    """A text as YAML of one line in double quotes."""
+    made: str = yaml.safe_dump(text, default_style='"', width=float("inf"), allow_unicode=True)
+    return made.rstrip("\n")
+
+
+def require_valid(drafts: list[Draft]) -> None:
+    """Refuse drafts that no command would take; descriptions of arms are not looked at.
+
+    Raises:
+        SpecError: With all that is wrong with the first such draft.
+    """
+    for draft in drafts:
+        for _, model in _kinds_of(draft.text):
+            validated(parse(draft.text, str(draft.path)), model)
+
+
+def _kinds_of(text: str) -> list[tuple[str, type[Strict]]]:
+    """Name of the schema and model of a file by the key it begins with; of an arm none."""
+    return [kind for key, kind in _MODELS.items() if f"\n{key}: 1\n" in text]
 
 
 def schemas_beside(drafts: list[Draft]) -> list[Draft]:
