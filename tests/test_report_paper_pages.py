@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+import json
 import re
 import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from report_runs import dwell_plan, write_run
 from typer.testing import CliRunner
 
@@ -18,11 +23,13 @@ from hil.errors import DataError
 from hil.report import colours, figures, render_report
 from hil.report.blocks import Badge, Page, Panel, Plots, Section
 from hil.report.drift_figures import Along
+from hil.report.encode import figure_json
 from hil.report.page_figures import PagePanel, figures_of
 from hil.report.paper_plots import drawn_plots
 from hil.report.render import write_page
 from hil.report.traces import axes, line
 
+OLD = Path(__file__).with_name("old_page.html")
 MM = {"column": 88.0, "page": 181.0}
 T = np.arange(2000) / 125.0
 NOISE = np.random.default_rng(0).standard_normal(2000)
@@ -155,6 +162,50 @@ def test_what_is_no_page_of_hil_is_told(text: str, told: str, tmp_path: Path) ->
     file.write_text(text, "utf-8")
     with pytest.raises(DataError, match=told):
         figures_of(file)
+
+
+def test_a_page_of_before_is_drawn_too(tmp_path: Path) -> None:
+    out = tmp_path / "old"
+    done = CliRunner().invoke(app, ["figures", str(OLD), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    assert (out / "kinds-every-kind.pdf").read_bytes()[:5] == b"%PDF-"
+
+
+def places(part: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where something stands in a document, but for numbers in arrays."""
+    for key in part if isinstance(part, dict) else range(len(part)):
+        yield (*above, key)
+        if isinstance(part[key], dict | list):
+            yield from places(part[key], (*above, key))
+
+
+def drawn_only(draw: Callable[[Figure], None], *given: object) -> bytes:
+    """As `on_sheet`, without laying it out and saving it, which takes most of the time."""
+    draw(Figure())
+    return b""
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_damaged_figure_is_drawn_or_told_with_its_page_and_title(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = json.loads(figure_json(KINDS[name]))
+    file, told = tmp_path / "page.html", list[str]()
+    monkeypatch.setattr("hil.report.paper_plots.on_sheet", drawn_only)
+    for place in places(whole):
+        damaged = copy.deepcopy(whole)
+        part: Any = damaged
+        for key in place[:-1]:
+            part = part[key]
+        del part[place[-1]]
+        text = f'<h3>a</h3><figcaption>{name}</figcaption><script type="application/json">'
+        file.write_text(f"{text}{json.dumps(damaged)}</script>", "utf-8")
+        try:
+            drawn_plots(figures_of(file)[0].panels, "svg")
+        except DataError as error:
+            told.append(error.message)
+    assert len(told) >= 8
+    assert all(str(file) in text and f"in the plot {name!r}" in text for text in told)
 
 
 def test_axes_keep_their_titles() -> None:

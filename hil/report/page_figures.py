@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import DataError
+from hil.report.figure_shape import checked_figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +133,16 @@ class _Reader(HTMLParser):
             self._caption = text
         else:
             self._plots[-1][3].append(
-                PagePanel(self._caption, _arrays(json.loads(text)), self._wide)
+                PagePanel(self._caption, _figure(text, self._caption), self._wide)
             )
+
+
+def _figure(text: str, title: str) -> dict[str, Any]:
+    """The document of one plot. Raises `ValueError` that names the plot."""
+    try:
+        return checked_figure(_arrays(json.loads(text)))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"in the plot {title!r}: {error}") from error
 
 
 def _arrays(value: Any) -> Any:

@@ -152,7 +152,9 @@ def _grid(axes: Axes, trace: Mapping[str, Any]) -> None:
     z: FloatArray = np.ma.masked_invalid(np.asarray(trace["z"], dtype=np.float64))
     scale = LinearSegmentedColormap.from_list("counts", [c for _, c in trace["colorscale"]])
     mesh = axes.pcolormesh(trace["x"], trace["y"], z, cmap=scale, shading="nearest")
-    told = trace["colorbar"]
+    told = trace.get("colorbar")
+    if not told:
+        return  # pages of before have none: their counts are told by nothing but the caption
     assert axes.figure is not None
     bar = axes.figure.colorbar(mesh, ax=axes, ticks=told["tickvals"], fraction=0.06, pad=0.02)
     bar.ax.set_yticklabels(told["ticktext"])
