@@ -1,6 +1,7 @@
-"""A real engine on a robot without physics, live and listening: `python live_run.py RUNS [PROMPT]`.
+"""A real engine on a robot without physics, live and listening.
 
-Prints the run directory when it has begun. The plan goes on for minutes.
+`python live_run.py RUNS [PROMPT [twice]]` prints the run directory when it has begun. The plan goes
+on for minutes; it may ask the same twice.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ BLOCKS_EVERY_S = 0.002
 
 
 @contextlib.contextmanager
-def live_run(runs: Path, prompt: str = "") -> Iterator[tuple[Path, subprocess.Popen[str]]]:
+def live_run(
+    runs: Path, prompt: str = "", times: str = ""
+) -> Iterator[tuple[Path, subprocess.Popen[str]]]:
     """The run directory and process of such a run; killed on the way out."""
     with subprocess.Popen(
-        [sys.executable, __file__, str(runs), prompt],
+        [sys.executable, __file__, str(runs), prompt, times],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         text=True,
@@ -45,7 +48,7 @@ def until(what: Callable[[], Any], seconds: float = 10.0) -> Any:
     return value
 
 
-def _main(runs: Path, prompt: str) -> None:
+def _main(runs: Path, prompt: str, times: str) -> None:
     from engine_parts import ListSink, line
     from kinematic_robot import KinematicRobot
 
@@ -59,14 +62,15 @@ def _main(runs: Path, prompt: str) -> None:
     from hil.record.lock import hold_run
     from hil.record.rundir import RunDirectory
 
-    steps = [Step(0, "payload")]
-    for i in range(1, 2000, 2):
-        at = (0.1 if i % 4 == 1 else -0.1,) * 6
-        steps.append(Step(i, "move", line(-at[0], at[0]) if i > 1 else line(0.0, at[0]),
+    first = 2 if times == "twice" else 1
+    steps = [Step(i, "payload", load=i) for i in range(first)]
+    for i in range(first, 2000, 2):
+        at = (0.1 if (i - first) % 4 == 0 else -0.1,) * 6
+        steps.append(Step(i, "move", line(-at[0], at[0]) if i > first else line(0.0, at[0]),
                           checkpoint=True))  # fmt: skip
         steps.append(Step(i + 1, "dwell", Hold(at), pose=i // 2))
     names = tuple(f"j{i + 1}" for i in range(6))
-    loads = (LoadStep(Payload(1.0), prompt),)
+    loads = (LoadStep(Payload(1.0), prompt),) * first
     plan = Plan("live", "ur5", names, 125.0, tuple(steps), loads, DwellRule(samples=10))
 
     class LoggingSink(ListSink):
@@ -94,4 +98,4 @@ def _main(runs: Path, prompt: str) -> None:
 
 
 if __name__ == "__main__":
-    _main(Path(sys.argv[1]), sys.argv[2])
+    _main(Path(sys.argv[1]), *sys.argv[2:4])

@@ -49,8 +49,8 @@ class FakePrompt:
     def listen(self, run: Path | None) -> None:
         self.runs.append(run)
 
-    def answer(self, yes: bool, who: str, prompt: str) -> str:
-        if prompt != "Mount it":
+    def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
+        if prompt != "Mount it" or asked not in (0, 2):
             return "the run asks something else"
         self.answers.append((yes, who))
         return ""
@@ -123,6 +123,18 @@ def test_an_answer_goes_to_the_prompt_it_was_meant_for(rig: Rig) -> None:
     assert refused["problem"] == "the run asks something else"
 
 
+def test_an_answer_brings_the_number_of_its_prompt_and_need_not(rig: Rig) -> None:
+    problems = [
+        rig.ask("answer", prompt="Mount it", yes=True, asked=asked).get("problem")
+        for asked in (1, 2, 0)
+    ]
+    assert problems == ["the run asks something else", None, None]
+    holder = run_holder(rig.run)
+    assert holder is not None
+    old = {"what": "answer", "who": "a", "holder": holder.id, "prompt": "Mount it", "yes": True}
+    assert "problem" not in rig.put("1.json", json.dumps(old).encode())  # by an older `hil answer`
+
+
 def test_what_was_meant_for_an_earlier_attempt_is_not_obeyed(rig: Rig) -> None:
     event = rig.ask("stop", holder="the one that died")
     assert event["problem"] == "meant for an earlier attempt"
@@ -147,6 +159,8 @@ def test_what_a_dead_run_left_is_swept_before_listening(tmp_path: Path) -> None:
         b'{"what": "stop"}', b'{"what": ["stop"], "who": "a", "holder": "b"}',
         b'{"what": "stop", "who": 3, "holder": "b"}',
         b'{"what": "answer", "who": "a", "holder": "b", "yes": "yes"}',
+        b'{"what": "answer", "who": "a", "holder": "b", "yes": 1}',
+        b'{"what": "answer", "who": "a", "holder": "b", "asked": true}',
         b"[" * MOST_BYTES, b'{"what": "stop", "who": "' + b"a" * MOST_BYTES + b'"}',
     ],
 )  # fmt: skip
@@ -224,5 +238,6 @@ def test_a_request_is_whole_when_it_appears(rig: Rig, monkeypatch: pytest.Monkey
     path = drop(rig.run, ControlRequest("stop", "anna", "h", reason="smoke"))
     assert json.loads(path.read_text()) == {
         "what": "stop", "who": "anna", "holder": "h", "reason": "smoke", "prompt": "", "yes": False,
+        "asked": 0,
     }  # fmt: skip
     assert len(list(path.parent.iterdir())) == 1

@@ -135,6 +135,40 @@ def test_an_answer_to_another_question_is_not_taken(tmp_path: Path) -> None:
     assert refusals[0] == f"the run asks something else now: {MOUNT!r}"
 
 
+def test_an_answer_to_an_earlier_prompt_of_the_same_text_is_not_taken(tmp_path: Path) -> None:
+    asks, _ = operator()
+    asks.listen(tmp_path)
+    refusals: list[str] = []
+
+    def twice_yes() -> None:
+        """As a double click would; then the next one by its own number."""
+        refusals.append(asks.answer(True, "bert", MOUNT, 1))
+        if len(refusals) == 3:
+            asks.answer(True, "bert", MOUNT, 2)
+
+    assert asks(MOUNT, twice_yes).yes
+    assert asks(MOUNT, twice_yes).yes
+    over = "prompt 1 is over, the run asks its prompt 2 now"
+    assert refusals[0] == ""
+    assert over in refusals[1:]
+    assert len(refusals) >= 3
+    asks.listen(tmp_path)  # another run begins to count anew
+    asks_again = asks(MOUNT, lambda: refusals.append(asks.answer(True, "bert", MOUNT, 1)))
+    assert asks_again.yes
+    assert refusals[-1] == ""
+
+
+def test_a_no_counts_after_a_yes_and_a_yes_not_after_a_no(tmp_path: Path) -> None:
+    asks, _ = operator()
+    asks.listen(tmp_path)
+
+    def all_at_once() -> None:
+        said = [asks.answer(yes, "bert", MOUNT, 1) for yes in (True, False, True)]
+        assert said == ["", "", "bert answered no already"]
+
+    assert asks(MOUNT, all_at_once) == Reply(False, "bert")
+
+
 def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> None:
     asks, console = operator(None, None, None, "yes")
     wishes = iter(["", "SIGINT: Enter goes on", "SIGINT: Enter goes on", ""])

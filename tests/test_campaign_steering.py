@@ -14,7 +14,13 @@ from live_run import live_run, until
 
 from hil.campaign.follow import newest_live, only_live
 from hil.campaign.live_state import read_live
-from hil.campaign.steering import answer_run, pause_run, resume_live_run, stop_run
+from hil.campaign.steering import (
+    answer_run,
+    pause_run,
+    question_of,
+    resume_live_run,
+    stop_run,
+)
 from hil.errors import DataError, RobotTimeout
 from hil.record.events import read_events
 from hil.record.lock import hold_run, is_live
@@ -67,6 +73,22 @@ def test_a_prompt_is_answered_from_another_terminal(tmp_path: Path) -> None:
         stop_run(run, who="anna")
     (prompt,) = [e for e in read_events(run / "events.jsonl") if e["kind"] == "prompt"]
     assert prompt["answered_by"] == "anna"
+
+
+def test_an_answer_is_to_the_question_that_was_read_and_no_later_one(tmp_path: Path) -> None:
+    with live_run(tmp_path, "Mount it", "twice") as (run, _):
+        until(lambda: read_live(run).get("asked") == 1)
+        first = question_of(run)
+        assert answer_run(run, True, who="anna", asked=first).state == "running"
+        until(lambda: read_live(run).get("asked") == 2)
+        assert read_live(run)["prompt"] == "Mount it"
+        answer_run(run, True, who="anna", asked=first, wait_s=0)  # a double click
+        until(lambda: len(controls(run)) == 2)
+        assert controls(run)[-1]["problem"] == "prompt 1 is over, the run asks its prompt 2 now"
+        assert read_live(run)["prompt"] == "Mount it"
+        answer_run(run, True, who="anna")  # as `hil answer`: what it asks now
+        until(lambda: moving(run))
+        stop_run(run, who="anna")
 
 
 def test_a_no_stops_the_run(tmp_path: Path) -> None:

@@ -49,6 +49,14 @@ def test_waiting_for_an_answer_is_no_progress() -> None:
     assert run.prompt == ""
 
 
+def test_prompts_have_numbers_their_own_or_counted() -> None:
+    asked: list[dict[str, Any]] = [{"kind": "prompt", "text": "Mount it", "answered_by": ""}] * 2
+    answered = {"kind": "prompt", "text": "Mount it", "answered_by": "ann"}
+    assert standing(asked[0], answered, asked[0]).asked == 2
+    assert standing(asked[0] | {"asked": 3}, answered).asked == 3  # some were not heard of
+    assert standing(asked[0]).snapshot()["asked"] == 1
+
+
 @pytest.mark.parametrize(
     ("event", "expected"),
     [

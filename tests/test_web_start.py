@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,8 +15,10 @@ from starlette.testclient import TestClient
 from started_parts import PROMPT, written
 
 from hil.campaign.starting import started_runs
+from hil.errors import RecordingError
 from hil.record.rundir import RunDirectory
 from hil.web.app import create_app
+from hil.web.once import Once
 from hil.web.settings import Settings
 
 PAGE = {"accept": "text/html"}
@@ -77,6 +82,11 @@ def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
         ({"overrides": "excitation.waypoints"}, "changes nothing"),
         ({"overrides": "excitation.waypoint=3"}, "waypoint"),
         ({"overrides": "excitation.waypoints=many"}, "waypoints"),
+        ({"overrides": "excitation.waypoints=8\0"}, "control characters (U+0000)"),
+        ({"overrides": "name=a\x1b[2J"}, "control characters (U+001B)"),
+        ({"operator": "an\0na"}, "control characters (U+0000)"),
+        ({"operator": "anna\nbert"}, "control characters (U+000A)"),
+        ({"spec": "asks.yaml\0"}, "not offered"),
     ],
 )
 @pytest.mark.parametrize("do", ["check", "start"])
@@ -87,6 +97,75 @@ def test_what_is_wrong_is_said_and_nothing_starts(
     assert answer.status_code == 422
     assert told in re.sub("<[^>]+>", "", answer.text)
     assert not desk.settings.runs.exists()
+
+
+@pytest.mark.parametrize("do", ["check", "start"])
+def test_a_name_of_a_cookie_is_looked_at_as_well(desk: Desk, do: str) -> None:
+    desk.browser.cookies.set("hil_who", "an%00na")
+    answer = desk.post(do=do)
+    assert answer.status_code == 422
+    assert "control characters" in answer.text
+
+
+class Starts:
+    """In place of `start_run`: notes what would be started; slow enough to be asked twice."""
+
+    def __init__(self) -> None:
+        self.what: list[dict[str, Any]] = []
+
+    def __call__(self, spec: Path, runs: Path, **more: Any) -> Any:
+        time.sleep(0.1)
+        self.what.append({"spec": spec, **more})
+        return SimpleNamespace(id=str(len(self.what)))
+
+
+def once(desk: Desk) -> str:
+    """The value that a form of its own hides."""
+    (value,) = re.findall(r'name="once" value="([^"]+)"', desk.browser.get("/start").text)
+    return str(value)
+
+
+def test_a_form_that_is_sent_twice_starts_one_run(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = Starts()
+    monkeypatch.setattr("hil.web.start_pages.start_run", starts)
+    form = once(desk)
+    with ThreadPoolExecutor(2) as both:
+        answers = list(both.map(lambda _: desk.post(do="start", once=form), range(2)))
+    again = desk.post(do="start", once=form)
+    assert [each.headers["location"] for each in (*answers, again)] == ["/start/1"] * 3
+    assert len(starts.what) == 1
+    assert desk.post(do="start", once=once(desk)).headers["location"] == "/start/2"
+    changed = desk.post(do="start", once=form, overrides="excitation.waypoints=8")
+    assert changed.headers["location"] == "/start/3"  # gone back and changed: not the one before
+    assert desk.post(do="start").headers["location"] == "/start/4"  # a program need not hide any
+
+
+def test_what_could_not_be_started_may_be_sent_again(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> Any:
+        raise RecordingError("no space left on device")
+
+    form, starts = once(desk), Starts()
+    monkeypatch.setattr("hil.web.start_pages.start_run", full)
+    assert desk.post(do="start", once=form).status_code == 422
+    monkeypatch.setattr("hil.web.start_pages.start_run", starts)
+    assert desk.post(do="start", once=form).status_code == 303
+
+
+def test_what_was_sent_is_forgotten_after_a_while() -> None:
+    done: list[int] = []
+
+    def do() -> str:
+        done.append(1)
+        return str(len(done))
+
+    brief = Once(0.05)
+    assert [brief.of("a", do), brief.of("a", do), brief.of("b", do)] == ["1", "1", "2"]
+    time.sleep(0.06)
+    assert brief.of("a", do) == "3"
 
 
 def test_read_only_offers_no_start(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ class Answerable(Protocol):
     def listen(self, run: Path | None) -> None:
         """Answers to this run's prompts may come; None ends that."""
 
-    def answer(self, yes: bool, who: str, prompt: str) -> str:
+    def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
         """Take an answer; returns why not, or nothing."""
 
 
@@ -133,7 +133,8 @@ class Control:
         elif self._prompt is None:
             return "the run takes no answers from elsewhere"
         else:
-            return self._prompt.answer(request.yes, plain(request.who), request.prompt)
+            who = plain(request.who)
+            return self._prompt.answer(request.yes, who, request.prompt, request.asked)
         return ""
 
     def _note(self, **details: Any) -> None:

@@ -35,6 +35,8 @@ class ControlRequest:
         reason: Why, in words.
         prompt: For `answer`: the whole text that is answered.
         yes: For `answer`: whether it is done.
+        asked: For `answer`: number of the prompt (`Standing.asked`); 0 where only its text is
+            known.
     """
 
     what: What
@@ -43,11 +45,16 @@ class ControlRequest:
     reason: str = ""
     prompt: str = ""
     yes: bool = False
+    asked: int = 0
 
     @property
     def words(self) -> str:
         """For example `asked by anna: lunch`."""
         return f"asked by {plain(self.who)}" + (f": {plain(self.reason)}" if self.reason else "")
+
+
+_KINDS: dict[str, type] = {"yes": bool, "asked": int}
+"""Of fields that are no texts."""
 
 
 def drop(run: Path, request: ControlRequest) -> Path:
@@ -111,9 +118,9 @@ def _request(document: Any) -> ControlRequest:
 
 def _values(document: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     for field in fields(ControlRequest):
-        value, kind = document.get(field.name), bool if field.name == "yes" else str
+        value, kind = document.get(field.name), _KINDS.get(field.name, str)
         if value is None and field.name not in ("who", "holder"):
             continue
-        if not isinstance(value, kind):
+        if type(value) is not kind:  # a bool is an int as well
             raise ValueError(f"{field.name} is not a {kind.__name__}")
         yield field.name, value

@@ -44,7 +44,7 @@ class ConsoleOperator:
         self.elsewhere = elsewhere
         self._run: Path | None = None
         self._asking = threading.Lock()
-        self._asked = ""
+        self._asked, self._number = "", 0
         self._answer: Reply | None = None
         self._looked = -NEW_PAUSE_AFTER_S
 
@@ -56,20 +56,28 @@ class ConsoleOperator:
     def listen(self, run: Path | None) -> None:
         """From now on answers to this run's prompts also come from elsewhere; None ends that."""
         self._run = run
+        if run is not None:
+            self._number = 0  # of its prompts
 
-    def answer(self, yes: bool, who: str, prompt: str) -> str:
+    def answer(self, yes: bool, who: str, prompt: str, asked: int = 0) -> str:
         """Answer from elsewhere, on another thread; returns why it was not taken, or nothing.
 
         Args:
             yes: Whether it is done; a no stops the run.
             who: Recorded.
             prompt: The text that is answered; an answer to another one is not taken.
+            asked: Its number among the prompts of the run: the next one may have the same text.
+                0 where only the text is known.
         """
         with self._asking:
             if not self._asked:
                 return "the run asks nothing"
             if prompt != self._asked:
                 return f"the run asks something else now: {self._asked!r}"
+            if asked not in (0, self._number):
+                return f"prompt {asked} is over, the run asks its prompt {self._number} now"
+            if yes and self._answer is not None:  # a no, which stops the run, always counts
+                return f"{self._answer.words} already"
             self._answer = Reply(yes, who)
             return ""
 
@@ -83,6 +91,8 @@ class ConsoleOperator:
         Returns:
             Who answered what; `NOBODY` when nobody could.
         """
+        with self._asking:
+            self._number += 1  # also where nobody can answer: the engine counts it, too
         if not (self.attended or self._run):
             return NOBODY
         with self._asking:

@@ -22,6 +22,19 @@ View = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
+class Question:
+    """What a run asks, as it was read.
+
+    Attributes:
+        text: The whole text.
+        asked: Its number among the prompts of the run, from 1; 0 where the run does not count.
+    """
+
+    text: str
+    asked: int
+
+
+@dataclass(frozen=True, slots=True)
 class Reaction:
     """What came of a request.
 
@@ -71,21 +84,41 @@ def stop_run(run: Path, *, who: str, reason: str = "", wait_s: float = WAIT_S) -
     return _ask(run, "stop", who, wait_s, lambda view: False, reason)
 
 
-def answer_run(run: Path, yes: bool, *, who: str, wait_s: float = WAIT_S) -> Reaction:
+def question_of(run: Path) -> Question:
+    """What a run asks at the moment: text and number of one reading.
+
+    Raises:
+        DataError: It asks nothing, or is not live.
+    """
+    _require_moving(run)
+    standing = standing_in(read_live(run))
+    if not standing.prompt:
+        raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
+    return Question(standing.prompt, standing.asked)
+
+
+def answer_run(
+    run: Path, yes: bool, *, who: str, asked: Question | None = None, wait_s: float = WAIT_S
+) -> Reaction:
     """Answer what a run is asking; see `pause_run`.
+
+    Args:
+        run: The run directory.
+        yes: Whether it is done; a no stops the run.
+        who: Who answers; recorded.
+        asked: The question that is answered, and no later one; by default what it asks now.
+        wait_s: How long to wait until it has taken notice [s]; 0 does not wait.
 
     Raises:
         DataError: It asks nothing at the moment, or is not live.
     """
-    _require_moving(run)
-    prompt = str(read_live(run).get("prompt", ""))
-    if not prompt:
-        raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
+    question = asked or question_of(run)
 
     def obeyed(view: View) -> bool:
-        return yes and view.get("prompt") != prompt  # a no ends the run
+        now = standing_in(view)
+        return yes and Question(now.prompt, now.asked) != question  # a no ends the run
 
-    return _ask(run, "answer", who, wait_s, obeyed, "", prompt, yes)
+    return _ask(run, "answer", who, wait_s, obeyed, "", question, yes)
 
 
 def _ask(
@@ -95,11 +128,13 @@ def _ask(
     wait_s: float,
     obeyed: Callable[[View], bool],
     reason: str = "",
-    prompt: str = "",
+    question: Question | None = None,
     yes: bool = False,
 ) -> Reaction:
     deadline, seen = time.monotonic() + wait_s, read_live(run)
-    request = _hand_over(run, ControlRequest(what, who, "", reason, prompt, yes), deadline)
+    text, asked = (question.text, question.asked) if question else ("", 0)
+    asking = ControlRequest(what, who, "", reason, text, yes, asked)
+    request = _hand_over(run, asking, deadline)
     while time.monotonic() < deadline:
         view = read_live(run)
         seen = view or seen  # a run that ends takes its view away

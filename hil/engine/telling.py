@@ -64,6 +64,7 @@ class Telling:
         self._next = 0.0
         self._begin = time.monotonic()
         self._state = RunState.IDLE
+        self._asked = 0
 
     def begin(self, progress: Progress) -> None:
         """The run begins; `progress` is looked at whenever it is told about."""
@@ -93,7 +94,10 @@ class Telling:
 
     def asking(self, text: str) -> None:
         """The operator is asked something."""
-        self._observers.publish({"kind": "prompt", "text": text, "answered_by": ""})
+        self._asked += 1  # two questions may have the same text
+        self._observers.publish(
+            {"kind": "prompt", "text": text, "asked": self._asked, "answered_by": ""}
+        )
 
     def answered(self, text: str, reply: Reply) -> None:
         """The operator has answered, or nobody could."""

@@ -32,6 +32,7 @@ class Standing:
         behind_s: How far the recorder is behind [s].
         pausing: Why it will pause at the next checkpoint, empty while it will not.
         prompt: What the operator is being asked, empty while nothing.
+        asked: Number of the newest prompt of this attempt, from 1; 0 where nobody has counted.
         paused_s: Device time spent paused or waiting for an answer [s].
     """
 
@@ -55,6 +56,7 @@ class Standing:
     behind_s: float = 0.0
     pausing: str = ""
     prompt: str = ""
+    asked: int = 0
     paused_s: float = 0.0
 
     def take(self, event: Mapping[str, Any]) -> None:
@@ -67,7 +69,7 @@ class Standing:
             self.reason = str(event.get("reason", ""))
             self.pausing = ""
         elif kind == "prompt":
-            self.prompt = "" if event.get("answered_by") else str(event.get("text", ""))
+            self._take_prompt(event)
         elif kind in ("step", "progress"):
             before = self.device_s
             for name in _COUNTED & event.keys():
@@ -75,6 +77,14 @@ class Standing:
                     setattr(self, name, event[name])
             if self.waits:
                 self.paused_s += max(0.0, self.device_s - before)
+
+    def _take_prompt(self, event: Mapping[str, Any]) -> None:
+        if event.get("answered_by"):
+            self.prompt = ""
+            return
+        number = event.get("asked")
+        self.prompt = str(event.get("text", ""))
+        self.asked = number if isinstance(number, int) else self.asked + 1
 
     @property
     def waits(self) -> bool:
@@ -131,7 +141,9 @@ class Standing:
         return known | {"percent": round(100 * self.share, 2), "left_s": round(self.left_s, 2)}
 
 
-_COUNTED = {field.name for field in fields(Standing)} - {"stage", "reason", "prompt", "paused_s"}
+_COUNTED = {field.name for field in fields(Standing)} - {
+    "stage", "reason", "prompt", "asked", "paused_s",
+}  # fmt: skip
 
 
 def _known(value: Any) -> bool:

@@ -32,6 +32,12 @@ FIRST_LINES = 30
 
 NOT_KNOWN = "–"
 
+MOST_ASKED = 2000
+"""Characters of a question that are shown."""
+
+JOINERS = "\u200c\u200d"
+"""Not printable by themselves, but words of some languages need them."""
+
 Document = dict[str, Any]
 
 
@@ -97,7 +103,7 @@ def _shown(run: Path, live: bool) -> Document:
         "samples": f"{now.samples:,}".replace(",", " "),
         "troubles": ", ".join(now.troubles) or "none",
         "silent": _silent(view) if live else "",
-        "prompt": plain(now.prompt, most=2000),
+        "prompt": question_words(now.prompt),
         **_joint_texts(arm),
         **_margin_texts(margins),
     }
@@ -105,7 +111,7 @@ def _shown(run: Path, live: bool) -> Document:
         "over": not live,
         "t": view.get("t", 0),
         "texts": texts,
-        "values": {"share": now.share, **_margin_values(margins)},
+        "values": {"share": now.share, "asked": now.asked, **_margin_values(margins)},
         "shown": {
             "question": bool(now.prompt),
             "arm": bool(arm),
@@ -118,6 +124,19 @@ def _shown(run: Path, live: bool) -> Document:
         "margins": [str(each.get("name")) for each in margins],
         "unit": str(arm.get("effort_unit", "")),
     }
+
+
+def question_words(text: str) -> str:
+    """A question as it is shown: its lines are kept, what no page can show is left out."""
+    lines = text[: MOST_ASKED + 1].splitlines()
+    said = "\n".join("".join(map(_shown_as, line)).rstrip() for line in lines)
+    return said if len(text) <= MOST_ASKED else said[: MOST_ASKED - 1] + "…"
+
+
+def _shown_as(c: str) -> str:
+    if c.isspace():
+        return " "
+    return c if c.isprintable() or c in JOINERS else ""
 
 
 def _headline(now: Standing, run: Path) -> str:

@@ -6,28 +6,28 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.live_state import read_live
 from hil.campaign.steering import (
     Reaction,
     answer_run,
     pause_run,
+    question_of,
     resume_live_run,
     stop_run,
 )
 from hil.errors import DataError
 from hil.record.lock import is_live
-from hil.web.live_facts import FIRST_LINES, LiveRun
+from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
 from hil.web.places import address_of, name_of, run_at
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.run_facts import facts_of_run
 from hil.web.run_files import require_run
 from hil.web.security import form_of
 from hil.web.streams import events, run_events
+from hil.web.threads import in_thread
 
 LISTENS_WITHIN_S = 3.0
 """A run that has just begun hears nothing for a moment."""
@@ -61,17 +61,20 @@ async def resume(request: Request) -> Response:
 
 
 async def answer(request: Request) -> Response:
-    """Answer what a run asks."""
+    """Answer the question that was shown, and no other one."""
+    return await _asked(request, _answered)
 
-    def answered(run: Path, who: str, form: dict[str, str]) -> Reaction:
-        if form.get("answer") not in ("yes", "no"):
-            raise DataError("an answer is yes or no")
-        asked = read_live(run).get("prompt", "")
-        if asked and asked.split() != form.get("prompt", "").split():
-            raise DataError(f"{run.name} asks something else now: {asked}")
-        return answer_run(run, form["answer"] == "yes", who=who, wait_s=0)
 
-    return await _asked(request, answered)
+def _answered(run: Path, who: str, form: dict[str, str]) -> Reaction:
+    if form.get("answer") not in ("yes", "no"):
+        raise DataError("an answer is yes or no")
+    question = question_of(run)
+    shown = question_words(question.text)
+    # Browsers end lines in their own way, and an older run does not count its questions.
+    same_text = shown.split() == form.get("prompt", "").split()
+    if not same_text or form.get("asked", str(question.asked)) != str(question.asked):
+        raise DataError(f"{run.name} asks something else now: {shown}", hint="read it and answer")
+    return answer_run(run, form["answer"] == "yes", who=who, asked=question, wait_s=0)
 
 
 async def _asked(
@@ -81,11 +84,15 @@ async def _asked(
     old: bool = False,
 ) -> Response:
     form, settings = await form_of(request, old=old), settings_of(request)
-    run = run_at(request.path_params["name"], settings)
-    reaction = await run_in_threadpool(_heard, lambda: ask(run, who_of(request), form), run)
+
+    def reaction() -> tuple[Reaction, str]:
+        run, who = run_at(request.path_params["name"], settings), who_of(request)
+        return _heard(lambda: ask(run, who, form), run), address_of(run, settings)
+
+    reacted, address = await in_thread("asking", reaction)
     if "text/html" in request.headers.get("accept", ""):
-        return RedirectResponse(address_of(run, settings), 303)
-    return JSONResponse(reaction.to_dict())
+        return RedirectResponse(address, 303)
+    return JSONResponse(reacted.to_dict())
 
 
 def _heard(ask: Callable[[], Reaction], run: Path) -> Reaction:

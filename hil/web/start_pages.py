@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import secrets
+import unicodedata
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +21,17 @@ from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
 from hil.report.words import duration, number
 from hil.web.offered import file_offered, offered
+from hil.web.once import Once
 from hil.web.places import address_of
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.security import form_of
 from hil.web.settings import Settings
+from hil.web.threads import PLANS, in_thread
 
 SHOWN = 5
 """Of so many runs that were started it is told what became of them."""
+
+ONCE = Once()
 
 
 def start_page(request: Request) -> Response:
@@ -35,7 +42,15 @@ def start_page(request: Request) -> Response:
 async def begin(request: Request) -> Response:
     """Check what the form says and show the plan, or start it."""
     given = await form_of(request)
-    return await run_in_threadpool(_begin, request, given)
+    if given.get("do") == "start":
+        return await run_in_threadpool(_begin, request, given)
+    if not PLANS.acquire(blocking=False):
+        busy = HilError("two plans are being made at the moment", hint="try again in a moment")
+        return await run_in_threadpool(_form, request, given, error=busy, status=503)
+    try:
+        return await run_in_threadpool(_begin, request, given)
+    finally:
+        PLANS.release()
 
 
 def started_page(request: Request) -> Response:
@@ -59,9 +74,9 @@ def started_page(request: Request) -> Response:
 async def cancel(request: Request) -> Response:
     """End a started run that has no page yet."""
     await form_of(request)
-    started = _started(request.path_params["id"], settings_of(request))
-    await run_in_threadpool(started.cancel)
-    return RedirectResponse(f"/start/{started.id}", 303)
+    name, settings = request.path_params["id"], settings_of(request)
+    await in_thread("asking", lambda: _started(name, settings).cancel())
+    return RedirectResponse(f"/start/{name}", 303)
 
 
 def _begin(request: Request, given: Mapping[str, str]) -> Response:
@@ -71,12 +86,14 @@ def _begin(request: Request, given: Mapping[str, str]) -> Response:
         named = given.get("station", "")
         station = file_offered(named, settings, "station") if named else None
         overrides = overrides_in(given.get("overrides", ""))
+        who = given.get("operator", "").strip()[:80] or who_of(request)
+        require_text(who, "the name of who is at the robot")
         if given.get("do") == "start":
-            who = given.get("operator", "").strip()[:80] or who_of(request)
-            started = start_run(
-                spec, settings.runs, station=station, operator=who, overrides=overrides
+            start = partial(
+                start_run, spec, settings.runs, station=station, operator=who, overrides=overrides
             )
-            return RedirectResponse(f"/start/{started.id}", 303)
+            started = _once(given, settings, lambda: start().id)
+            return RedirectResponse(f"/start/{started}", 303)
         plans = [_plan(each) for each in check_start(spec, station, overrides)]
     except HilError as error:
         return _form(request, given, error=error, status=422)
@@ -87,14 +104,40 @@ def overrides_in(text: str) -> dict[str, str]:
     """Lines `path=value`; empty ones say nothing.
 
     Raises:
-        SpecError: A line says something else.
+        SpecError: A line says something else, or cannot be a text.
     """
+    require_text(text, "what is laid over the spec", but="\r\n\t")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     pairs = [line.partition("=") for line in lines]
     for line, (path, equals, _) in zip(lines, pairs, strict=True):
         if not (equals and path.strip()):
             raise SpecError(f"{line!r} changes nothing", hint="a line is: excitation.waypoints=20")
     return {path.strip(): value.strip() for path, _, value in pairs}
+
+
+def require_text(text: str, what: str, *, but: str = "") -> None:
+    """Refuse control characters: no command line takes a NUL, and no name or value needs one.
+
+    Args:
+        text: What was typed, or sent by a program.
+        what: What it is, for the message.
+        but: Control characters it may have.
+
+    Raises:
+        SpecError: It has others.
+    """
+    found = sorted({c for c in text if unicodedata.category(c) == "Cc" and c not in but})
+    if found:
+        listed = ", ".join(f"U+{ord(c):04X}" for c in found)
+        raise SpecError(f"{what} has control characters ({listed})", hint="type it anew")
+
+
+def _once(given: Mapping[str, str], settings: Settings, start: Callable[[], str]) -> str:
+    """The id of what is started; a form that is sent again starts nothing more."""
+    keys = ("spec", "station", "overrides", "operator")
+    # Changed and sent again it is another one: going back keeps what a form had hidden.
+    sent = (str(settings.runs), given.get("once", ""), *(given.get(key, "") for key in keys))
+    return ONCE.of(sent, start) if given.get("once") else start()
 
 
 def _form(
@@ -116,6 +159,7 @@ def _form(
         stations=offered(settings, "station"),
         given={key: given.get(key, "") for key in keys},
         error=error,
+        once=secrets.token_urlsafe(12),
         plans=plans or [],
         started=[_told(one, settings) for one in started_runs(settings.runs)[:SHOWN]],
     )

@@ -16,7 +16,6 @@ from itertools import zip_longest
 from typing import Any
 
 from sse_starlette import EventSourceResponse
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from hil.errors import HilError
@@ -25,6 +24,7 @@ from hil.web.places import live_runs
 from hil.web.rendering import settings_of
 from hil.web.run_files import require_run
 from hil.web.settings import Settings
+from hil.web.threads import in_thread
 
 LOOK_EVERY_S = 0.25
 BEAT_EVERY_S = 2.0
@@ -38,9 +38,9 @@ Told = AsyncIterator[dict[str, str]]
 
 async def run_events(request: Request) -> EventSourceResponse:
     """How a live run is, whenever that has changed, until it ends; and what `events` tells."""
-    settings = settings_of(request)
-    run = require_run(request.path_params["name"], settings)
-    looking = LiveRun(run, settings, _count(request.query_params.get("after", "")))
+    settings, name = settings_of(request), request.path_params["name"]
+    after = request.query_params.get("after", "")
+    looking = await in_thread("telling", _looking, name, after, settings)
     return EventSourceResponse(_told(_live_runs(settings), [looking], ends=True), ping=15)
 
 
@@ -57,7 +57,7 @@ async def events(request: Request) -> EventSourceResponse:
     for name, after in zip_longest(names, known, fillvalue=""):
         # One that has gone is no reason to tell nothing of the others.
         try:
-            looking.append(LiveRun(require_run(name, settings), settings, _count(after)))
+            looking.append(await in_thread("telling", _looking, name, after, settings))
         except HilError:
             continue
     return EventSourceResponse(_told(_live_runs(settings), looking), ping=15)
@@ -68,12 +68,12 @@ async def _told(known: _LiveRuns, looking: list[LiveRun], *, ends: bool = False)
     before: list[dict[str, Any]] | None = None
     beat = time.monotonic() + BEAT_EVERY_S
     while True:
-        runs = await run_in_threadpool(known.now)
+        runs = await in_thread("telling", known.now)
         if runs != before:
             yield {"event": "live", "data": json.dumps(runs)}
         before = runs
         for one in list(looking):
-            now = await run_in_threadpool(one.look)
+            now = await in_thread("telling", one.look)
             if now != seen.get(one):
                 yield {"event": "over" if now["over"] else "run", "data": json.dumps(now)}
             seen[one] = now | {"log": []}
@@ -108,6 +108,10 @@ class _LiveRuns:
 @lru_cache(maxsize=4)
 def _live_runs(settings: Settings) -> _LiveRuns:
     return _LiveRuns(settings)
+
+
+def _looking(name: str, after: str, settings: Settings) -> LiveRun:
+    return LiveRun(require_run(name, settings), settings, _count(after))
 
 
 def _count(text: str) -> int:

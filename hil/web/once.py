@@ -1,0 +1,43 @@
+"""What is sent twice is done once: a double click, or a page that is sent again, starts one run."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+
+KEPT_S = 600.0
+MOST = 1000
+"""Remembered at the same time; the oldest are forgotten first."""
+
+
+class Once:
+    """Remembers for some minutes what came of what was sent; safe from any thread.
+
+    Args:
+        kept_s: How long [s].
+    """
+
+    def __init__(self, kept_s: float = KEPT_S) -> None:
+        self._kept_s = kept_s
+        self._doing = threading.Lock()
+        self._came: dict[Hashable, tuple[float, str]] = {}
+
+    def of(self, sent: Hashable, do: Callable[[], str]) -> str:
+        """What `do` returned when this was sent first; what raised is done again.
+
+        Args:
+            sent: What tells it from everything else that is sent.
+            do: Does it. Nothing else is done meanwhile, so that a second one sees the first.
+        """
+        with self._doing:
+            self._forget()
+            if sent not in self._came:
+                self._came[sent] = (time.monotonic(), do())
+            return self._came[sent][1]
+
+    def _forget(self) -> None:
+        until = time.monotonic() - self._kept_s
+        old = [sent for sent, (when, _) in self._came.items() if when < until]
+        for sent in old or list(self._came)[: -MOST + 1]:
+            del self._came[sent]
