@@ -71,6 +71,22 @@ def test_what_several_kinds_share_is_told_once() -> None:
     ]
 
 
+@pytest.mark.parametrize("key", ["a.b.c", "nonsense", "robots.x.y.z"])
+def test_a_key_that_is_none_is_told_in_a_few_words(key: str) -> None:
+    error = invoke(key).exception
+    assert isinstance(error, SpecError)
+    assert len(error.hint) < 200, error.hint
+    assert "docs/reference/spec.md" in error.hint or "did you mean" in error.hint
+
+
+@pytest.mark.parametrize("key", ["", ".", " ", "0", "a..b", "..."])
+def test_a_key_with_an_empty_step_is_refused(key: str) -> None:
+    error = invoke(key).exception
+    assert isinstance(error, SpecError)
+    assert error.message == f"{key!r} is no key"
+    assert error.hint == "hil explain excitation.dwell_s"
+
+
 def test_sections_are_those_of_the_page() -> None:
     page = reference()
     for key in ("excitation.seed", "robots.a.driver", "hil_series", "interlocks.limit_rad"):

@@ -11,6 +11,7 @@ import yaml
 from typer.testing import CliRunner, Result
 
 import hil
+from hil.arms import load_arm
 from hil.cli.app import app
 from hil.errors import SpecError
 from hil.spec import load_spec, load_station
@@ -106,6 +107,20 @@ def test_an_arm_of_ones_own_runs_as_a_mock() -> None:
     assert load_station(report.run / "station.yaml").robots["own_arm"].model == str(arm.resolve())
 
 
+def test_a_spec_whose_robot_is_at_a_station_beside_it_says_which(here: Path) -> None:
+    spec, station, *_ = written("own-urdf")
+    Path("other-station.yaml").write_text(station.read_text().replace("own_arm:", "left:"))
+    Path("broken-station.yaml").write_text("a: [1")
+    error = invoke("validate", str(spec)).exception
+    assert isinstance(error, SpecError)
+    assert error.hint == f"it is at a station beside the spec: --station {station}"
+    assert invoke("validate", str(spec), "--station", str(station)).exit_code == 0
+
+    missed = invoke("validate", str(spec), "--station", "other-station.yaml").exception
+    assert isinstance(missed, SpecError)
+    assert "did you mean" not in missed.hint or "left" in missed.hint
+
+
 def test_a_schedule_is_lived_through_on_the_mock() -> None:
     schedule, *_ = written("re-identify")
     done = invoke("run", str(schedule), "--simulate", "1min", "--json")
@@ -138,6 +153,63 @@ def test_robot_name_and_folder_are_the_users() -> None:
 def test_a_robot_that_the_station_has_not_is_told() -> None:
     (note,) = told("fourier", "--robot", "ur15")["notes"]
     assert "has no robot 'ur15'; did you mean 'ur5'" in note
+
+
+NAMES = ("007", "1e3", "true", "2026-11-22")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", NAMES)
+def test_names_that_yaml_takes_for_something_else_stay_names(kind: str, name: str) -> None:
+    more = ("--urdf", str(URDF)) if kind == "own-urdf" else ()
+    first, *others = (
+        Path(file) for file in told(kind, *more, "--name", name, "--robot", name)["files"]
+    )
+    if kind == "station":
+        assert (load_station(first).name, [*load_station(first).robots]) == (name, [name])
+        return
+    station = others[0] if kind == "own-urdf" else None
+    if kind == "re-identify":
+        first = others[0]
+        name = f"{name}-probe"
+    spec = load_spec(first)
+    assert (spec.name, spec.robot) == (name, name.removesuffix("-probe"))
+    assert station is None or [*load_station(station).robots] == [name]
+
+
+def test_a_file_with_a_number_for_a_name_is_valid() -> None:
+    told("dwell", "2026.yaml")
+    assert load_spec("2026.yaml").name == "2026"
+
+
+@pytest.mark.parametrize("urdf", ["my: arm #2.urdf", "a\nb.urdf", 'it\'s "x".urdf', "@name@.urdf"])
+def test_any_urdf_can_be_named(urdf: str) -> None:
+    Path(urdf).write_text(URDF.read_text())
+    spec, station, arm, *_ = told(
+        "own-urdf", "odd: file #1.yaml", "--name", "odd", "--robot", "odd", "--urdf", urdf
+    )["files"]
+
+    assert load_spec(spec).description == f"First Fourier trajectories of odd, from {urdf}"
+    model = load_station(station).robots["odd"].model
+    assert Path(model).name == Path(arm).name
+    assert load_arm(model).sources["all"] == f"{urdf}, but for lines marked GUESS"
+
+
+def test_nothing_is_written_that_is_not_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.spec.new.as_scalar", lambda text: text)
+    assert "must be text" in refused("dwell", "--name", "007").message
+    assert not list(Path().iterdir())
+
+
+def test_a_station_of_a_robot_that_is_no_arm_is_valid_and_says_which_it_took() -> None:
+    (note,) = told("station", "--robot", "left")["notes"]
+    assert load_station("bench.yaml" if Path("bench.yaml").exists() else "station.yaml")
+    assert "no built-in arm 'left'" in note
+
+
+def test_commands_to_go_on_with_can_be_pasted() -> None:
+    first, *_ = told("dwell", "my spec.yaml", "--name", "mine")["next"]
+    assert first == "hil validate 'my spec.yaml'"
 
 
 @pytest.mark.parametrize(

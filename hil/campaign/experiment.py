@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +16,15 @@ from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, load_station, resolve_robot
 from hil.spec.overrides import resolved_text
 from hil.spec.station import Station, StationRobot
+from hil.spec.yaml_source import read_source
 
 if TYPE_CHECKING:
     from hil.plan.commissioning import Commissioning
 
 BUILT_IN = "built-in mock bench"
+
+MOST_LOOKED_AT = 20
+"""Files beside a spec that may be its station."""
 
 _NO_OVERRIDES: Mapping[str, str] = {}
 
@@ -124,7 +129,7 @@ def load_experiment(
     return Experiment(
         spec=spec,
         station=station,
-        robot=resolve_robot(spec, station),
+        robot=_robot_of(spec, station, None if station_path else spec_path.parent),
         spec_text=resolved_text(spec_path, overrides)
         if overrides
         else spec_path.read_text("utf-8"),
@@ -134,6 +139,29 @@ def load_experiment(
         spec_source=str(spec_path),
         overrides=dict(overrides),
     )
+
+
+def _robot_of(spec: ExperimentSpec, station: Station, beside: Path | None) -> StationRobot:
+    """The robot of a spec; where nobody named a station, an error names those beside the spec."""
+    try:
+        return resolve_robot(spec, station)
+    except SpecError as error:
+        found = [str(file) for file in _stations_in(beside, spec.robot)] if beside else []
+        if not found:
+            raise
+        hint = f"it is at a station beside the spec: --station {' or '.join(found)}"
+        raise SpecError(error.message, hint=hint) from None
+
+
+def _stations_in(folder: Path, robot: str) -> list[Path]:
+    """Files such as `hil new own-urdf` writes, of a station with this robot."""
+    found = []
+    for file in sorted(folder.glob("*-station.yaml"))[:MOST_LOOKED_AT]:
+        with suppress(SpecError):
+            data = read_source(file).data
+            robots = data.get("robots") if isinstance(data, dict) else None
+            found += [file] if isinstance(robots, dict) and robot in robots else []
+    return found
 
 
 def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str, str]:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hil.spec.describe import KeyInfo
 
 EXIT = "exit"
+EXAMPLE = "hil explain excitation.dwell_s"
 CODES_PAGE = "docs/reference/cli.md, Exit codes"
 
 
@@ -39,9 +40,7 @@ def explain(
         _explain_exit(words[1:], json)
         return
     if len(words) > 1:
-        raise SpecError(
-            f"{' '.join(words)!r} is more than one key", hint="hil explain excitation.dwell_s"
-        )
+        raise SpecError(f"{' '.join(words)!r} is more than one key", hint=EXAMPLE)
     found = [_told(info) for info in _keys(words[0])]
     if json:
         print_json({"keys": found})
@@ -56,8 +55,11 @@ def _keys(key: str) -> list[KeyInfo]:
     """What a key means; keys that many mappings share in the same words are told once."""
     from hil.spec.describe import explain_key
 
+    wanted = key.strip().strip(".")
+    if "" in wanted.split(".") or wanted.replace(".", "").isdigit():
+        raise SpecError(f"{key!r} is no key", hint=EXAMPLE)
     unlike: dict[tuple[str, ...], KeyInfo] = {}
-    for info in explain_key(key.strip().strip(".")):
+    for info in explain_key(wanted):
         words = (info.file, info.path, info.allowed, info.default, info.meaning)
         unlike[words] = replace(info, kind="") if words in unlike else info
     return list(unlike.values())

@@ -24,7 +24,7 @@ from hil.spec.series import SeriesSpec
 from hil.spec.source import Path, dotted
 from hil.spec.station import Station
 from hil.spec.units import symbol_of
-from hil.suggest import did_you_mean
+from hil.suggest import closest
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,8 @@ def explain_key(path: str) -> list[KeyInfo]:
     ]
     found = [info for info in known if _ends_in(info, wanted)]
     if not found:
-        hint = did_you_mean(".".join(wanted), {info.path for info in known})
+        match = closest(".".join(wanted), sorted({info.path for info in known}))
+        hint = f"did you mean {match!r}?" if match else "all keys: docs/reference/spec.md"
         raise SpecError(f"no spec has the key {'.'.join(wanted)!r}", hint=hint)
     return [info for info in found if info.path.count(".") == len(wanted) - 1] or found
 
