@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import threading
 from pathlib import Path
@@ -16,6 +17,7 @@ from hil.campaign import live_state
 from hil.campaign.arm_view import ArmView
 from hil.campaign.live_state import LiveState, read_live, standing_in
 from hil.engine import Observers, observers
+from hil.engine.interlocks.interlock import Margin
 from hil.errors import RecordingError
 from hil.robot import Capabilities
 
@@ -144,6 +146,49 @@ def test_a_reader_never_sees_half_a_view(tmp_path: Path) -> None:
     over.set()
     reader.join()
     assert "" not in seen
+
+
+def test_one_part_that_cannot_be_told_hides_no_other(tmp_path: Path) -> None:
+    class Broken:
+        name, action = "broken", "stop"
+
+        def margin(self, block: Any) -> None:
+            raise ZeroDivisionError
+
+    class Whole(Broken):
+        name = "whole"
+
+        def margin(self, block: Any) -> Any:
+            return Margin(1.0, 2.0, "m", 0.5, joint=-1)
+
+    view = ArmView(ROBOT, [])
+    view._watching = [Broken(), Whole()]  # type: ignore[list-item]
+    live = LiveState(tmp_path, view)
+    live.notify({"kind": "rows", "rows": rows(1)})
+    (whole,) = read_live(tmp_path)["interlocks"]
+    assert (whole["name"], whole["subject"]) == ("whole", "")  # no joint is not the last one
+    live.notify({"kind": "rows", "rows": np.zeros(1)})  # no rows of any arm
+    assert "arm" not in read_live(tmp_path)
+    live.notify({"kind": "prompt", "text": "Mount it", "answered_by": ""})
+    assert read_live(tmp_path)["prompt"] == "Mount it"
+
+
+def test_only_finite_numbers_and_texts_are_taken_from_a_view(tmp_path: Path) -> None:
+    odd = {"step": math.nan, "steps": 1e999, "samples": 10**400, "device_s": 1e999, "gaps": True,
+           "prompt": ["x"], "state": 3, "t": math.inf, "wall_s": 2, "stage": "running",
+           "arm": {"q_rad": [1e999, 0.5, {}], "joints": ["a", "b", "c"], "effort": {}},
+           "interlocks": [3, {"name": "speed", "share": 1e999, "unit": "m"}]}  # fmt: skip
+    (tmp_path / ".live.json").write_text(json.dumps(odd))
+    view = read_live(tmp_path)
+    keys = ("qd_rad_s", "effort", "temperature_c", "q_target_rad")
+    unknown: dict[str, list[None]] = {key: [None] * 3 for key in keys}
+    assert view == {"wall_s": 2, "stage": "running",
+                    "arm": {"joints": ["a", "b", "c"], "q_rad": [None, 0.5, None], **unknown},
+                    "interlocks": [{"name": "speed", "unit": "m"}]}  # fmt: skip
+    for told in (view, odd):
+        standing = standing_in(told)
+        assert (standing.step, standing.samples, standing.device_s) == (-1, 0, 0.0)
+        assert (standing.gaps, standing.prompt, standing.stage) == (0, "", "running")
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", '{"step": "three", "reason": 7}'])

@@ -138,7 +138,7 @@ def test_files_are_for_keeping(measured: Path, name: str) -> None:
     "path",
     ["", ".", "..", "../../../../registry/ur5/log.jsonl", "/etc/passwd", ".lock", "recording",
      "recording/../spec.yaml", "recording/../../../../../registry/ur5/log.jsonl", "%00",
-     "secret.txt", "linked/secret.txt"],
+     "secret.txt", "linked/secret.txt", "fit/secret.txt", "study/m/secret.txt", "study/own.txt"],
 )  # fmt: skip
 def test_nothing_but_a_run_s_own_files_is_given(lab: Path, path: str) -> None:
     run = run_in(lab)
@@ -146,6 +146,11 @@ def test_nothing_but_a_run_s_own_files_is_given(lab: Path, path: str) -> None:
     secret.write_text("secret")
     (run / "secret.txt").symlink_to(secret)
     (run / "linked").symlink_to(lab, target_is_directory=True)
+    shutil.rmtree(run / "fit")
+    (run / "fit").symlink_to(lab, target_is_directory=True)
+    (run / "study" / "m").mkdir(parents=True)
+    (run / "study" / "m" / "secret.txt").symlink_to(secret)
+    (run / "study" / "own.txt").symlink_to(secret)
     (run / ".lock").write_text("{}")
     answer = dashboard(lab).get(f"{address(run, lab)}/file?path={path}")
     assert answer.status_code == 404

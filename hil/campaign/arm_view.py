@@ -34,7 +34,10 @@ class ArmView:
         self._watching = [one for one in interlocks if isinstance(one, HasMargin)]
 
     def of(self, rows: StructArray) -> dict[str, Any]:
-        """The last of some state rows, as `arm` and `interlocks` of the live view."""
+        """The last of some state rows, as `arm` and `interlocks` of the live view.
+
+        An interlock that cannot tell its margin is left out; what it does is its own affair.
+        """
         row = rows[-1]
         arm = {
             "device_time_s": float(row["device_time"]),
@@ -47,10 +50,18 @@ class ArmView:
 
     def _margins(self, rows: StructArray) -> Iterable[dict[str, Any]]:
         for interlock in self._watching:
-            if (margin := interlock.margin(rows)) is not None:
-                told = {key: _rounded(value) for key, value in margin.to_dict().items()}
-                told["subject"] = margin.subject or self._names[margin.joint]
+            try:
+                margin = interlock.margin(rows)
+                told = margin and {key: _rounded(value) for key, value in margin.to_dict().items()}
+            except Exception:  # noqa: S112 - of a plugin, say: the others are shown
+                continue
+            if margin and told:
+                told["subject"] = margin.subject or self._name(margin.joint)
                 yield {"name": interlock.name, "action": interlock.action, **told}
+
+    def _name(self, joint: int) -> str:
+        """Of a margin that is no joint's (−1) nothing."""
+        return self._names[joint] if 0 <= joint < len(self._names) else ""
 
 
 def _numbers(values: Any) -> list[float | None]:

@@ -16,17 +16,23 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.arm_view import ArmView
+from hil.campaign.arm_view import FIELDS, ArmView
 from hil.errors import DataError, RecordingError
 from hil.live.standing import ENDING, Standing
 from hil.record.files import json_line, read_json, write_replacing
 from hil.record.provenance import utc_now
+from hil.typing import StructArray
 
 LIVE_FILE = ".live.json"
 LIVE_VERSION = 1
 EVERY_S = 0.25
 """Wall time between two views while nothing special happens [s]."""
 
+LARGEST = 2.0**53
+"""What is larger is no count and no time of a run."""
+
+_TEXTS = {field.name for field in fields(Standing) if isinstance(field.default, str)}
+_NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent", "left_s"}
 _NEWS = frozenset({"stage", "state", "prompt"})
 _PROGRESS = frozenset({"step", "progress"})
 
@@ -55,7 +61,7 @@ class LiveState:
         kind = event.get("kind")
         if kind == "rows":
             if self._arm is not None:
-                self._shown = self._arm.of(event["rows"])
+                self._shown = self._looked_at(event["rows"])
                 self._write()
             return
         self._standing.take(event)
@@ -71,6 +77,14 @@ class LiveState:
             with contextlib.suppress(OSError):
                 self._path.unlink()
 
+    def _looked_at(self, rows: StructArray) -> dict[str, Any]:
+        """How the arm is; where that cannot be told, prompts and progress still are."""
+        assert self._arm is not None
+        try:
+            return self._arm.of(rows)
+        except Exception:  # a driver's rows may be odd in any way
+            return {}
+
     def _write(self) -> None:
         self._next = time.monotonic() + EVERY_S
         about = {"pid": os.getpid(), "updated": utc_now(), "t": time.time()}
@@ -81,11 +95,20 @@ class LiveState:
 
 
 def read_live(run: Path) -> dict[str, Any]:
-    """The live view of a run, or the last one of a run that died; empty when there is none."""
+    """The live view of a run, or the last one of a run that died; empty when there is none.
+
+    Runs may come from elsewhere: what is not of the kind that is written there is left out.
+    """
     try:
-        return read_json(run / LIVE_FILE)
+        view = read_json(run / LIVE_FILE)
     except DataError:
         return {}
+    plain = {key: value for key, value in view.items() if _is_plain(value) and _fits(key, value)}
+    if isinstance(view.get("arm"), dict) and isinstance(view["arm"].get("joints"), list):
+        plain["arm"] = _arm(view["arm"])
+    if isinstance(view.get("interlocks"), list):
+        plain["interlocks"] = [_flat(one) for one in view["interlocks"] if isinstance(one, dict)]
+    return plain
 
 
 def standing_in(view: Mapping[str, Any]) -> Standing:
@@ -93,8 +116,47 @@ def standing_in(view: Mapping[str, Any]) -> Standing:
     standing = Standing()
     for field in fields(Standing):
         value, default = view.get(field.name), getattr(standing, field.name)
-        if isinstance(value, int | float) and isinstance(default, int | float):
+        if _is_number(value) and not isinstance(default, str):
             setattr(standing, field.name, type(default)(value))
         elif isinstance(value, str) and isinstance(default, str):
             setattr(standing, field.name, value)
     return standing
+
+
+def _fits(key: str, value: Any) -> bool:
+    """Whether a value is of the kind that its key has."""
+    if key in _NUMBERS:
+        return _is_number(value)
+    return isinstance(value, str) or key not in _TEXTS
+
+
+def _arm(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Of every joint all that is told of joints; null where it is not known."""
+    arm = _flat(told)
+    count = len(arm["joints"])
+    for key in FIELDS:
+        values = arm[key] if isinstance(arm.get(key), list) else []
+        known = [value if _is_number(value) else None for value in values]
+        arm[key] = (known + [None] * count)[:count]
+    return arm
+
+
+def _flat(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values, and lists of such; odd ones in a list are null, for their places count."""
+    kept: dict[str, Any] = {}
+    for key, value in told.items():
+        if _is_plain(value):
+            kept[key] = value
+        elif isinstance(value, list):
+            kept[key] = [one if _is_plain(one) else None for one in value]
+    return kept
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | bool) or _is_number(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number to calculate with: neither NaN nor endless nor longer than a float."""
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return known and -LARGEST < value < LARGEST

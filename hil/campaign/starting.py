@@ -15,13 +15,15 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
-from hil.errors import DataError, RecordingError, SpecError
+from hil.campaign.steering import stop_run
+from hil.errors import DataError, HilError, RecordingError, SpecError
 from hil.record.files import json_document, read_json, write_replacing
 from hil.record.numbering import run_folders
 from hil.spec.schedule import is_schedule
@@ -32,6 +34,10 @@ KEPT = 20
 """Of so many starts records and logs are kept."""
 
 LAST_LINES = 10
+LAST_BYTES = 16 * 1024
+SECRETS = ("HIL_TOKEN",)
+"""Of the environment, which a run that is started does not get: its plugins need none of it."""
+
 SLACK_S = 2.0
 """File systems and clocks may differ so much about when something was [s]."""
 
@@ -80,13 +86,25 @@ class Started:
     def last_words(self) -> list[str]:
         """The last lines it printed."""
         try:
-            text = self.log.read_text("utf-8", "replace")
+            with self.log.open("rb") as log:
+                log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_BYTES))
+                text = log.read(LAST_BYTES).decode("utf-8", "replace")
         except OSError:
             return []
         return text.replace("\r", "\n").splitlines()[-LAST_LINES:]
 
-    def cancel(self) -> None:
-        """End its process as Ctrl-C would; does nothing when it has ended."""
+    def cancel(self, who: str = "") -> None:
+        """End it: as `hil stop` where it is live by now, else as Ctrl-C would.
+
+        Does nothing when it has ended.
+
+        Args:
+            who: Who asks; recorded. By default whoever started it.
+        """
+        for run in self.made if self.alive else ():
+            with contextlib.suppress(HilError):  # it does not listen yet, or its motion is over
+                stop_run(run, who=who or self.operator, wait_s=0)
+                return
         if self.alive:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGTERM)
@@ -153,25 +171,17 @@ def start_run(
     check_start(spec, station, overrides)
     folder = runs / FOLDER
     name = f"{time.time_ns():020d}-{os.getpid()}"
-    command = [sys.executable, "-m", "hil", "run", str(spec), "--runs", str(runs), "--elsewhere"]
-    command += ["--station", str(station)] if station else []
+    command = [sys.executable, "-m", "hil", "run", f"--runs={runs}", "--elsewhere"]
+    command += [f"--station={station}"] if station else []
     command += [f"--operator={operator}"] if operator else []
     command += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{name}.log").open("xb") as log:
-            process = subprocess.Popen(  # noqa: S603 - our own command line, no shell
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
-    except OSError as error:
-        raise RecordingError(
-            f"cannot write to {folder}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
-        ) from error
+    command += ["--", str(spec)]  # its name may begin as an option does
+    if any("\0" in word for word in command):
+        raise SpecError(
+            "a run cannot be started with a NUL character in what it is given",
+            hint="look at the changes and at the name of the operator",
+        )
+    process = _begun(command, folder, name)
     ticks = _ticks(process.pid)
     # Whoever started it hears of its end, so that none is left as a zombie.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
@@ -179,9 +189,34 @@ def start_run(
         id=name, runs=str(runs), spec=str(spec), station=str(station or ""), operator=operator,
         pid=process.pid, ticks=ticks, time=time.time(), host=platform.node(),
     )  # fmt: skip
-    write_replacing(folder / f"{name}.json", json_document(asdict(started)))
+    try:
+        write_replacing(folder / f"{name}.json", json_document(asdict(started)))
+    except RecordingError:
+        started.cancel()  # nobody would hear of it again
+        raise
     _forget_old(runs)
     return started
+
+
+def _begun(command: list[str], folder: Path, name: str) -> subprocess.Popen[bytes]:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{name}.log").open("xb") as log:
+            return subprocess.Popen(  # noqa: S603 - our own command line, no shell
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env={key: value for key, value in os.environ.items() if key not in SECRETS},
+            )
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            (folder / f"{name}.log").unlink()
+        raise RecordingError(
+            f"cannot write to {folder}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
 
 
 def started_runs(runs: Path) -> list[Started]:
@@ -191,10 +226,24 @@ def started_runs(runs: Path) -> list[Started]:
 
 def _records(runs: Path) -> Iterator[Started]:
     for path in sorted((runs / FOLDER).glob("*.json"), reverse=True):
-        try:
-            yield Started(**(read_json(path) | {"id": path.stem, "runs": str(runs)}))
-        except (DataError, TypeError):
-            continue
+        with contextlib.suppress(DataError):
+            said = read_json(path) | {"id": path.stem, "runs": str(runs)}
+            if _is_record(said):
+                yield Started(**said)
+
+
+def _is_record(said: Mapping[str, Any]) -> bool:
+    """Whether a document is what was written here: others may have been at it."""
+    if said.keys() != {field.name for field in fields(Started)}:
+        return False
+    texts = [said[key] for key in ("spec", "station", "operator", "host")]
+    counts, time_s = [said[key] for key in ("pid", "ticks")], said["time"]
+    return (
+        all(isinstance(text, str) and "\0" not in text for text in texts)
+        and all(isinstance(count, int) and 0 <= count < 2**63 for count in counts)
+        and isinstance(time_s, int | float)
+        and 0 <= time_s < 2**53
+    )
 
 
 def _forget_old(runs: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,14 @@ def verdict_word(run: Path) -> VerdictWord:
     return word(passed if isinstance(passed, bool) else None)
 
 
+def number_in(document: Mapping[str, Any], key: str) -> float | None:
+    """A number to calculate and to compare with; None where anything else stands there."""
+    value = document.get(key)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    return value if -(2**63) < value < 2**63 else None  # so NaN is none, too
+
+
 def _study_name(file: Path) -> str:
     return file.parent.name.rpartition("-")[0]
 
@@ -82,7 +91,7 @@ def entry_of(listing: RunListing) -> dict[str, Any]:
         "robot": listing.robot,
         "date": listing.date,
         "uid": listing.uid,
-        "duration_s": stop.get("device_s", _recorded_s(listing)),
+        "duration_s": number_in(stop, "device_s") if "device_s" in stop else _recorded_s(listing),
         "verdict": verdict_word(listing.path),
         "studies": sorted({_study_name(file) for file in listing.path.glob(_STUDY_FILES)}),
         "problem": listing.problem,

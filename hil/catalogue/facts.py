@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hil.campaign.view import entry_of
+from hil.campaign.view import entry_of, number_in
 from hil.errors import DataError
 from hil.record.catalogue import listing_of
 from hil.record.files import read_json
@@ -31,10 +31,30 @@ def facts_of(path: Path) -> dict[str, Any]:
         path: The run directory; it may be damaged.
     """
     listing = listing_of(path)
+    told = entry_of(listing) | {"number": listing.number}
+    try:
+        return told | _told(path)
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # one run that says something odd keeps no other from the list
+        problem = f"what it says cannot be read: {type(error).__name__}: {error}"
+        return told | _NOTHING | {"status": "damaged", "problem": problem}
+
+
+_NOTHING: dict[str, Any] = {
+    **dict.fromkeys(
+        ("name", "description", "started", "arm", "serial", "operator", "reason", "occasion"), ""
+    ),
+    **dict.fromkeys(("samples", "gaps")),
+    "loads_kg": [],
+    "fits": [],
+}
+
+
+def _told(path: Path) -> dict[str, Any]:
     start, stop = _document(path / "start.json"), _last_stop(path)
     robot = _mapping(start.get("robot"))
-    return entry_of(listing) | {
-        "number": listing.number,
+    return {
         "name": _text(start.get("experiment")),
         "description": _description(path / "spec.yaml"),
         "started": _text(start.get("started")),
@@ -42,8 +62,8 @@ def facts_of(path: Path) -> dict[str, Any]:
         "serial": _text(_mapping(robot.get("identity")).get("serial")),
         "operator": _text(start.get("operator")),
         "reason": _text(stop.get("reason")),
-        "samples": _number(stop.get("samples")),
-        "gaps": _number(stop.get("gaps")),
+        "samples": number_in(stop, "samples"),
+        "gaps": number_in(stop, "gaps"),
         "loads_kg": _loads(start.get("loads")),
         "occasion": _text(start.get("occasion")),
         "fits": [_fit(file) for file in sorted(path.glob("fit/*/evaluation.json"))],
@@ -68,8 +88,9 @@ def _fit(file: Path) -> dict[str, Any]:
     held_out = _mapping(document.get("held_out"))
     errors = _mapping(held_out.get("total")).get("rmse_raw")
     rmse = None
-    with contextlib.suppress(TypeError, ValueError):
-        mean = float(np.mean(np.asarray(errors, dtype=np.float64)))
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        values = np.asarray(errors, dtype=np.float64)
+        mean = float(np.mean(values)) if values.size else math.nan
         rmse = mean if math.isfinite(mean) else None
     estimator = _text(document.get("estimator")) or file.parent.name.rpartition("-")[0]
     return {"estimator": estimator, "unit": _text(held_out.get("unit")), "rmse": rmse}
@@ -87,7 +108,7 @@ def _description(spec: Path) -> str:
 def _loads(told: Any) -> list[float]:
     """Masses in the order of the spec [kg]."""
     given = told if isinstance(told, list) else []
-    masses = (_number(_mapping(load).get("mass_kg")) for load in given)
+    masses = (number_in(_mapping(load), "mass_kg") for load in given)
     return [mass for mass in masses if mass is not None]
 
 
@@ -103,8 +124,3 @@ def _mapping(value: Any) -> dict[str, Any]:
 
 def _text(value: Any) -> str:
     return value if isinstance(value, str) else ""
-
-
-def _number(value: Any) -> float | None:
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if known and math.isfinite(value) and abs(value) < 2**63 else None

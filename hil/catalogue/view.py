@@ -24,7 +24,7 @@ from hil.record.catalogue import run_paths
 from hil.record.files import write_replacing
 
 FILE = ".catalogue.sqlite"
-VERSION = 1
+VERSION = 2
 """Raised whenever a column or an entry changes: files of other versions are made anew."""
 
 _TEXTS = ("name", "robot", "arm", "serial", "operator", "status", "verdict", "occasion", "uid")
@@ -82,7 +82,7 @@ def _kept(
                 return None
             _bring_up_to_date(view, root, paths)
             return _asked(view, query)
-        except (sqlite3.Error, OSError, ValueError):  # ValueError: an entry is no JSON
+        except (sqlite3.Error, OSError, ValueError, TypeError):  # an entry is no JSON or no object
             return None
 
 

@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 
 from hil.errors import HilError
 from hil.web.rendering import WHO, back, refused
-from hil.web.security import HEADERS, Guard, form_of
+from hil.web.security import HEADERS, Forbidden, Guard, form_of
 from hil.web.settings import Settings
 
 PAGES = (
@@ -46,7 +46,8 @@ def create_app(settings: Settings) -> Starlette:
         middleware=[Middleware(Guard, settings=settings)],
         exception_handlers={
             HilError: _refused,
-            PermissionError: _refused,
+            Forbidden: _refused,
+            OSError: _refused,
             404: _refused,
             Exception: _failed,
         },

@@ -15,8 +15,8 @@ from hil.record.numbering import number_of, run_folders
 from hil.report.words import duration
 from hil.web.bench_facts import stations_of
 from hil.web.catalogue_pages import status_mark
-from hil.web.live_facts import header_of
-from hil.web.places import address_of, live_runs, name_of
+from hil.web.going import going_on
+from hil.web.places import address_of, name_of
 from hil.web.rendering import page, settings_of
 from hil.web.schedules_known import coming
 from hil.web.settings import Settings
@@ -32,7 +32,7 @@ def overview(request: Request) -> Response:
         request,
         "overview.html.j2",
         title="Overview",
-        going=[header_of(run, settings) for run in live_runs(settings)],
+        going=going_on(settings),
         newest=[_run(run, settings) for run in _newest(settings)],
         stations=stations_of(settings),
         coming=coming(settings),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 from functools import cache
+from html import escape
 from http import HTTPStatus
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -15,8 +16,8 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from hil import __version__
 from hil.errors import HilError
-from hil.web.live_facts import header_of
-from hil.web.places import live_runs
+from hil.web.going import being_planned, going_on
+from hil.web.security import Forbidden
 from hil.web.settings import Settings
 
 if TYPE_CHECKING:
@@ -64,7 +65,6 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
         **context: What the template shows; `title` is wanted by the base.
     """
     settings = settings_of(request)
-    live = [header_of(run, settings) for run in live_runs(settings)]
     html = (
         _environment()
         .get_template(template)
@@ -75,7 +75,8 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
             settings=settings,
             csrf=settings.csrf,
             who=who_of(request),
-            live=live,
+            live=going_on(settings),
+            planned=being_planned(settings),
             **context,
         )
     )
@@ -88,14 +89,32 @@ def refused(request: Request, error: Exception) -> Response:
     if "text/html" not in request.headers.get("accept", ""):
         return JSONResponse({"error": message, "hint": hint}, status)
     title = HTTPStatus(status).phrase
-    return page(request, "error.html.j2", status=status, title=title, message=message, hint=hint)
+    told = {"title": title, "message": message, "hint": hint}
+    try:
+        return page(request, "error.html.j2", status=status, **told)
+    except Exception:  # what every page shows is itself what cannot be read
+        return HTMLResponse(_bare(**told), status)
+
+
+def _bare(title: str, message: str, hint: str) -> str:
+    """A page that needs nothing of the disk."""
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+        f"<h1>{escape(title)}</h1><p>{escape(message)}</p><p>{escape(hint)}</p>"
+        "<p>Live runs cannot be listed here: stop one with <code>hil stop</code>.</p>"
+        '<p><a href="/">Overview</a></p></html>'
+    )
 
 
 def _told(error: Exception) -> tuple[int, str, str]:
     if isinstance(error, HilError):
         return _STATUS.get(type(error).__name__, 409), error.message, error.hint or ""
-    if isinstance(error, PermissionError):
+    if isinstance(error, Forbidden):
         return 403, str(error), ""
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        told = f"cannot read or write {where}{error.strerror or error}"
+        return 500, told, "see whether it exists, may be read and written, and the disk has room"
     if isinstance(error, HTTPException):
         return error.status_code, *_HTTP.get(error.status_code, (error.detail, ""))
     # A mistake of ours on one page: whoever watches a run still has all others, and Stop.

@@ -52,6 +52,14 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
     if not (run / "start.json").is_file() and not (run / "plan.json").is_file():
         told = "There is neither start.json nor plan.json: nothing was begun here, or it was lost."
         return {"unreadable": told, "name": run.name, **files}
+    try:
+        return {**_facts(run, settings), **files}
+    except Exception as error:  # its files are there all the same
+        told = f"What it says cannot be shown: {type(error).__name__}: {error}"
+        return {"unreadable": told, "name": run.name, **files}
+
+
+def _facts(run: Path, settings: Settings) -> dict[str, Any]:
     facts = _read(run)
     badge = badge_of(facts) if facts.whole else Badge(*ENDINGS["damaged"])
     return {
@@ -71,7 +79,6 @@ def facts_of_run(run: Path, settings: Settings) -> dict[str, Any]:
             {"name": one.study, "title": one.title, "summary": one.summary}
             for one in facts.studies.made
         ],
-        **files,
     }
 
 

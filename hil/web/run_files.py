@@ -93,7 +93,8 @@ def files_in(run: Path) -> list[Path]:
         found += _plain_files(run / name)
         for folder in _folders(run / name):
             found += _plain_files(folder)
-    return found
+    # A folder of the run, too, may be a link: to all that the dashboard's user may read.
+    return [path for path in found if _is_below(path, run)]
 
 
 def listed_files(run: Path, settings: Settings) -> list[dict[str, Any]]:
@@ -112,6 +113,13 @@ def _inside(folder: Path, name: str, hint: str) -> Path:
     if path.is_symlink() or not path.is_file():
         raise DataError(f"{folder.name} has no {name}", hint=hint)
     return path
+
+
+def _is_below(path: Path, run: Path) -> bool:
+    try:
+        return path.resolve(strict=True).is_relative_to(run.resolve())
+    except (OSError, RuntimeError):  # gone meanwhile; links in a ring
+        return False
 
 
 def _plain_files(folder: Path) -> list[Path]:

@@ -37,6 +37,10 @@ HEADERS = {
 }
 
 
+class Forbidden(Exception):
+    """What was asked may not be asked so; a file that may not be read is another matter."""
+
+
 class Guard:
     """ASGI middleware before everything else.
 
@@ -103,19 +107,19 @@ async def form_of(request: Request, *, old: bool = False) -> dict[str, str]:
             of this address: whoever presses Stop must not have to reload first.
 
     Raises:
-        PermissionError: It was not made by us, or is too long.
+        Forbidden: It was not made by us, or is too long.
     """
     raw = b""
     async for chunk in request.stream():
         raw += chunk
         if len(raw) > MOST_BYTES:
-            raise PermissionError(f"a form has at most {MOST_BYTES} bytes")
+            raise Forbidden(f"a form has at most {MOST_BYTES} bytes")
     fields = dict(parse_qsl(raw.decode("utf-8", "replace"), keep_blank_values=True))
     settings: Settings = request.app.state.settings
     shown = fields.pop("csrf", "") or request.headers.get("x-csrf-token", "")
     ours = old and request.headers.get("origin") is not None  # the guard has compared it
     if not (ours or _equal(shown, settings.csrf)):
-        raise PermissionError(
+        raise Forbidden(
             "the page is older than this dashboard (it was restarted): reload it and ask again"
         )
     return fields

@@ -1,0 +1,52 @@
+"""What is going on, as every page shows it at its top: live runs, and those that are being planned.
+
+Nothing that a run directory holds may keep Stop from a page.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.starting import Started, started_runs
+from hil.record.lock import is_live
+from hil.web.live_facts import header_of
+from hil.web.places import address_of, live_runs, name_of
+from hil.web.settings import Settings
+
+
+def going_on(settings: Settings) -> list[dict[str, Any]]:
+    """See `hil.web.live_facts.header_of`, of every live run."""
+    return [_header(run, settings) for run in live_runs(settings)]
+
+
+def being_planned(settings: Settings) -> list[dict[str, str]]:
+    """`id`, `spec` and `address` of what was started here and is no live run yet, or between two.
+
+    A start that cannot be looked at is left out: it is no run.
+    """
+    return [
+        {"id": one.id, "spec": Path(one.spec).name, "address": f"/start/{one.id}"}
+        for one in started_runs(settings.runs)
+        if _is_planned(one)
+    ]
+
+
+def _is_planned(started: Started) -> bool:
+    return started.alive and not any(is_live(run) for run in started.made)
+
+
+def _header(run: Path, settings: Settings) -> dict[str, Any]:
+    try:
+        return header_of(run, settings)
+    except Exception:  # whatever its files say: it can be stopped
+        return {
+            "name": name_of(run, settings),
+            "address": address_of(run, settings),
+            "text": "its live view cannot be read",
+            "asks": False,
+            "percent": 0,
+            "left": "",
+            "silent": "",
+            "over": False,
+        }
