@@ -18,7 +18,7 @@ from hil.dynamics.environment import Environment
 from hil.errors import SpecError
 from hil.spec.new import Draft, quoted, render
 from hil.spec.source import shown
-from hil.typing import FloatArray
+from hil.typing import BoolArray, FloatArray
 
 MOCKED_JOINTS = 6
 """The mock has drives for so many."""
@@ -30,6 +30,12 @@ RANGE_DEG, MARGIN_DEG = 120.0, 5.0
 SLENDER = 0.05
 """Radius of guessed bodies, as a share of the arm's length."""
 POSES, SEED = 400, 0
+
+
+NEVER_SAID = (
+    "rate_hz", "payload_max", "excite", "qdd_max", "gear_ratio", "drive_gain", "capsules",
+)  # fmt: skip
+"""What no URDF says."""
 
 
 def own_arm_drafts(
@@ -66,14 +72,22 @@ def own_arm_drafts(
     return drafts, _notes(found, arm)
 
 
-def _notes(found: Described, arm: Path) -> list[str]:
-    silent = {
-        "torque limit": found.effort_max == 0,
-        "speed limit": found.qd_max == 0,
-        "position limits": ~np.isfinite(found.q_min),
+def _silent(found: Described) -> dict[str, tuple[str, BoolArray]]:
+    """What a URDF may leave out, by its words in the description: its name, and where it does."""
+    return {
+        "effort_max": ("torque limit", found.effort_max == 0),
+        "qd_max": ("speed limit", found.qd_max == 0),
+        "q_limits": ("position limits", ~np.isfinite(found.q_min)),
     }
+
+
+def _guessed(found: Described) -> list[str]:
+    return [*NEVER_SAID, *(word for word, (_, lacks) in _silent(found).items() if lacks.any())]
+
+
+def _notes(found: Described, arm: Path) -> list[str]:
     notes = [f"joints: {', '.join(found.joint_names)}"]
-    for what, lacks in silent.items():
+    for what, lacks in _silent(found).values():
         joints = [found.joint_names[j] for j in np.flatnonzero(lacks)]
         notes += [f"the URDF has no {what} for {', '.join(joints)}: guessed"] if joints else []
     notes.append(
@@ -92,7 +106,11 @@ def _arm_text(urdf: str, found: Described) -> str:
     joints = "\n".join(_joint(found, j) for j in range(len(found.mass)))
     links = "\n".join(_link(found, j) for j in range(len(found.mass)))
     return (
-        _HEAD.format(urdf=shown(urdf), source=quoted(f"{urdf}, but for lines marked GUESS"))
+        _HEAD.format(
+            urdf=shown(urdf),
+            source=quoted(f"{urdf}, but for lines marked GUESS"),
+            guessed=", ".join(_guessed(found)),
+        )
         + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
     )
 
@@ -197,7 +215,10 @@ _HEAD = """# An arm of one's own, from {urdf}; a station names this file as `mod
 #   drive_gain  torque at the joint per motor current; `hil gains` calibrates it
 #   capsules    bodies that are kept apart: everything of a link must be inside its own
 #
+# Then take its word out of `guessed`: until the list is empty no real arm is moved with this file.
+#
 # Friction is nowhere here: the mock draws its own, real arms have theirs, and `hil` identifies it.
+guessed: [{guessed}]
 sources:
   all: {source}
 rate_hz: 250  # GUESS of the controller

@@ -68,6 +68,11 @@ def test_what_the_urdf_leaves_out_is_told_and_marked(tmp_path: Path) -> None:
     assert "the URDF has no speed limit for A4, A5: guessed" in notes
     marked = [line for line in draft.text.splitlines() if "GUESS what the URDF" in line]
     assert len(marked) == 2
+    draft.path.write_text(draft.text)
+    assert load_arm(str(draft.path)).guessed == (
+        "rate_hz", "payload_max", "excite", "qdd_max", "gear_ratio", "drive_gain", "capsules",
+        "effort_max", "qd_max", "q_limits",
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(

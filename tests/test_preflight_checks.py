@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from kinematic_robot import KinematicRobot
 from plan_parts import JointSpace, always_clear, ur5
 
 from hil import plugins
+from hil.arms import load_arm
 from hil.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.excite.motion import Hold, Line
 from hil.payload import Payload
@@ -46,7 +49,10 @@ class ScriptedRobot(KinematicRobot):
 
     @property
     def identity(self) -> Identity:
-        return Identity(self.facts.get("model", "kinematic"), "0", "1", "test")
+        model, driver = (
+            self.facts.get(*one) for one in (("model", "kinematic"), ("driver", "test"))
+        )
+        return Identity(model, "0", "1", driver)
 
     @property
     def capabilities(self) -> Capabilities:
@@ -161,6 +167,40 @@ def test_each_fault_of_host_or_plan_fails_its_own_check(
     assert told in result.message
 
 
+def own_arm(folder: Path, guessed: str) -> Path:
+    text = files("hil.arms").joinpath("ur5.yaml").read_text("utf-8")
+    path = folder / "own.yaml"
+    path.write_text(text + f"\nguessed: {guessed}\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("robot", "guessed", "fails"),
+    [
+        ({"clock": "wall"}, "[qdd_max, capsules]", True),
+        ({"clock": "wall", "driver": "mock"}, "[qdd_max, capsules]", False),
+        ({"clock": "virtual"}, "[qdd_max, capsules]", False),
+        ({"clock": "wall"}, "[]", False),
+    ],
+)
+def test_a_real_arm_is_not_moved_on_guesses(
+    robot: dict[str, str], guessed: str, fails: bool, tmp_path: Path
+) -> None:
+    path = own_arm(tmp_path, guessed)
+    plan = small_plan(robot_model=str(path))
+    results = preflight(plan, ScriptedRobot(**robot), context(tmp_path, waivers=("guessed",)))
+    (result,) = [result for result in results if result.name == "guessed"]
+    assert (result.passed, result.waived) == (not fails, fails)
+    assert ("qdd_max, capsules" in result.message) == (guessed != "[]")
+    assert str(path) in result.hint or not fails
+
+
+@pytest.mark.parametrize("guessed", ["capsules", "true", "[1]", "{capsules: 1}"])
+def test_guesses_are_a_list_of_words(guessed: str, tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="`guessed` is a list of words"):
+        load_arm(str(own_arm(tmp_path, guessed)))
+
+
 def test_the_first_move_is_checked_from_where_the_arm_stands(tmp_path: Path) -> None:
     robot = ScriptedRobot(disturb=field("q", [0.009, 0, 0, 0, 0, 0]))
     asked: list[FloatArray] = []
@@ -265,6 +305,15 @@ def test_the_context_of_a_station_knows_its_surroundings(tmp_path: Path) -> None
     assert empty.clearance(over_the_table)[0] > 0.03
     assert made.collision(small_plan(loads=(long_body,))).clearance(over_the_table)[0] < 0
     assert preflight_context(ur5("arm.urdf"), tmp_path).collision is None
+
+
+def test_the_reference_has_every_check_in_their_order_and_whether_it_is_waived() -> None:
+    page = (Path(__file__).parents[1] / "docs/reference/cli.md").read_text("utf-8")
+    table = page.partition("## Checks before motion")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (never|with a reason) \|$", table, re.M)
+    assert rows == [
+        (name, "never" if name in NEVER_WAIVED else "with a reason") for name in BUILT_IN
+    ]
 
 
 @pytest.mark.parametrize("check", sorted(NEVER_WAIVED))

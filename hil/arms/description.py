@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,8 @@ class ArmDescription:
         link_names: (n + 1,) what people call the base and the links, for messages.
         joints_per_motor: (n, n) joint angles per angle of the motors behind their gears; not the
             unit matrix where a motor also moves a neighbour of its joint.
+        guessed: What of it nobody knows: such numbers are good enough for a mock alone.
+        sha256: Of the file that describes an arm of one's own; empty for a built-in arm.
     """
 
     name: str
@@ -81,6 +84,8 @@ class ArmDescription:
     sources: Mapping[str, str]
     link_names: tuple[str, ...]
     joints_per_motor: FloatArray
+    guessed: tuple[str, ...] = ()
+    sha256: str = ""
 
     @property
     def n_joints(self) -> int:
@@ -135,7 +140,9 @@ def _of_file(path: Path) -> ArmDescription:
     """An arm that a file describes as those beside this module are."""
     hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
     try:
-        return arm_from_dict(str(path), yaml.safe_load(path.read_text("utf-8")))
+        raw = path.read_bytes()
+        arm = arm_from_dict(str(path), yaml.safe_load(raw.decode("utf-8")))
+        return replace(arm, sha256=sha256(raw).hexdigest())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
     except KeyError as error:
@@ -183,7 +190,14 @@ def arm_from_dict(name: str, raw: dict[str, Any]) -> ArmDescription:
         sources=raw["sources"],
         link_names=("base", *(link.get("name", f"link {i}") for i, link in enumerate(links, 1))),
         joints_per_motor=np.array(raw.get("joints_per_motor", np.eye(len(joints))), np.float64),
+        guessed=_words(raw.get("guessed", [])),
     )
+
+
+def _words(raw: Any) -> tuple[str, ...]:
+    if not isinstance(raw, list) or not all(isinstance(word, str) for word in raw):
+        raise TypeError("`guessed` is a list of words, such as [qdd_max, capsules]")
+    return tuple(raw)
 
 
 def _symmetric(values: list[float]) -> FloatArray:

@@ -26,6 +26,7 @@ BUILT_IN: dict[str, Check] = {
     "pose": robot_checks.pose,
     "first-move": plan_checks.first_move,
     "limits": plan_checks.limits,
+    "guessed": robot_checks.guessed,
     "load": plan_checks.load,
     "payload": robot_checks.payload,
     "weighing": plan_checks.weighing,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.arms import arm_names
+from hil.arms import arm_names, is_described, load_arm
 from hil.errors import HilError
 from hil.preflight.check import CheckResult, Situation
 from hil.robot import Finding, HasChecks, Robot, Status
@@ -108,6 +108,22 @@ def temperature(situation: Situation) -> CheckResult:
         measured=worst,
         limit=high if worst > low else low,
         hint="let the arm cool down or warm up, or see whether a sensor is broken",
+    )
+
+
+def guessed(situation: Situation) -> CheckResult:
+    """Nothing about the arm is guessed, unless no real arm is moved: plans go up to its limits."""
+    model, robot = situation.plan.robot_model, situation.robot
+    words = ", ".join(load_arm(model).guessed) if is_described(model) else ""
+    mocked = robot.capabilities.clock == "virtual" or robot.identity.driver == "mock"
+    told = f"the description of the arm is guessed in {words}" if words else "nothing is guessed"
+    return CheckResult(
+        "guessed",
+        mocked or not words,
+        told + (", which moves a mock alone" if words and mocked else ""),
+        measured=words,
+        limit="",
+        hint=f"put in what the maker says, and take it out of `guessed` in {model}",
     )
 
 
