@@ -78,12 +78,15 @@ class LiveRun:
 
 def header_of(run: Path, settings: Settings) -> Document:
     """What every page shows of a live run."""
-    run_now = standing_in(read_live(run))
+    view = read_live(run)
+    run_now, silent = standing_in(view), _silent(view)
+    headline = _headline(run_now, run)
     return {
         "name": name_of(run, settings),
         "address": address_of(run, settings),
-        "text": _headline(run_now, run),
+        "text": f"{silent}; last known: {headline}" if silent else headline,
         "asks": bool(run_now.prompt),
+        "silent": bool(silent),
         "percent": round(100 * run_now.share),
         "left": _left(run_now),
         "over": run_now.state == "done",
@@ -187,7 +190,7 @@ def _silent(view: Document) -> str:
     # While models are fitted nothing is heard of the arm, and nothing need be.
     if quiet < SILENT_AFTER_S or view.get("state") == "done":
         return ""
-    return f"no news for {duration(quiet)}"
+    return f"no news for {quiet:.0f} s" if quiet < 60 else f"no news for {duration(quiet)}"
 
 
 def _joint_texts(arm: Document) -> Document:

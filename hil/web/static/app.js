@@ -1,42 +1,18 @@
 // What makes pages live; every page can be read, and every run be stopped, without it.
 // Elements are changed in place and never replaced, so that nobody loses the place they are at.
 
+import { asking, hold, setText } from "./asking.js";
+import { listening } from "./listening.js";
+
 const KEPT = 240; // numbers of a small curve: a minute at four a second
 const LINES = 200;
 const byId = (id) => document.getElementById(id);
-
-// Setting a text that is there already would have screen readers say it again.
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
 
 function setShown(element, shown) {
   if (element.hidden === !shown) return;
   if (!shown && element.contains(document.activeElement)) (byId("standing") || byId("main")).focus();
   element.hidden = !shown;
 }
-
-// --- asking ---------------------------------------------------------------------------------
-
-async function ask(form, button) {
-  const said = byId("asked") || byId("link");
-  const body = new URLSearchParams(new FormData(form, button));
-  try {
-    const answer = await fetch(form.action, { method: "POST", body, headers: { Accept: "application/json" } });
-    const told = await answer.json().catch(() => ({ error: `${answer.status} ${answer.statusText}` }));
-    setText(said, answer.ok ? `asked: ${told.asked}` : [told.error, told.hint].filter(Boolean).join(" → "));
-  } catch {
-    form.submit(); // as it would have been without any of this
-  }
-}
-
-document.addEventListener("submit", (event) => {
-  const form = event.target;
-  if (!form.matches(".stopping, [data-ask]")) return;
-  event.preventDefault();
-  if (event.submitter?.getAttribute("aria-disabled") === "true") return;
-  ask(form, event.submitter);
-});
 
 // --- live runs in the header and on the overview --------------------------------------------
 
@@ -69,6 +45,7 @@ function showRun(element, run) {
   const how = element.querySelector(".how");
   setText(how, run.over ? run.text : `${run.percent} % · ${run.text}`);
   how.classList.toggle("asks", run.asks);
+  how.classList.toggle("silent", run.silent);
   element.querySelector(".stop")?.setAttribute("aria-disabled", String(run.over));
 }
 
@@ -80,7 +57,9 @@ function showOverview(runs) {
   if (!same) return void refresh("going", "newest", "stations");
   shown.forEach((card, i) => {
     const run = runs[i];
-    setText(card.querySelector(".text"), run.text);
+    const text = card.querySelector(".text");
+    setText(text, run.text);
+    text.classList.toggle("silent", run.silent);
     setText(card.querySelector(".left"), `${run.percent} %, ${run.left}`);
     card.querySelector("progress").value = run.percent;
   });
@@ -141,6 +120,12 @@ function addLines(lines) {
 }
 
 function showNow(run, now) {
+  for (const input of run.querySelectorAll("form [data-input], form [data-value]")) {
+    const value = String(now.texts[input.dataset.input] ?? now.values[input.dataset.value]);
+    if (input.value === value) continue;
+    hold(input.form); // another question: nobody has read it yet
+    input.value = value;
+  }
   const shape = [now.joints.length, now.margins.join(" ")].join();
   if (now.shown.arm && shape !== [run.dataset.joints, run.dataset.margins].join()) {
     run.dataset.joints = now.joints.length;
@@ -155,7 +140,6 @@ function showNow(run, now) {
     const value = now.values[element.dataset.value];
     if (value !== undefined) element.value = value;
   }
-  for (const element of run.querySelectorAll("[data-input]")) element.value = now.texts[element.dataset.input];
   for (const element of run.querySelectorAll("[data-shown]")) setShown(element, now.shown[element.dataset.shown]);
   for (const [key, value] of Object.entries(now.series)) addTo(key, value);
   for (const svg of run.querySelectorAll("[data-spark]")) draw(svg);
@@ -165,40 +149,38 @@ function showNow(run, now) {
 
 // --- listening ------------------------------------------------------------------------------
 
-// One connection a page, and none while nobody sees it: a browser keeps six to a host, and what is
-// asked, Stop above all, needs one that is free.
 const run = byId("run");
-let source = null;
 
-function showLive(runs) {
-  showHeader(runs);
-  showOverview(runs);
+function wanted() {
+  if (!run || "over" in run.dataset) return { run: "", after: 0 };
+  return { run: run.dataset.name, after: Number(byId("log").querySelector("li")?.dataset.line || 0) };
 }
 
-function address() {
-  if (!run || "over" in run.dataset) return "/events";
-  return `${run.dataset.events}?after=${byId("log").querySelector("li")?.dataset.line || 0}`;
+function take(kind, news) {
+  if (kind === "live") {
+    showHeader(news);
+    showOverview(news);
+  } else if (run && news.name === run.dataset.name && !("over" in run.dataset)) {
+    if (kind === "over") run.dataset.over = "";
+    showNow(run, news);
+  }
 }
 
-function listen() {
-  source?.close();
-  source = new EventSource(address());
-  source.onopen = () => setText(byId("link"), "");
-  source.onerror = () => setText(byId("link"), "No connection to the dashboard: what is shown is old. ");
-  const told = (kind, take) => source.addEventListener(kind, (event) => take(JSON.parse(event.data)));
-  told("live", showLive);
-  told("run", (now) => showNow(run, now));
-  told("over", (now) => {
-    showNow(run, now);
-    run.dataset.over = "";
-    listen();
-  });
+// The seconds are not read aloud, or they would be said every second.
+function showOld(seconds) {
+  const box = byId("old");
+  document.body.classList.toggle("old", seconds > 0);
+  if (!seconds) return void box.replaceChildren();
+  if (!box.firstChild) {
+    const count = document.createElement("span");
+    count.ariaHidden = "true";
+    box.append("No news from the dashboard", count, ": what is shown is old. Only the robot’s own button stops it for sure.");
+  }
+  box.querySelector("span").textContent = ` for ${seconds} s`;
 }
-
-document.addEventListener("visibilitychange", () => (document.hidden ? source?.close() : listen()));
-addEventListener("pagehide", () => source?.close());
 
 // A page that comes back from the browser's memory has no connection any more.
 addEventListener("pageshow", (event) => event.persisted && location.reload());
 
-if (!document.hidden) listen();
+asking();
+listening(wanted, take, showOld);
