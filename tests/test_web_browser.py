@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser.bench import SMALL, STATION, chromium, serving
+from browser.bench import SMALL, STATION, opened, serving
 from browser.looking import contrasts_below, enter, problems_of, tab_to, until
-from playwright.sync_api import sync_playwright
 
 import hil
 from hil.record.rundir import RunDirectory
@@ -49,20 +48,17 @@ def address(folder: Path) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    path = chromium()
-    with sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield opened
-        opened.close()
+    with opened() as one:
+        yield one
 
 
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
     """A page on which nothing may go wrong in silence."""
-    opened = browser.new_page(viewport=DESKTOP)
-    said = problems_of(opened)
-    yield opened
-    opened.close()
+    new = browser.new_page(viewport=DESKTOP)
+    said = problems_of(new)
+    yield new
+    new.close()
     assert said == []
 
 
@@ -84,6 +80,7 @@ def test_by_keys_alone_a_run_is_started_answered_and_stopped_within_a_second(
     page.wait_for_selector(".question:visible", timeout=30_000)
     assert "Remove everything from the flange" in page.inner_text(".question")
     tab_to(page, "button[value=yes]")
+    until(page, "document.activeElement.getAttribute('aria-disabled') !== 'true'", 2)
     page.keyboard.press("Enter")
     until(page, "parseInt(document.querySelector('[data-text=percent]').textContent) > 0", 30)
     page.wait_for_selector(".question", state="hidden")

@@ -10,8 +10,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from playwright.sync_api import sync_playwright
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 STARTS_WITHIN_S = 30.0
@@ -46,8 +48,25 @@ def chromium() -> str:
 
 
 @contextlib.contextmanager
+def opened() -> Iterator[Any]:
+    """That browser, without a window."""
+    path = chromium()
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
 def serving(folder: Path, *options: str) -> Iterator[str]:
     """`hil serve` in a folder of its own; its address."""
+    with served(folder, *options) as (address, _):
+        yield address
+
+
+@contextlib.contextmanager
+def served(folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """The same, with its process, which may be stopped (SIGSTOP)."""
     command = [sys.executable, "-m", "hil", "serve", "--port", "0", *options]
     environment = {**os.environ, "HIL_LEASES": str(folder / "leases")}
     with (folder / "serve.log").open("wb") as errors:
@@ -58,8 +77,9 @@ def serving(folder: Path, *options: str) -> Iterator[str]:
             assert process.stdout is not None
             line = process.stdout.readline()
             assert line.startswith("dashboard: "), (folder / "serve.log").read_text("utf-8")
-            yield line.removeprefix("dashboard: ").strip()
+            yield line.removeprefix("dashboard: ").strip(), process
         finally:
+            process.send_signal(signal.SIGCONT)
             process.send_signal(signal.SIGINT)
             try:
                 process.wait(10)

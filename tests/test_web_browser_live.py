@@ -1,0 +1,178 @@
+"""Live runs in a browser when things are not well: many pages, a hung dashboard, a hung run."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser.bench import opened, served
+from browser.looking import until
+from live_run import live_run
+from live_run import until as wait
+
+from hil.record.rundir import RunDirectory
+
+pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
+
+PAGES = 10
+"""More than the six connections that a browser keeps to a host."""
+
+BANNER = "document.getElementById('old').textContent"
+QUESTION = ".question button[value=yes]"
+FREE = f"document.querySelector('{QUESTION}').getAttribute('aria-disabled') === 'false'"
+TELLS = """
+const refused = document.querySelector(".stopping .refused");
+new MutationObserver(() => console.log(refused.textContent)).observe(refused, { childList: true });
+"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with opened() as one:
+        yield one
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, Any]]:
+    """A folder, the address of its dashboard and that dashboard's process."""
+    folder = tmp_path_factory.mktemp("live")
+    with served(folder) as (address, process):
+        yield folder, address, process
+
+
+@pytest.fixture
+def page(browser: Any, bench: Bench) -> Iterator[Any]:
+    context = browser.new_context()
+    context.set_default_timeout(5000)
+    yield context.new_page()
+    bench[2].send_signal(signal.SIGCONT)
+    context.close()
+
+
+Bench = tuple[Path, str, Any]
+
+
+def address_of(run: Path, bench: Bench) -> str:
+    folder, address, _ = bench
+    return f"{address}runs/{run.relative_to(folder / 'runs').as_posix()}"
+
+
+def outcome(run: Path) -> Any:
+    return (RunDirectory(run).stop or {}).get("outcome")
+
+
+def refuse(status: int, route: Any) -> None:
+    route.fulfill(status=status, body="no")
+
+
+def text_of(page: Any, selector: str) -> str:
+    return str(page.evaluate("(s) => document.querySelector(s).textContent", selector))
+
+
+def test_ten_pages_of_a_run_are_kept_up_to_date_and_stop_acts_in_the_last(
+    page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (run, _):
+        pages = [page, *(page.context.new_page() for _ in range(PAGES - 1))]
+        for one in pages:
+            one.goto(address_of(run, bench), timeout=5000)
+        shown = text_of(pages[-1], "[data-text=samples]")
+        for one in pages:
+            assert one.evaluate("document.visibilityState") == "visible"
+            until(one, f"document.querySelector('[data-text=samples]').textContent > '{shown}'", 5)
+        pages[0].close()  # it held the stream for all
+        begun = time.monotonic()
+        pages[-1].click(".stopping button.stop")
+        wait(lambda: outcome(run), 5)
+        assert time.monotonic() - begun < 2.0
+        for one in pages[1:]:
+            until(one, "document.getElementById('standing').textContent.includes('stopped')", 6)
+
+
+def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(page: Any, bench: Bench) -> None:
+    folder, _, process = bench
+    with live_run(folder / "runs") as (run, _):
+        page.goto(address_of(run, bench))
+        page.wait_for_timeout(500)
+        assert page.evaluate(BANNER) == ""
+        process.send_signal(signal.SIGSTOP)
+        until(page, f"{BANNER}.startsWith('No news from the dashboard for ')", 7)
+        assert page.evaluate("document.body.classList.contains('old')")
+        process.send_signal(signal.SIGCONT)
+        until(page, f"{BANNER} === ''", 7)
+
+        process.send_signal(signal.SIGSTOP)
+        # Of a page that is being left the driver tells nothing; its console it does.
+        page.evaluate(TELLS)
+        with page.expect_console_message(lambda told: "NOT taken" in told.text) as refused:
+            page.evaluate("document.querySelector('.stopping button.stop').click()")
+            assert text_of(page, ".stopping .said") == "stopping …"
+        assert "“Stop” was NOT taken: no answer" in refused.value.text
+        assert "robot’s own button" in refused.value.text
+        with page.expect_navigation(timeout=10_000):  # asked once more, as without scripts
+            process.send_signal(signal.SIGCONT)
+        wait(lambda: outcome(run) == "stopped", 5)
+
+
+def test_a_refusal_is_said_at_the_button_and_a_refused_stream_is_asked_for_again(
+    page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (run, _):
+        page.route("**/events*", partial(refuse, 500))
+        page.goto(address_of(run, bench))
+        until(page, f"{BANNER} !== ''", 2)
+        page.unroute("**/events*")
+        until(page, f"{BANNER} === ''", 5)
+        for status in (401, 403, 500):
+            page.route("**/stop", partial(refuse, status))
+            page.click("main button.stop")
+            refused = f"was NOT taken: {status}"
+            told = "document.querySelector('main .stop ~ .refused').textContent"
+            until(page, f"{told}.includes('{refused}')", 3)
+            page.unroute("**/stop")
+        page.click("main button.stop")
+        wait(lambda: outcome(run) == "stopped", 5)
+
+
+def test_a_hung_run_is_told_apart_in_the_header_and_on_the_overview(
+    page: Any, bench: Bench
+) -> None:
+    with live_run(bench[0] / "runs") as (_, process):
+        page.goto(bench[1])
+        page.wait_for_selector(".stopping")
+        assert page.locator(".silent").count() == 0
+        process.send_signal(signal.SIGSTOP)
+        for where in (".stopping", ".card"):
+            page.wait_for_selector(f"{where} .silent", timeout=9000)
+            assert "no news for " in page.inner_text(f"{where} .silent")
+        assert page.evaluate(BANNER) == ""  # the dashboard itself is well
+        process.send_signal(signal.SIGCONT)
+        until(page, "!document.querySelector('.silent')", 3)
+
+
+def test_a_question_takes_no_answer_before_anybody_can_have_read_it(
+    page: Any, bench: Bench
+) -> None:
+    posted = []
+    page.on("request", lambda one: posted.append(one.url) if one.method == "POST" else None)
+    press = f"document.querySelector('{QUESTION}').click()"
+    with live_run(bench[0] / "runs", "Mount the weight", "twice") as (run, _):
+        page.goto(address_of(run, bench))
+        page.evaluate(press)
+        until(page, FREE, 2)
+        page.focus(QUESTION)
+        page.evaluate(f"{press}; {press}; {press}")
+        first = page.evaluate("document.querySelector('[name=asked]').value")
+        changed = f"document.querySelector('[name=asked]').value !== '{first}'"
+        until(page, f"{changed} && ({press}, true)", 5)
+        assert page.evaluate("document.activeElement.matches('button[value=yes]')")
+        until(page, FREE, 2)
+        assert len(posted) == 1
+        page.evaluate(press)
+        page.wait_for_selector(".question", state="hidden", timeout=5000)
+        assert len(posted) == 2
