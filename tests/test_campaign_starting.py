@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from live_run import until
 from started_parts import PROMPT, begun, written
 
-from hil.campaign import starting
+from hil.campaign import detached, starting
 from hil.campaign.live_state import read_live
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.campaign.steering import answer_run
-from hil.errors import SpecError
+from hil.errors import RecordingError, SpecError
 from hil.record.events import read_events
 from hil.record.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire
+
+SLEEP = "import time; time.sleep(60)"
 
 
 def test_a_started_run_waits_for_its_answer_and_is_known_by_its_process(tmp_path: Path) -> None:
@@ -66,7 +71,7 @@ def test_one_that_dies_before_it_has_a_run_directory_leaves_its_last_words(tmp_p
         started.cancel()
     assert started.made == []
     assert "upper arm and near" in "\n".join(started.last_words)
-    assert len(started.last_words) <= starting.LAST_LINES
+    assert len(started.last_words) <= detached.LAST_LINES
 
 
 def test_another_process_with_its_number_is_not_it(tmp_path: Path) -> None:
@@ -89,3 +94,82 @@ def test_only_so_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert [each.id for each in started_runs(tmp_path / "runs")] == [third.id]
     left = sorted(path.name for path in (tmp_path / "runs" / starting.FOLDER).iterdir())
     assert left == [f"{third.id}.json", f"{third.id}.log"]
+
+
+def test_a_live_run_is_cancelled_by_name_as_hil_stop_would(tmp_path: Path) -> None:
+    with begun(tmp_path, wall=False) as (started, run):
+        until(lambda: read_live(run).get("prompt") == PROMPT)
+        started.cancel("bert")
+        until(lambda: not started.alive, 20)
+        assert RunDirectory.open(run).status == "stopped"
+        assert "bert" in (run / "stop.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("time", "x"), ("time", 1e999), ("pid", [1]), ("pid", -1), ("ticks", None), ("spec", 3),
+     ("host", {}), ("operator", ["a"]), ("station", None), ("time", 10**400), ("spec", "\0")],
+)  # fmt: skip
+def test_a_record_of_another_kind_is_none(tmp_path: Path, key: str, value: object) -> None:
+    whole = {"id": "", "runs": "", "spec": "s", "station": "", "operator": "", "pid": os.getpid(),
+             "ticks": 1, "time": 1.0, "host": os.uname().nodename}  # fmt: skip
+    folder = tmp_path / starting.FOLDER
+    folder.mkdir()
+    (folder / "1.json").write_text(json.dumps(whole))
+    (folder / "2.json").write_text(json.dumps(whole | {key: value}))
+    (folder / "3.json").write_text("[]")
+    assert [each.id for each in started_runs(tmp_path)] == ["1"]
+
+
+def test_a_record_that_cannot_be_written_ends_what_was_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun_ones = []
+
+    def begin(command: list[str], log: Path) -> Any:
+        begun_ones.append(detached.begin([sys.executable, "-c", SLEEP], log))
+        return begun_ones[0]
+
+    def full(*arguments: object) -> None:
+        raise RecordingError("no space left on device")
+
+    monkeypatch.setattr(starting, "begin", begin)
+    monkeypatch.setattr(starting, "write_replacing", full)
+    with pytest.raises(RecordingError):
+        start_run(written(tmp_path)[0], tmp_path / "runs")
+    until(lambda: not detached.ticks_of(begun_ones[0].pid), 10)
+
+
+def test_what_no_command_can_be_given_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match="NUL"):
+        start_run(written(tmp_path)[0], tmp_path / "runs", operator="an\0na")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_spec_named_as_an_option_is_a_spec(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HIL_TOKEN", "secret of the dashboard")
+    written(tmp_path)[0].rename("--runs=x.yaml")
+    given: list[list[str]] = []
+
+    def begin(command: list[str], log: Path) -> Any:
+        given.append(command)
+        told = "import os; print(os.environ.get('HIL_TOKEN', 'none'))"
+        return detached.begin([sys.executable, "-c", told], log)
+
+    monkeypatch.setattr(starting, "begin", begin)
+    started = start_run(Path("--runs=x.yaml"), tmp_path / "runs")
+    until(lambda: not started.alive, 20)
+    assert given[0][-2:] == ["--", "--runs=x.yaml"]
+    assert started.last_words == ["none"]  # the token is nothing for a run and its plugins
+
+
+def test_of_a_long_log_only_the_end_is_read(tmp_path: Path) -> None:
+    log = tmp_path / "long.log"
+    with log.open("wb") as file:
+        file.truncate(3 << 30)  # takes no room
+        file.seek(0, 2)
+        file.write(b"\nthe end\n")
+    assert detached.last_lines(log)[-1] == "the end"

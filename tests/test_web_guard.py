@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
+from hil.cli.serving import serve
+from hil.errors import SpecError
 from hil.web.app import create_app
+from hil.web.listeners import Listeners
 from hil.web.security import MOST_BYTES, POLICY
+from hil.web.serving import address
 from hil.web.settings import Settings
 
 HERE = "http://127.0.0.1:8350"
@@ -187,3 +196,67 @@ def test_stop_is_taken_from_a_page_of_an_earlier_dashboard(
     assert answer.status_code == (404 if taken else 403)  # there is no such run
     other = client(own).post("/runs/2026/ur5/0001-a/pause", data=data, headers=headers)
     assert other.status_code == 403
+
+
+def test_a_file_that_may_not_be_read_is_no_forbidden_form(own: Settings) -> None:
+    def closed(request: object) -> None:
+        raise PermissionError(13, "Permission denied", "/lab/runs")
+
+    made = create_app(own)
+    made.router.routes.insert(0, Route("/closed", closed))
+    answer = TestClient(made, base_url=HERE).get("/closed")
+    assert answer.status_code == 500
+    assert "/lab/runs: Permission denied" in answer.json()["error"]
+
+
+def test_a_token_of_the_environment_is_not_printed(tmp_path: Path) -> None:
+    made = settings(tmp_path, token="k" * 16)
+    assert address(made) == f"http://127.0.0.1:{made.port}/?token={'k' * 16}"
+    assert address(replace(made, token_given=True)) == f"http://127.0.0.1:{made.port}/"
+    assert "kkk" not in repr(made)
+
+
+def test_a_network_may_not_guess_the_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HIL_TOKEN", "k" * 15)
+    with pytest.raises(SpecError, match="15 characters"):
+        serve(host="0.0.0.0", port=0)
+
+
+def test_so_many_may_listen_and_no_more() -> None:
+    waiting, over = 0, asyncio.Event()
+    answers: list[int] = []
+
+    async def forever(scope: object, receive: object, send: object) -> None:
+        nonlocal waiting
+        waiting += 1
+        await over.wait()
+
+    async def send(message: Any) -> None:
+        if message["type"] == "http.response.start":
+            answers.append(message["status"])
+
+    async def listen(app: Listeners, path: str) -> None:
+        await app({"type": "http", "method": "GET", "path": path}, None, send)  # type: ignore[arg-type]
+
+    async def everybody() -> None:
+        app = Listeners(forever, most=2)  # type: ignore[arg-type]
+        paths = ["/events", "/runs/2026/ur5/0001-a/events", "/events", "/runs"]
+        asked = [asyncio.create_task(listen(app, path)) for path in paths]
+        await asyncio.sleep(0)
+        assert (waiting, answers) == (3, [503])  # the page passes
+        over.set()
+        await asyncio.gather(*asked)
+        await listen(app, "/events")  # there is room again
+        assert (waiting, answers) == (4, [503])
+
+    asyncio.run(everybody())
+
+
+def test_as_many_files_may_be_open_as_are_allowed() -> None:
+    told = (
+        "import resource as r; from hil.web import serving\n"
+        "r.setrlimit(r.RLIMIT_NOFILE, (64, 128)); serving._allow_many_files()\n"
+        "print(*r.getrlimit(r.RLIMIT_NOFILE))"
+    )
+    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True)
+    assert done.stdout.split() == ["128", "128"], done.stderr

@@ -207,3 +207,17 @@ def test_one_that_did_not_begin_says_its_last_words(desk: Desk) -> None:
     if not started.made:  # it is quick, but not that quick
         assert "did not begin" in ended.text
         assert "refresh" not in ended.headers
+
+
+@pytest.mark.wire
+def test_what_is_being_planned_can_be_cancelled_from_every_page(desk: Desk) -> None:
+    where = desk.post(do="start").headers["location"]
+    (started,) = started_runs(desk.settings.runs)
+    try:
+        html = desk.browser.get("/models", headers=PAGE).text
+        assert started.made or f'action="{where}/cancel"' in html
+        assert desk.browser.post(f"{where}/cancel", data={"csrf": desk.settings.csrf}).is_redirect
+        until(lambda: not started.alive, 20)
+        assert "/cancel" not in desk.browser.get("/models", headers=PAGE).text
+    finally:
+        started.cancel()

@@ -10,7 +10,6 @@ import contextlib
 import os
 import platform
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -19,6 +18,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.detached import begin, last_lines, ticks_of
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
@@ -32,11 +32,6 @@ from hil.spec.series import is_series
 FOLDER = ".started"
 KEPT = 20
 """Of so many starts records and logs are kept."""
-
-LAST_LINES = 10
-LAST_BYTES = 16 * 1024
-SECRETS = ("HIL_TOKEN",)
-"""Of the environment, which a run that is started does not get: its plugins need none of it."""
 
 SLACK_S = 2.0
 """File systems and clocks may differ so much about when something was [s]."""
@@ -75,7 +70,7 @@ class Started:
     @property
     def alive(self) -> bool:
         """Whether its process still runs."""
-        return self.host == platform.node() and 0 < self.ticks == _ticks(self.pid)
+        return self.host == platform.node() and 0 < self.ticks == ticks_of(self.pid)
 
     @property
     def made(self) -> list[Path]:
@@ -85,13 +80,7 @@ class Started:
     @property
     def last_words(self) -> list[str]:
         """The last lines it printed."""
-        try:
-            with self.log.open("rb") as log:
-                log.seek(max(0, os.fstat(log.fileno()).st_size - LAST_BYTES))
-                text = log.read(LAST_BYTES).decode("utf-8", "replace")
-        except OSError:
-            return []
-        return text.replace("\r", "\n").splitlines()[-LAST_LINES:]
+        return last_lines(self.log)
 
     def cancel(self, who: str = "") -> None:
         """End it: as `hil stop` where it is live by now, else as Ctrl-C would.
@@ -181,8 +170,8 @@ def start_run(
             "a run cannot be started with a NUL character in what it is given",
             hint="look at the changes and at the name of the operator",
         )
-    process = _begun(command, folder, name)
-    ticks = _ticks(process.pid)
+    process = begin(command, folder / f"{name}.log")
+    ticks = ticks_of(process.pid)
     # Whoever started it hears of its end, so that none is left as a zombie.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
     started = Started(
@@ -196,27 +185,6 @@ def start_run(
         raise
     _forget_old(runs)
     return started
-
-
-def _begun(command: list[str], folder: Path, name: str) -> subprocess.Popen[bytes]:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{name}.log").open("xb") as log:
-            return subprocess.Popen(  # noqa: S603 - our own command line, no shell
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                env={key: value for key, value in os.environ.items() if key not in SECRETS},
-            )
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            (folder / f"{name}.log").unlink()
-        raise RecordingError(
-            f"cannot write to {folder}: {error.strerror or error}",
-            hint="see whether the folder may be written to and the disk has room",
-        ) from error
 
 
 def started_runs(runs: Path) -> list[Started]:
@@ -251,13 +219,3 @@ def _forget_old(runs: Path) -> None:
         if not old.alive:
             for path in (old.log, old.log.with_suffix(".json")):
                 path.unlink(missing_ok=True)
-
-
-def _ticks(pid: int) -> int:
-    """When a process began, 0 for one that has ended."""
-    try:
-        about = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace")
-    except OSError:
-        return 0
-    state, *fields = about[about.rindex(")") + 2 :].split()
-    return 0 if state in "ZX" else int(fields[18])

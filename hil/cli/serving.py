@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,8 @@ import typer
 
 from hil.cli.output import RunsOption
 from hil.cli.registry import HERE, RegistryOption
+
+SHORTEST_TOKEN = 16
 
 Specs = Annotated[
     Path,
@@ -55,8 +58,6 @@ def serve(
     read_only: ReadOnly = False,
 ) -> None:
     """Serve the dashboard: live runs with Stop, prompts, catalogue, models, schedules."""
-    import secrets
-
     from hil import plugins
     from hil.errors import PluginError
 
@@ -69,9 +70,8 @@ def serve(
     from hil.web.serving import serve as serve_there
     from hil.web.settings import Settings, is_loopback
 
-    token = os.environ.get("HIL_TOKEN", "")
-    if not token and not is_loopback(host):
-        token = secrets.token_urlsafe(24)
+    given = os.environ.get("HIL_TOKEN", "")
+    token = given if is_loopback(host) else _token_for_all(given)
     settings = Settings(
         runs=runs,
         registry=registry,
@@ -80,11 +80,32 @@ def serve(
         host=host,
         names=tuple(name or ()),
         token=token,
+        token_given=bool(given),
         read_only=read_only,
     )
-    serve_there(settings, listen(host, port), _tell)
+    serve_there(settings, listen(host, port), partial(_tell, given=bool(given)))
 
 
-def _tell(address: str) -> None:
+def _token_for_all(given: str) -> str:
+    """The token where a whole network may try.
+
+    Raises:
+        SpecError: That of the environment can be found by trying.
+    """
+    import secrets
+
+    from hil.errors import SpecError
+
+    if given and len(given) < SHORTEST_TOKEN:
+        raise SpecError(
+            f"$HIL_TOKEN has {len(given)} characters, and whoever reaches this computer may try",
+            hint=f"give it {SHORTEST_TOKEN} or more: HIL_TOKEN=$(openssl rand -hex 16)",
+        )
+    return given or secrets.token_urlsafe(24)
+
+
+def _tell(address: str, *, given: bool = False) -> None:
     typer.echo(f"dashboard: {address}")
+    if given:
+        typer.echo(f"its token is that of $HIL_TOKEN: {address}?token=…", err=True)
     typer.echo("Ctrl-C ends it; runs that it started go on.", err=True)

@@ -15,6 +15,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from hil.errors import HilError
+from hil.web.listeners import Listeners
 from hil.web.rendering import WHO, back, refused
 from hil.web.security import HEADERS, Forbidden, Guard, form_of
 from hil.web.settings import Settings
@@ -43,7 +44,7 @@ def create_app(settings: Settings) -> Starlette:
     """
     app = Starlette(
         routes=_routes(),
-        middleware=[Middleware(Guard, settings=settings)],
+        middleware=[Middleware(Guard, settings=settings), Middleware(Listeners)],
         exception_handlers={
             HilError: _refused,
             Forbidden: _refused,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
+import resource
 import socket
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +15,7 @@ from hil.web.settings import DEFAULT_PORT, Settings, is_loopback
 
 PORTS_TRIED = 10
 CLOSED_WITHIN_S = 1
+MOST_FILES = 65_536
 
 
 def listen(host: str, port: int | None) -> socket.socket:
@@ -46,7 +49,7 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
     Args:
         settings: What is shown, and who may do what; its port is that of the socket.
         listening: Where, see `listen`.
-        tell: Is given the address to open, token included.
+        tell: Is given the address to open, with the token unless that was given to us.
     """
     import uvicorn
 
@@ -59,6 +62,7 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
         server_header=False,
         timeout_graceful_shutdown=CLOSED_WITHIN_S,
     )
+    _allow_many_files()
     tell(address(settings))
     uvicorn.Server(config).run(sockets=[listening])
 
@@ -70,8 +74,18 @@ def address(settings: Settings) -> str:
         host = settings.names[0] if settings.names else socket.gethostname()
     if ":" in host and not host.startswith("["):
         host = f"[{host}]"
-    token = f"/?token={settings.token}" if settings.token else "/"
-    return f"http://{host}:{settings.port}{token}"
+    # What is printed is kept: by the journal of systemd, say, which others may read.
+    token = f"?token={settings.token}" if settings.token and not settings.token_given else ""
+    return f"http://{host}:{settings.port}/{token}"
+
+
+def _allow_many_files() -> None:
+    """Every connection takes one, and the usual limit is a small one."""
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = MOST_FILES if most == resource.RLIM_INFINITY else min(most, MOST_FILES)
+    if now != resource.RLIM_INFINITY and now < wanted:
+        with contextlib.suppress(ValueError, OSError):  # not allowed here: it stays as it is
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
 
 
 def _family(host: str) -> socket.AddressFamily:

@@ -24,6 +24,7 @@ class Settings:
         port: Port it listens on, 0 while nobody knows.
         names: Host names besides `host` under which it may be called.
         token: What a visitor has to show; empty where everybody who reaches it may look.
+        token_given: The token is somebody's own, who knows it: it is printed nowhere.
         read_only: Nothing can be asked of a run, none be started.
         csrf: Shown by every form of ours, and known to no other site.
     """
@@ -35,7 +36,8 @@ class Settings:
     host: str = LOOPBACK
     port: int = 0
     names: tuple[str, ...] = ()
-    token: str = ""
+    token: str = field(default="", repr=False)
+    token_given: bool = False
     read_only: bool = False
     csrf: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 

@@ -75,7 +75,7 @@ async def cancel(request: Request) -> Response:
     """End a started run that has no page yet."""
     await form_of(request)
     name, settings = request.path_params["id"], settings_of(request)
-    await in_thread("asking", lambda: _started(name, settings).cancel())
+    await in_thread("asking", lambda: _started(name, settings).cancel(who_of(request)))
     return RedirectResponse(f"/start/{name}", 303)
 
 

@@ -19,8 +19,8 @@ from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 
 from hil.errors import HilError
-from hil.web.live_facts import LiveRun, header_of
-from hil.web.places import live_runs
+from hil.web.going import going_on
+from hil.web.live_facts import LiveRun
 from hil.web.rendering import settings_of
 from hil.web.run_files import require_run
 from hil.web.settings import Settings
@@ -99,8 +99,7 @@ class _LiveRuns:
         """What every page shows of each of them."""
         with self._looking:
             if time.monotonic() >= self._until:
-                runs = live_runs(self._settings)
-                self._seen = [header_of(run, self._settings) for run in runs]
+                self._seen = going_on(self._settings)
                 self._until = time.monotonic() + LOOK_EVERY_S
             return self._seen
 

@@ -1,0 +1,67 @@
+"""Processes that outlive whoever starts them, and what they print."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from hil.errors import RecordingError
+
+LAST_LINES = 10
+LAST_BYTES = 16 * 1024
+SECRETS = ("HIL_TOKEN",)
+"""Of the environment; a run and its plugins have no use for them."""
+
+
+def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start a command in a session of its own.
+
+    Args:
+        command: Program and arguments; no shell looks at them.
+        log: What it prints; made, with its folder. It is not left behind where nothing was started.
+
+    Raises:
+        RecordingError: The log cannot be written.
+    """
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("xb") as printed:
+            return subprocess.Popen(  # noqa: S603 - our own command line, no shell
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=printed,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                env={key: value for key, value in os.environ.items() if key not in SECRETS},
+            )
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            log.unlink()
+        raise RecordingError(
+            f"cannot write to {log.parent}: {error.strerror or error}",
+            hint="see whether the folder may be written to and the disk has room",
+        ) from error
+
+
+def last_lines(log: Path) -> list[str]:
+    """The last lines of what a process printed; of a long log only its end is read."""
+    try:
+        with log.open("rb") as printed:
+            printed.seek(max(0, os.fstat(printed.fileno()).st_size - LAST_BYTES))
+            text = printed.read(LAST_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return []
+    return text.replace("\r", "\n").splitlines()[-LAST_LINES:]
+
+
+def ticks_of(pid: int) -> int:
+    """When a process began in the kernel's own count, 0 for one that has ended."""
+    try:
+        about = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace")
+    except OSError:
+        return 0
+    state, *fields = about[about.rindex(")") + 2 :].split()
+    return 0 if state in "ZX" else int(fields[18])
