@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.data.dataset import Dataset
-from hil.data.load import load_source, serial_of, with_payload
+from hil.data.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, SpecError
@@ -144,6 +144,8 @@ def fit_sources(
     if payload is not None:
         train = with_payload(train, payload)
     serial = _one_serial(sources)
+    for source in sources if robot is None else ():
+        require_arm_as_recorded(source)
     held_out = [(source, load_source(source)) for source in validate]
     for _, data in held_out:
         _require_same_effort(train, data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,9 @@ from typer.testing import CliRunner, Result
 
 import hil
 from hil.arms import load_arm
+from hil.arms.description import _parsed
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.errors import DataError, SpecError
 from hil.spec import load_spec, load_station
 from hil.spec.commented import COLUMN, WIDTH, commented
 from hil.spec.experiment import ExperimentSpec
@@ -105,6 +107,29 @@ def test_an_arm_of_ones_own_runs_as_a_mock() -> None:
     assert start["robot"]["model"] == str(arm.resolve())
     # The run's own copy of the station is read from another folder.
     assert load_station(report.run / "station.yaml").robots["own_arm"].model == str(arm.resolve())
+
+
+def test_a_run_goes_on_and_is_fitted_only_with_the_arm_it_was_recorded_with() -> None:
+    spec, station, arm, *_ = written("own-urdf")
+    fewer = {"excitation.trajectories": "3", "warm_up.duration_s": "1", "fit": "[]"}
+    fewer |= {"validate": "{}", "accept": "{gaps_percent: {max: 1}}"}
+    run = hil.run(hil.load(spec, station, overrides=fewer)).run
+    digest = sha256(arm.read_bytes()).hexdigest()
+    assert json.loads((run / "start.json").read_text())["robot"]["model_sha256"] == digest
+
+    text = arm.read_text()
+    arm.write_text(text.replace("rate_hz: 250", "rate_hz: 251"))
+    _parsed.cache_clear()
+    told = f"{arm.resolve()} describes another arm than when {run} was recorded"
+    with pytest.raises(DataError, match=re.escape(told)):
+        hil.resume(run)
+    with pytest.raises(DataError, match=re.escape(told)):
+        hil.fit(run, estimator="rigid-wls")
+    assert hil.fit(run, estimator="rigid-wls", robot=str(arm))
+    arm.unlink()
+    _parsed.cache_clear()
+    with pytest.raises(DataError, match="cannot be read as an arm"):
+        hil.fit(run, estimator="rigid-wls")
 
 
 def test_a_spec_whose_robot_is_at_a_station_beside_it_says_which(here: Path) -> None:

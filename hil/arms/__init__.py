@@ -14,6 +14,7 @@ from hil.arms.description import (
     is_description,
     load_arm,
 )
+from hil.arms.own_file import model_sha256, require_same_arm
 
 __all__ = [
     "ArmDescription",
@@ -23,4 +24,6 @@ __all__ = [
     "is_described",
     "is_description",
     "load_arm",
+    "model_sha256",
+    "require_same_arm",
 ]

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from hil.arms import model_sha256
 from hil.campaign.experiment import Experiment
 from hil.plan.plan import Plan
 from hil.record.parts import name_of_attempt
@@ -73,8 +74,10 @@ def _commissioning(experiment: Experiment) -> dict[str, Any]:
 def describe_robot(robot: Robot, station_robot: StationRobot) -> dict[str, Any]:
     """What the start document says about the robot."""
     can = robot.capabilities
+    digest = model_sha256(station_robot.model)
     return {
         "model": station_robot.model,
+        **({"model_sha256": digest} if digest else {}),
         "gravity_m_s2": list(station_robot.gravity_m_s2),
         "identity": asdict(robot.identity),
         "joint_names": list(can.joint_names),

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms import require_same_arm
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
 from hil.campaign.execute import Attendance, execute
@@ -98,6 +99,7 @@ def open_unfinished(path: Path) -> Unfinished:
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
     # The copy of the station in the run is the same station, and its robots the same robots.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
+    require_same_arm(start.get("robot", {}), path, "run the experiment anew")
     _require_same("plan.json", "plan_hash", start, plan.hash)
     _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
     complete = completeness_of(plan, directory.recordings)

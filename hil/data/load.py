@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms import require_same_arm
 from hil.data.completeness import base_record, dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.described import (
@@ -96,6 +97,16 @@ def serial_of(path: str | Path) -> str:
     identity = robot.get("identity")
     told = identity.get("serial") if isinstance(identity, Mapping) else None
     return str(robot.get("serial") or told or "")
+
+
+def require_arm_as_recorded(path: str | Path) -> None:
+    """Refuse a source whose arm of one's own has another description than when it was recorded.
+
+    Raises:
+        DataError: It has, or the source is missing, damaged or from a newer hil.
+    """
+    source = Path(path)
+    require_same_arm(_robot_of(source), source, "name the arm to fit: --robot FILE")
 
 
 def _robot_of(source: Path) -> Mapping[str, Any]:
