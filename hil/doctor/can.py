@@ -6,14 +6,11 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.canbus.interfaces import NETWORK, can_interfaces, is_up, up_command
 from hil.doctor.finding import Finding
 
-NETWORK = Path("/sys/class/net")
-IFF_UP = 0x1
-ARPHRD_CAN = 280
-"""What the kernel calls a CAN interface in `type`."""
-
-UP = "sudo ip link set {name} up type can bitrate 1000000"
+BITRATE = 1_000_000
+"""Of the drives that hil knows, unless a station says otherwise [bit/s]."""
 
 
 def interfaces(network: Path = NETWORK) -> Iterator[Finding]:
@@ -28,25 +25,10 @@ def interfaces(network: Path = NETWORK) -> Iterator[Finding]:
         text = "this kernel has no CAN (AF_CAN): mock drives and adapters with a python-can driver"
         yield Finding("can", f"{text} of their own work, SocketCAN does not", "note")
         return
-    names = [path.name for path in sorted(network.glob("*")) if _is_can(path)]
+    names = can_interfaces(network)
     down = [name for name in names if not is_up(name, network)]
     if down:
-        text = f"SocketCAN; {', '.join(down)} is down: {UP.format(name=down[0])}"
+        text = f"SocketCAN; {', '.join(down)} is down: {up_command(down[0], BITRATE)}"
         yield Finding("can", text, "note")
     else:
         yield Finding("can", f"SocketCAN; interfaces: {', '.join(names) or 'none'}")
-
-
-def is_up(name: str, network: Path = NETWORK) -> bool:
-    """Whether an interface of the kernel is there and switched on; no rights are needed."""
-    try:
-        return bool(int((network / name / "flags").read_text("utf-8"), 16) & IFF_UP)
-    except (OSError, ValueError):
-        return False
-
-
-def _is_can(path: Path) -> bool:
-    try:
-        return int((path / "type").read_text("utf-8")) == ARPHRD_CAN
-    except (OSError, ValueError):
-        return False

@@ -5,12 +5,11 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
+from hil.canbus.interfaces import is_up, up_command
 from hil.canbus.paths import socket_path
 from hil.robot import Finding
 from hil_drivers.cia402.bus_options import Bus
 
-INTERFACES = Path("/sys/class/net")
-IFF_UP = 0x1
 WITHIN_S = 2.0
 
 
@@ -22,12 +21,11 @@ def reached(bus: Bus) -> list[Finding]:
     """
     where = f"{bus.interface} {bus.channel}"
     if bus.interface == "socketcan":
-        flags = INTERFACES / bus.channel / "flags"
-        if not flags.is_file():
+        up = is_up(bus.channel)
+        if up is None:
             hint = "plug the adapter in; ip link shows the interfaces there are"
             return [Finding("bus", False, f"there is no interface {bus.channel}", hint=hint)]
-        up = bool(int(flags.read_text("utf-8"), 16) & IFF_UP)
-        hint = f"sudo ip link set {bus.channel} up type can bitrate {bus.bitrate}"
+        hint = up_command(bus.channel, bus.bitrate)
         return [Finding("bus", up, f"{where} is {'up' if up else 'down'}", hint=hint)]
     if bus.interface == "hil_unix":
         hosted = _is_hosted(socket_path(bus.channel))
