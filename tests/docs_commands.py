@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -84,14 +85,19 @@ def blocks(page: Path) -> list[Block]:
 
 
 def run_page(page: str, kinds: tuple[str, ...], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Files of a page and its blocks of these kinds, in one shell, to the first failure."""
-    (folder / "experiments").symlink_to(ROOT / "experiments")
+    """Files of a page and its blocks of these kinds, in one shell, to the first failure.
+
+    Nothing that the caller has set for hil gets there, and nothing gets out of the folder.
+    """
+    shutil.copytree(ROOT / "experiments", folder / "experiments")
     parts = [b.script() for b in blocks(ROOT / page) if b.runs in kinds or b.asked[:5] == "file:"]
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    env = {key: value for key, value in os.environ.items() if not key.startswith("HIL_")}
+    env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
+    own = {f"HIL_{name.upper()}": str(folder / name) for name in ("leases", "cache")}
     return subprocess.run(
         ["bash", "-euxo", "pipefail", "-c", "".join(parts)],
         cwd=folder,
-        env={**os.environ, "PATH": path, "HIL_STATION": "", "HIL_LEASES": str(folder / "leases")},
+        env=env | own,
         capture_output=True,
         text=True,
         timeout=1700,

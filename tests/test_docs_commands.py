@@ -92,6 +92,27 @@ def test_what_is_not_run_is_known_and_why() -> None:
     assert known == left, "run them (docs_commands.py says how), or write here why not"
 
 
+def test_a_page_sees_nothing_of_the_developer_and_leaves_nothing_with_him(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A page that writes beside the specs, where somebody has runs, a registry and data."""
+    root, work = tmp_path / "checkout", tmp_path / "work"
+    for folder in (root / "experiments", work):
+        folder.mkdir(parents=True)
+    block = "<!-- run -->\n```sh\nenv > seen; touch experiments/made\n```\n"
+    (root / "page.md").write_text(block, "utf-8")
+    for name in ("RUNS", "REGISTRY", "STATION", "DATA", "LEASES", "CACHE"):
+        monkeypatch.setenv(f"HIL_{name}", "/of/the/developer")
+    monkeypatch.setattr(docs_commands, "ROOT", root)
+    done = docs_commands.run_page("page.md", ("run",), work)
+    assert done.returncode == 0, done.stderr
+    seen = dict(row.partition("=")[::2] for row in (work / "seen").read_text("utf-8").splitlines())
+    told = {key: value for key, value in seen.items() if key.startswith("HIL_")}
+    assert told == {"HIL_LEASES": str(work / "leases"), "HIL_CACHE": str(work / "cache")}
+    assert (work / "experiments" / "made").exists()
+    assert not (root / "experiments" / "made").exists()
+
+
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("page", pages_with("run"))
 def test_the_page_runs(page: str, tmp_path: Path) -> None:
