@@ -109,6 +109,7 @@ def test_a_live_run_is_cancelled_by_name_as_hil_stop_would(tmp_path: Path) -> No
     ("key", "value"),
     [("time", "x"), ("time", 1e999), ("pid", [1]), ("pid", -1), ("ticks", None), ("spec", 3),
      ("host", {}), ("operator", ["a"]), ("station", None), ("time", 10**400), ("spec", "\0")],
+    ids=lambda value: repr(value)[:9],
 )  # fmt: skip
 def test_a_record_of_another_kind_is_none(tmp_path: Path, key: str, value: object) -> None:
     whole = {"id": "", "runs": "", "spec": "s", "station": "", "operator": "", "pid": os.getpid(),
