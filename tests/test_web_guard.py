@@ -13,7 +13,7 @@ import pytest
 from starlette.routing import Route
 from starlette.testclient import TestClient
 
-from hil.cli.serving import serve
+from hil.cli.serving import _offered, serve
 from hil.errors import SpecError
 from hil.web.app import create_app
 from hil.web.listeners import Listeners
@@ -260,3 +260,14 @@ def test_as_many_files_may_be_open_as_are_allowed() -> None:
     )
     done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True)
     assert done.stdout.split() == ["128", "128"], done.stderr
+
+
+def test_specs_offered_are_those_of_the_lab_or_of_this_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert _offered(None) == Path()
+    Path("experiments").mkdir()
+    assert _offered(None) == Path("experiments")
+    with pytest.raises(SpecError, match="--specs elsewhere is no folder"):
+        _offered(Path("elsewhere"))

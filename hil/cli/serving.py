@@ -15,9 +15,14 @@ from hil.cli.registry import HERE, RegistryOption
 SHORTEST_TOKEN = 16
 
 Specs = Annotated[
-    Path,
-    typer.Option("--specs", help="Folder whose specs, stations and schedules are offered."),
+    Path | None,
+    typer.Option(
+        "--specs",
+        help="Folder whose specs, stations and schedules are offered; by default `experiments`, "
+        "or this one where there is none.",
+    ),
 ]
+EXPERIMENTS = Path("experiments")
 Schedules = Annotated[
     Path, typer.Option("--schedules", help="Where schedules keep their state (NAME/…).")
 ]
@@ -50,7 +55,7 @@ def register(app: typer.Typer) -> None:
 def serve(
     runs: RunsOption = Path("runs"),
     registry: RegistryOption = HERE,
-    specs: Specs = Path("experiments"),
+    specs: Specs = None,
     schedules: Schedules = Path("schedules"),
     host: Host = "127.0.0.1",
     port: Port = None,
@@ -75,7 +80,7 @@ def serve(
     settings = Settings(
         runs=runs,
         registry=registry,
-        specs=specs if specs.is_dir() else None,
+        specs=_offered(specs),
         schedules=schedules,
         host=host,
         names=tuple(name or ()),
@@ -84,6 +89,21 @@ def serve(
         read_only=read_only,
     )
     serve_there(settings, listen(host, port), partial(_tell, given=bool(given)))
+
+
+def _offered(given: Path | None) -> Path:
+    """The folder of specs.
+
+    Raises:
+        SpecError: It is none.
+    """
+    from hil.errors import SpecError
+
+    if given is None:
+        return EXPERIMENTS if EXPERIMENTS.is_dir() else Path()
+    if not given.is_dir():
+        raise SpecError(f"--specs {given} is no folder", hint="name one that holds specs")
+    return given
 
 
 def _token_for_all(given: str) -> str:
