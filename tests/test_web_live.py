@@ -83,9 +83,11 @@ def test_a_run_is_answered_paused_resumed_and_stopped_without_any_script(tmp_pat
         assert [event["what"] for event in controls] == ["answer", "pause", "resume", "stop"]
         assert {event["who"].rpartition(" ")[2] for event in controls} == {"(dashboard)"}
         assert "stopped early" in browser.get(where, headers=PAGE).text
-        over = post("stop")
+        over = browser.post(f"{where}/stop", data={"csrf": csrf})  # as the page's script asks
         assert over.status_code == 404
         assert "not live" in over.text
+        again = post("stop")  # without scripts, or once more by them: shown is how it ended
+        assert (again.status_code, again.headers["location"]) == (303, where)
 
 
 def test_changes_are_sent_as_they_come_and_the_end_is_the_last(tmp_path: Path) -> None:
@@ -108,4 +110,6 @@ def test_changes_are_sent_as_they_come_and_the_end_is_the_last(tmp_path: Path) -
         lines = [line["n"] for _, now in stream for line in now["log"]]
         assert lines == list(range(1, len(lines) + 1))  # every one once, in order
         again = sent(browser.get(f"{where}/events?after={lines[-1]}").text)
-        assert [(kind, now["log"]) for kind, now in again if kind in ("run", "over")] == [("over", [])]
+        assert [(kind, now["log"]) for kind, now in again if kind in ("run", "over")] == [
+            ("over", [])
+        ]

@@ -89,8 +89,18 @@ async def _asked(
         run, who = run_at(request.path_params["name"], settings), who_of(request)
         return _heard(lambda: ask(run, who, form), run), address_of(run, settings)
 
-    reacted, address = await in_thread("asking", reaction)
-    if "text/html" in request.headers.get("accept", ""):
+    def ended_at() -> str:
+        run = run_at(request.path_params["name"], settings)
+        return "" if is_live(run) else address_of(run, settings)
+
+    page_wanted = "text/html" in request.headers.get("accept", "")
+    try:
+        reacted, address = await in_thread("asking", reaction)
+    except DataError:
+        if old and page_wanted and (ended := await in_thread("asking", ended_at)):
+            return RedirectResponse(ended, 303)  # whoever stops what has ended wants to see that
+        raise
+    if page_wanted:
         return RedirectResponse(address, 303)
     return JSONResponse(reacted.to_dict())
 

@@ -25,10 +25,10 @@ export function hold(form, for_ms = READ_WITHIN_MS) {
   held.set(form, setTimeout(() => setHeld(form, "over" in (form.closest("#run")?.dataset || {})), for_ms));
 }
 
-function refused(form, button, why) {
+function refused(form, button, why, how = "was NOT taken") {
   const name = (button?.firstChild.textContent || "This").trim();
   const stops = button?.matches(".stop, [value=no]");
-  say(form, "", `“${name}” was NOT taken: ${why}${stops ? ": use the robot’s own button" : ""}.`);
+  say(form, "", `“${name}” ${how}: ${why}${stops ? ": use the robot’s own button" : ""}.`);
 }
 
 async function ask(form, button) {
@@ -44,7 +44,8 @@ async function ask(form, button) {
     refused(form, button, [told.error, told.hint].filter(Boolean).join(" → "));
   } catch (error) {
     const late = error.name === "TimeoutError";
-    refused(form, button, late ? "no answer yet, asking once more" : "no connection to the dashboard");
+    if (late) refused(form, button, "no answer, asking once more", "may not have been taken");
+    else refused(form, button, "no connection to the dashboard");
     // As it would have been without any of this; where nobody listens, when it is pressed again.
     form.dataset.plain = "";
     if (late) form.requestSubmit(button);
