@@ -88,6 +88,25 @@ def test_the_page_says_what_the_events_will_say(settings: Settings, run: Run) ->
     assert now["series"] == {f"effort.{i}": 1.5 for i in range(6)}  # nothing to draw of the others
 
 
+def test_what_was_measured_stays_when_a_run_has_ended(settings: Settings) -> None:
+    directory = RunDirectory.create(settings.runs, "ur5", "held")
+    looking = LiveRun(directory.path, settings)
+    view = LiveState(directory.path, ArmView(ROBOT, []))
+    with hold_run(directory.path):
+        directory.write_start({"uid": "u"})
+        moving(view)
+        view.notify({"kind": "prompt", "text": "Mount it"})
+        looking.look()
+        view.close()
+    now = looking.look()
+    assert now["over"]
+    assert now["texts"]["samples"] == "3 125".replace(" ", now["texts"]["samples"][1])
+    assert now["texts"]["percent"] == "25 %"
+    assert now["texts"]["left"] == "–"
+    assert now["shown"]["arm"]
+    assert not now["shown"]["question"]
+
+
 @pytest.mark.parametrize("read_only", [False, True])
 def test_stop_is_on_every_page_for_every_live_run(
     settings: Settings, run: Run, read_only: bool

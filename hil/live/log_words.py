@@ -48,6 +48,15 @@ def _state(event: Item, run: str) -> str:
     return f"{event['state']}" + (f": {event['reason']}" if event.get("reason") else "")
 
 
+def _weighing(event: Item, run: str) -> str:
+    if event["result"] == "skipped":
+        return f"loads are not weighed: {event['reason']}"
+    load, why = event["load"], event.get("problem")
+    if event["result"] == "first":
+        return f"load {load} weighed: the others are compared with it"
+    return f"load {load} weighed: {event['result']}" + (f": {why}" if why else "")
+
+
 def _interlocks(event: Item, run: str) -> str:
     told = (f"{one['name']} {one['limit'] or one['action']}" for one in event["watching"])
     return f"watched by interlocks: {', '.join(told)}"
@@ -65,4 +74,5 @@ _WORDS: dict[str, Callable[[Item, str], str]] = {
     "resumed": lambda event, run: f"resumed by {event['by']}",
     "trip": lambda event, run: f"tripped: {event['reason']}",
     "control": _control,
+    "weighing": _weighing,
 }

@@ -54,14 +54,15 @@ class LiveRun:
         self._run, self._settings = run, settings
         self._log = EventTail(RunDirectory(run).events_path, from_start=True)
         self._lines, self._after = 0, after
-        self._seen: Document = {}
+        self._view: Document = {}
 
     def look(self) -> Document:
         """How it is now; the same as before where nothing has changed."""
         live = is_live(self._run)  # asked first: what was written before the end is read after it
         log = list(self._new_lines())
-        self._seen = {**_shown(self._run, live), "log": log, **self._where()}
-        return self._seen
+        # A run that ends takes its view away; what was measured until then is not nothing.
+        self._view = (read_live(self._run) if live else {}) or self._view
+        return {**_shown(self._run, self._view, live), "log": log, **self._where()}
 
     def _where(self) -> Document:
         return {
@@ -93,15 +94,16 @@ def header_of(run: Path, settings: Settings) -> Document:
     }
 
 
-def _shown(run: Path, live: bool) -> Document:
-    view = read_live(run) if live else {}
+def _shown(run: Path, view: Document, live: bool) -> Document:
     now = standing_in(view)
+    if not live:
+        now.prompt = ""
     arm = _mapping(view.get("arm"))
     margins = [each for each in _listed(view.get("interlocks")) if isinstance(each, dict)]
     texts = {
         "headline": _headline(now, run) if live else _ended(run),
         "percent": f"{100 * now.share:.0f} %" if now.steps else NOT_KNOWN,
-        "left": _left(now),
+        "left": _left(now) if live else NOT_KNOWN,
         "doing": step_words(now) or now.stage or NOT_KNOWN,
         "samples": f"{now.samples:,}".replace(",", " "),
         "troubles": ", ".join(now.troubles) or "none",
