@@ -420,6 +420,16 @@ def test_silence_during_a_move_stops_it_directly_and_then_ends_the_process(fake)
     assert not process.alive
 
 
+def test_a_clock_that_stands_still_gets_no_set_point_more_and_then_a_stop(fake):
+    process = fake("freeze_servo")
+    process.connect()
+    with pytest.raises(StaleState, match="has not said anything"):
+        move_to_the_end(process, led(2.0))
+    assert fake.desk.wait(30003, b"stopj")
+    # The first freezes the controller from its next state on, which is answered by one more.
+    assert sum(line.startswith("servoJ") for line in fake.commands()) <= 2
+
+
 def test_a_computer_that_holds_its_breath_does_not_make_the_controller_silent(fake):
     process = fake()
     process.connect()

@@ -46,6 +46,7 @@ class World:
         self.playing, self.operation, self.running = False, 0, False
         self.led = None
         self.silent = self.cut = False
+        self.frozen = None
         self.stopped = 1
         self.blinks = 0
         self.ticks = 0
@@ -55,7 +56,15 @@ class World:
         with self.lock:
             due = int((time.monotonic() - self.begun) * RATE_HZ)
             rows = [self._tick() for _ in range(max(0, due - self.ticks))]
+            if self.frozen is not None and rows:
+                self.frozen = self.frozen or rows[0]
+                rows = [self.frozen] * len(rows)
         return [] if self.silent else rows
+
+    def freeze(self):
+        """The controller repeats what it says next for ever."""
+        with self.lock:
+            self.frozen = self.frozen or ()
 
     def _tick(self):
         self.ticks += 1
@@ -165,6 +174,8 @@ class RTDEControlInterface:
         if not how("no_follow"):
             with WORLD.lock:
                 WORLD.led = np.array(q)
+        if how("freeze_servo"):
+            WORLD.freeze()
         return not how("refuse_servo")
 
     def servoStop(self, deceleration):  # noqa: N802
@@ -200,7 +211,7 @@ class Receiver:
     version = (3, 15, 8, 0)
 
     def __init__(self, host, frequency_hz=None):
-        self._heard = time.monotonic()
+        self._heard, self._clock = time.monotonic(), -1.0
         self._rows = []
         self._changed = threading.Condition()
         threading.Thread(target=self._listen, daemon=True).start()
@@ -228,7 +239,8 @@ class Receiver:
     def _listen(self):
         while True:
             if rows := WORLD.rows_due():
-                self._heard = time.monotonic()
+                if rows[-1][0] != self._clock:
+                    self._heard, self._clock = time.monotonic(), rows[-1][0]
                 with self._changed:
                     self._rows += rows
                     self._changed.notify_all()

@@ -99,14 +99,17 @@ class Lookout(threading.Thread):
         course = self._course
         if not self._connected():
             return self._cut_off()
-        # A state that is repeated is no news, so a controller that hangs is silent.
+        # A repeated state is no news: a controller that hangs is silent, and gets no set-point that
+        # might come in after the stop.
+        news = rows[-1]["timestamp"] != course.newest["timestamp"]
         course.newest, course.heard = rows[-1], time.monotonic() - self._ticks.age_s
         ended = rows["runtime_state"] != PLAYING
         if ended.any():
             return self._program_ended(rows[ended][0])
         if course.phase is Phase.BRAKING:
             self._watch_ramp(rows)
-        course.news.set()
+        if news:
+            course.news.set()
         if self._ticks.age_s > self._options.late_s:
             self._silent()
         else:
