@@ -176,3 +176,26 @@ def test_a_question_takes_no_answer_before_anybody_can_have_read_it(
         page.evaluate(press)
         page.wait_for_selector(".question", state="hidden", timeout=5000)
         assert len(posted) == 2
+
+
+def test_pause_and_resume_follow_the_run_and_the_keyboard_stays_where_it_is(
+    page: Any, bench: Bench
+) -> None:
+    def free(what: str) -> str:
+        return f"document.querySelector('[data-can={what}]').ariaDisabled !== 'true'"
+
+    with live_run(bench[0] / "runs") as (run, _):
+        page.goto(address_of(run, bench))
+        until(page, f"{free('pause')} && !({free('resume')})", 5)
+        page.focus("[data-can=pause]")
+        page.keyboard.press("Enter")
+        until(page, f"!({free('pause')}) && {free('resume')}", 5)
+        assert page.evaluate("document.activeElement.dataset.can") == "pause"
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.dataset.can") == "resume"
+        page.keyboard.press("Enter")
+        until(page, f"{free('pause')} && !({free('resume')})", 5)
+        assert page.evaluate("document.activeElement.dataset.can") == "resume"
+        page.keyboard.press("Enter")  # nothing is asked
+        page.wait_for_timeout(200)
+        assert text_of(page, "[data-can=resume] ~ .said") == ""

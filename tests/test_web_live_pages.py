@@ -83,7 +83,7 @@ def test_the_page_says_what_the_events_will_say(settings: Settings, run: Run) ->
     assert shown["troubles"] == "1 gap (2 samples missing)"
     assert (shown["q.0"], shown["lag.0"], shown["qd.2"]) == ("28.65", "-0.057", "45.0")
     assert (shown["effort.5"], shown["temperature.5"]) == ("1.50", "–")
-    assert shown["margin.speed"] == "j3: 45 °/s, limit 90 °/s"
+    assert shown["margin.speed"] == "j3: 45.0 °/s, limit 90 °/s"
     assert now["values"]["margin.speed"] == pytest.approx(0.5)
     assert now["series"] == {f"effort.{i}": 1.5 for i in range(6)}  # nothing to draw of the others
 
@@ -193,3 +193,40 @@ async def _first_events(settings: Settings, count: int) -> list[Any]:
     async with asyncio.timeout(10):
         await create_app(settings)(scope, receive, send)
     return found
+
+
+HOT = "interlock temperature: j1 at 61 °C, limit 60 °C, device time 3.000 s"
+
+
+@pytest.mark.parametrize(
+    ("events", "can"),
+    [
+        ([], {"pause", "resume", "stop"}),  # it has said nothing: it may take either
+        ([{"kind": "state", "state": "running"}], {"pause", "stop"}),
+        ([PROGRESS | {"pausing": "asked by anna"}], {"resume", "stop"}),
+        ([PROGRESS | {"pausing": HOT}], {"pause", "stop"}),
+        ([{"kind": "state", "state": "paused", "reason": "asked by anna"}], {"resume", "stop"}),
+        # What an interlock holds goes on by itself; somebody may want it to stay.
+        ([{"kind": "state", "state": "paused", "reason": HOT}], {"pause", "stop"}),
+        ([{"kind": "state", "state": "stopping", "reason": "completed"}], {"stop"}),
+        ([{"kind": "state", "state": "done", "reason": "completed"}], set()),
+    ],
+)
+def test_only_what_a_run_would_do_can_be_pressed(
+    settings: Settings, run: Run, events: list[dict[str, Any]], can: set[str]
+) -> None:
+    directory, view = run
+    for event in events:
+        view.notify(event)
+    now = LiveRun(directory.path, settings).look()
+    assert {what for what, yes in now["can"].items() if yes} == can
+    html = browser(settings).get(now["address"], headers=PAGE).text
+    buttons = dict(re.findall(r'data-can="(\w+)"([^>]*)>', html))
+    # Without scripts a page grows old: whatever is pressed is sent, and the keyboard stays there.
+    assert {what for what, rest in buttons.items() if 'aria-disabled="true"' not in rest} == can
+    assert not re.search(r"<button[^>]* disabled", html)
+
+
+def test_nothing_can_be_asked_of_a_run_that_has_ended(settings: Settings, run: Run) -> None:
+    directory = RunDirectory.create(settings.runs, "ur5", "ended")
+    assert not any(LiveRun(directory.path, settings).look()["can"].values())

@@ -35,6 +35,9 @@ NOT_KNOWN = "–"
 MOST_ASKED = 2000
 """Characters of a question that are shown."""
 
+HELD = "interlock "
+"""So begins why a run is paused that nobody but an interlock holds: it goes on by itself."""
+
 JOINERS = "\u200c\u200d"
 """Not printable by themselves, but words of some languages need them."""
 
@@ -116,6 +119,7 @@ def _shown(run: Path, view: Document, live: bool) -> Document:
         "over": not live,
         "t": view.get("t", 0),
         "texts": texts,
+        "can": _can(now, live=live, known=bool(view)),
         "values": {"share": now.share, "asked": now.asked, **_margin_values(margins)},
         "shown": {
             "question": bool(now.prompt),
@@ -128,6 +132,18 @@ def _shown(run: Path, view: Document, live: bool) -> Document:
         "joints": [str(name) for name in _listed(arm.get("joints"))],
         "margins": [str(each.get("name")) for each in margins],
         "unit": str(arm.get("effort_unit", "")),
+    }
+
+
+def _can(now: Standing, *, live: bool, known: bool) -> dict[str, bool]:
+    """What can be asked of it now; of one that tells nothing everything, for it may take it."""
+    moves = live and now.state not in ENDING
+    why = now.pausing or (now.reason if now.state == PAUSED else "")
+    asked = bool(why) and not why.startswith(HELD)
+    return {
+        "pause": moves and not (known and asked),
+        "resume": moves and (asked or not known),
+        "stop": live and now.state != "done",
     }
 
 

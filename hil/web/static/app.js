@@ -119,6 +119,13 @@ function addLines(lines) {
   while (log.children.length > LINES) log.lastElementChild.remove();
 }
 
+// What was said at a button is of before; aria-disabled keeps the focus where it is.
+function setCan(button, can) {
+  if ((button.getAttribute("aria-disabled") !== "true") === can) return;
+  button.setAttribute("aria-disabled", String(!can));
+  setText(button.form.querySelector(".said"), "");
+}
+
 function showNow(run, now) {
   for (const input of run.querySelectorAll("form [data-input], form [data-value]")) {
     const value = String(now.texts[input.dataset.input] ?? now.values[input.dataset.value]);
@@ -143,6 +150,7 @@ function showNow(run, now) {
   for (const element of run.querySelectorAll("[data-shown]")) setShown(element, now.shown[element.dataset.shown]);
   for (const [key, value] of Object.entries(now.series)) addTo(key, value);
   for (const svg of run.querySelectorAll("[data-spark]")) draw(svg);
+  for (const button of run.querySelectorAll("[data-can]")) setCan(button, now.can[button.dataset.can]);
   addLines(now.log);
   if (now.over) for (const button of run.querySelectorAll("button")) button.setAttribute("aria-disabled", "true");
 }
