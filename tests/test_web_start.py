@@ -69,6 +69,9 @@ def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
     assert shown["poses"] == "8"
     assert PROMPT in answer.text
     assert shown["tracking error"]
+    assert re.fullmatch(r"[\d.]+ m?rad/s", shown["margin: velocity"])
+    assert re.fullmatch(r"[\d.]+ [kM]B", shown["recording"])
+    assert "e-0" not in "".join(shown.values())
     assert not desk.settings.runs.exists()
     assert "excitation.waypoints=8" in answer.text  # what was typed is still there
 

@@ -18,8 +18,8 @@ from starlette.routing import Route
 
 from hil.errors import DataError
 from hil.record.numbering import number_of
+from hil.report.measures import size
 from hil.report.report import REPORT_FILE
-from hil.report.words import count
 from hil.web.places import address_of, run_at
 from hil.web.rendering import settings_of
 from hil.web.settings import Settings
@@ -140,13 +140,9 @@ def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
 
 def _size(path: Path) -> str:
     try:
-        size = path.stat().st_size
+        return size(path.stat().st_size)
     except OSError:
         return ""
-    for unit, many in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
-        if size >= many:
-            return f"{size / many:.3g} {unit}"
-    return f"{count(size)} B"
 
 
 routes = [

@@ -6,6 +6,7 @@ import secrets
 import unicodedata
 from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from hil.campaign.operator import prompts_of
 from hil.campaign.preview import preview_experiment
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
-from hil.report.words import duration, number
+from hil.report.measures import measure, named, size
+from hil.report.words import duration
 from hil.web.offered import file_offered, offered
 from hil.web.once import Once
 from hil.web.places import address_of
@@ -175,9 +177,9 @@ def _plan(experiment: Experiment) -> dict[str, Any]:
             ("time", duration(facts.duration_s)),
             ("steps", steps),
             ("poses", str(facts.waypoints)),
-            ("recording", f"{facts.recording_bytes / 1e6:.3g} MB"),
-            ("condition number", number(facts.condition_number)),
-            *((f"margin: {key}", f"{value:.4g}") for key, value in facts.margins.items()),
+            ("recording", size(facts.recording_bytes)),
+            ("condition number", measure(facts.condition_number, "1")),
+            *((f"margin: {name}", text) for name, text in starmap(named, facts.margins.items())),
         ],
         "interlocks": facts.interlocks,
         "warnings": facts.warnings,
