@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -40,7 +41,8 @@ class Desk:
         return self.browser.post("/start", data=given, headers=PAGE)
 
     def options(self) -> list[str]:
-        return re.findall(r"<option[^>]*>([^<]+)<", self.browser.get("/start").text)
+        files = self.browser.get("/start").text.partition("<fieldset")[0]
+        return re.findall(r"<option[^>]*>([^<]+)<", files)
 
 
 @pytest.fixture
@@ -224,3 +226,49 @@ def test_what_is_being_planned_can_be_cancelled_from_every_page(desk: Desk) -> N
         assert "/cancel" not in desk.browser.get("/models", headers=PAGE).text
     finally:
         started.cancel()
+
+
+def rows_of(html: str) -> dict[str, str]:
+    return dict(re.findall(r'<th scope="row">([^<]+)</th><td>([^<]+)</td>', html))
+
+
+def test_the_plan_is_drawn_and_speaks_of_no_command_line(desk: Desk) -> None:
+    answer = desk.post(do="check", overrides="excitation.waypoints=8")
+    (data,) = re.findall(r'<img [^>]*src="data:image/svg\+xml;base64,([^"]+)"', answer.text)
+    picture = base64.b64decode(data).decode()
+    assert "Joint angles over the whole plan" in picture
+    assert "img-src 'self' data:" in answer.headers["content-security-policy"]
+    assert "once started, the run plans anew from where the arm stands" in answer.text
+    assert "--connect" not in answer.text
+    assert "hil run" not in answer.text
+
+
+def test_a_first_time_is_planned_slower_and_shorter(desk: Desk) -> None:
+    whole = rows_of(desk.post(do="check").text)
+    answer = desk.post(do="check", speed="25%", first="4")
+    shown = rows_of(answer.text)
+    assert shown["part of the program"] == "at 25 % of the speed, only the first 4 of 12 measured"
+    assert (whole["poses"], shown["poses"]) == ("12", "4")
+    assert "condition number" not in shown
+    assert "nothing is fitted or judged" in answer.text
+    assert re.search(r"<option selected>25%<", answer.text)
+    assert 'name="first" value="4"' in answer.text
+
+
+@pytest.mark.parametrize(("field", "value"), [("speed", "300%"), ("speed", "x"), ("first", "-1")])
+@pytest.mark.parametrize("do", ["check", "start"])
+def test_a_part_that_cannot_be_is_said(desk: Desk, field: str, value: str, do: str) -> None:
+    answer = desk.post(do=do, **{field: value})
+    assert answer.status_code == 422
+    assert "cannot be" in answer.text
+    assert not desk.settings.runs.exists()
+
+
+def test_the_part_is_started_and_another_part_is_another_run(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts, form = Starts(), once(desk)
+    monkeypatch.setattr("hil.web.start_pages.start_run", starts)
+    for first in ("4", "4", "5"):
+        desk.post(do="start", once=form, speed="10%", first=first)
+    assert [(one["speed"], one["first"]) for one in starts.what] == [("10%", "4"), ("10%", "5")]

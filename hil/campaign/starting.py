@@ -24,6 +24,7 @@ from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
 from hil.campaign.steering import stop_run
 from hil.errors import DataError, HilError, RecordingError, SpecError
+from hil.plan.commissioning import commissioning_of
 from hil.record.files import json_document, read_json, write_replacing
 from hil.record.numbering import run_folders
 from hil.spec.schedule import is_schedule
@@ -143,6 +144,8 @@ def start_run(
     station: Path | None = None,
     operator: str = "",
     overrides: Mapping[str, str] | None = None,
+    speed: str = "",
+    first: str = "",
 ) -> Started:
     """Start `hil run SPEC --elsewhere` in a session of its own.
 
@@ -152,18 +155,23 @@ def start_run(
         station: Its file; by default the one `hil run` would use.
         operator: Who asks; recorded as who is at the robot.
         overrides: Laid over the spec, YAML text by dotted path.
+        speed: Share of the speed; see `hil.plan.commissioning.commissioning_of`.
+        first: How much of the program; see there, too.
 
     Raises:
         SpecError, PluginError: See `check_start`; nothing was started.
         RecordingError: The folder of runs cannot be written to.
     """
     check_start(spec, station, overrides)
+    commissioning_of(speed, first)
     folder = runs / FOLDER
     name = f"{time.time_ns():020d}-{os.getpid()}"
     command = [sys.executable, "-m", "hil", "run", f"--runs={runs}", "--elsewhere"]
     command += [f"--station={station}"] if station else []
     command += [f"--operator={operator}"] if operator else []
     command += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
+    command += [f"--speed={speed}"] if speed else []
+    command += [f"--first={first}"] if first else []
     command += ["--", str(spec)]  # its name may begin as an option does
     if any("\0" in word for word in command):
         raise SpecError(

@@ -6,7 +6,6 @@ import secrets
 import unicodedata
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +14,22 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.experiment import Experiment
-from hil.campaign.operator import prompts_of
-from hil.campaign.preview import preview_experiment
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
-from hil.report.measures import measure, named, size
-from hil.report.words import duration
+from hil.plan.commissioning import commissioning_of
 from hil.web.offered import file_offered, offered
 from hil.web.once import Once
 from hil.web.places import address_of
+from hil.web.plan_shown import PICTURES, shown_plan
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.security import form_of
 from hil.web.settings import Settings
 from hil.web.threads import PLANS, in_thread
+
+FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
+"""What a form says, and with that what a run is."""
+
+SPEEDS = ("50%", "25%", "10%", "5%")
 
 SHOWN = 5
 """Of so many runs that were started it is told what became of them."""
@@ -90,13 +91,18 @@ def _begin(request: Request, given: Mapping[str, str]) -> Response:
         overrides = overrides_in(given.get("overrides", ""))
         who = given.get("operator", "").strip()[:80] or who_of(request)
         require_text(who, "the name of who is at the robot")
+        speed, first = given.get("speed", "").strip(), given.get("first", "").strip()
+        part = commissioning_of(speed, first)
         if given.get("do") == "start":
             start = partial(
-                start_run, spec, settings.runs, station=station, operator=who, overrides=overrides
-            )
+                start_run, spec, settings.runs, station=station, operator=who,
+                overrides=overrides, speed=speed, first=first,
+            )  # fmt: skip
             started = _once(given, settings, lambda: start().id)
             return RedirectResponse(f"/start/{started}", 303)
-        plans = [_plan(each) for each in check_start(spec, station, overrides)]
+        plans = [shown_plan(each, part) for each in check_start(spec, station, overrides)]
+        for each in plans[PICTURES:]:
+            each["picture"] = ""
     except HilError as error:
         return _form(request, given, error=error, status=422)
     return _form(request, given, plans=plans)
@@ -136,9 +142,8 @@ def require_text(text: str, what: str, *, but: str = "") -> None:
 
 def _once(given: Mapping[str, str], settings: Settings, start: Callable[[], str]) -> str:
     """The id of what is started; a form that is sent again starts nothing more."""
-    keys = ("spec", "station", "overrides", "operator")
     # Changed and sent again it is another one: going back keeps what a form had hidden.
-    sent = (str(settings.runs), given.get("once", ""), *(given.get(key, "") for key in keys))
+    sent = (str(settings.runs), given.get("once", ""), *(given.get(key, "") for key in FIELDS))
     return ONCE.of(sent, start) if given.get("once") else start()
 
 
@@ -151,7 +156,6 @@ def _form(
     status: int = 200,
 ) -> Response:
     settings = settings_of(request)
-    keys = ("spec", "station", "overrides", "operator")
     return page(
         request,
         "start.html.j2",
@@ -159,32 +163,13 @@ def _form(
         status=status,
         specs=offered(settings, "experiment", "series"),
         stations=offered(settings, "station"),
-        given={key: given.get(key, "") for key in keys},
+        given={key: given.get(key, "") for key in FIELDS},
+        speeds=SPEEDS,
         error=error,
         once=secrets.token_urlsafe(12),
         plans=plans or [],
         started=[_told(one, settings) for one in started_runs(settings.runs)[:SHOWN]],
     )
-
-
-def _plan(experiment: Experiment) -> dict[str, Any]:
-    plan, facts = preview_experiment(experiment)
-    steps = ", ".join(f"{count} {kind}" for kind, count in facts.steps.items())
-    return {
-        "title": experiment.title,
-        "description": experiment.spec.description,
-        "rows": [
-            ("time", duration(facts.duration_s)),
-            ("steps", steps),
-            ("poses", str(facts.waypoints)),
-            ("recording", size(facts.recording_bytes)),
-            ("condition number", measure(facts.condition_number, "1")),
-            *((f"margin: {name}", text) for name, text in starmap(named, facts.margins.items())),
-        ],
-        "interlocks": facts.interlocks,
-        "warnings": facts.warnings,
-        "prompts": prompts_of(plan),
-    }
 
 
 def _told(started: Started, settings: Settings) -> dict[str, Any]:

@@ -1,0 +1,82 @@
+"""A plan as the start page shows it: what it amounts to, what is worth a second look, a picture."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from itertools import starmap
+from typing import Any
+
+from hil.campaign.experiment import Experiment
+from hil.campaign.operator import prompts_of
+from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
+from hil.plan.commissioning import Commissioning
+from hil.plan.picture import picture_of
+from hil.plan.plan import Plan
+from hil.plan.preview import PlanPreview, preview
+from hil.report.measures import measure, named, size
+from hil.report.words import duration
+
+PICTURES = 3
+"""Of a long series so many plans are drawn: a picture is some hundred kilobytes."""
+
+UNASKED = (
+    "Planned without the robot, which was not connected to: this plan begins in the roomiest pose "
+    "of its range, and limits are the maker's; once started, the run plans anew from where the arm "
+    "stands, before it moves."
+)
+
+
+def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, Any]:
+    """What an experiment would do; nothing moves.
+
+    Args:
+        experiment: What would be run, and where.
+        part: What of it; None for all.
+
+    Raises:
+        PlanError: No safe plan follows from the spec, or nothing of it would be measured.
+        RobotError: A robot on a virtual clock cannot be asked where it stands.
+    """
+    plan, whole = preview_experiment(experiment)
+    facts = whole
+    if part is not None:
+        part, plan = part.within(plan), part.of(plan)
+        facts = preview(plan)
+    return {
+        "title": experiment.title,
+        "description": experiment.spec.description,
+        "rows": list(_rows(facts, part)),
+        "interlocks": whole.interlocks,
+        "warnings": [text for text in whole.warnings if text != WITHOUT_THE_ROBOT],
+        "notes": list(_notes(whole, part)),
+        "prompts": prompts_of(plan),
+        "picture": _picture(plan),
+    }
+
+
+def _rows(facts: PlanPreview, part: Commissioning | None) -> Iterator[tuple[str, str]]:
+    if part is not None:
+        yield "part of the program", str(part)
+    yield "time", duration(facts.duration_s)
+    yield "steps", ", ".join(f"{count} {kind}" for kind, count in facts.steps.items())
+    yield "poses", str(facts.waypoints)
+    yield "recording", size(facts.recording_bytes)
+    if part is None:
+        yield "condition number", measure(facts.condition_number, "1")
+    for name, text in starmap(named, facts.margins.items()):
+        yield f"margin: {name}", text
+
+
+def _notes(whole: PlanPreview, part: Commissioning | None) -> Iterator[str]:
+    """In words for somebody who has no command line before them."""
+    if part is not None:
+        yield "A trial of the arm: nothing is fitted or judged, and it cannot be gone on with."
+    if WITHOUT_THE_ROBOT in whole.warnings:
+        yield UNASKED
+
+
+def _picture(plan: Plan) -> str:
+    """As an image in the page: nothing in it can run, and its style stays its own."""
+    data = base64.b64encode(picture_of(plan).encode()).decode()
+    return f"data:image/svg+xml;base64,{data}"
