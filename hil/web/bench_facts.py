@@ -9,6 +9,7 @@ from typing import Any
 from hil.campaign.experiment import find_station
 from hil.errors import HilError
 from hil.holder import Holder, plain, since_words
+from hil.report.words import counted
 from hil.robot.lease import held_leases
 from hil.spec.station import Station
 from hil.web.offered import offered
@@ -18,19 +19,33 @@ from hil.web.settings import Settings
 MOST = 12
 """Stations that are shown."""
 
+FEW = 12
+"""Robots of a station that are all listed; of more, those that are free lie behind a summary."""
+
 
 def stations_of(settings: Settings) -> list[dict[str, Any]]:
-    """`name`, `source`, `problem` and `robots` (`name`, `driver`, `model`, `held`, `run`) each.
+    """`name`, `source`, `problem`, `told` (how many robots, where that is asked) and robots each.
 
-    Robots that are held and belong to no station shown come last, under `elsewhere`.
+    Those that are always seen are `robots`, the others `rest`: `name`, `driver`, `model`, `held`
+    and `run` each. What is held and belongs to no station shown comes last, under `elsewhere`.
     """
     leases = held_leases()
     shown = [_station(source, settings, leases) for source in _sources(settings)]
     known = {id(robot["lease"]) for one in shown for robot in one["robots"]}
     others = [_held(lease, settings) for lease in leases if id(lease) not in known]
     if others:
-        shown.append({"name": "elsewhere", "source": "", "problem": "", "robots": others})
+        shown.append({"name": "elsewhere", "source": "", "problem": "", **_parted(others)})
     return shown
+
+
+def _parted(robots: list[dict[str, Any]]) -> dict[str, Any]:
+    """Robots that are always seen, and the rest."""
+    held = [one for one in robots if one["held"]]
+    if len(robots) <= FEW:
+        return {"told": "", "robots": robots, "rest": []}
+    free = [one for one in robots if not one["held"]]
+    told = f"{counted(len(robots), 'robot')}, {len(held) or 'none'} held"
+    return {"told": told, "robots": held, "rest": free}
 
 
 def _sources(settings: Settings) -> Iterator[Path | None]:
@@ -44,9 +59,9 @@ def _station(file: Path | None, settings: Settings, leases: list[Holder]) -> dic
     try:
         station, _, source = find_station(settings.specs or Path(), file)
     except HilError as error:
-        return {"name": str(file), "source": "", "problem": error.message, "robots": []}
-    robots = list(_robots(station, source, settings, leases))
-    return {"name": station.name, "source": source, "problem": "", "robots": robots}
+        return {"name": str(file), "source": "", "problem": error.message, **_parted([])}
+    robots = _parted(list(_robots(station, source, settings, leases)))
+    return {"name": station.name, "source": source, "problem": "", **robots}
 
 
 def _robots(

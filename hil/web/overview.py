@@ -10,8 +10,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from hil.campaign.view import entry_of
-from hil.record.catalogue import listing_of
-from hil.record.numbering import number_of, run_folders
+from hil.record.catalogue import listing_of, run_paths
+from hil.record.numbering import number_of
 from hil.report.words import duration
 from hil.web.bench_facts import stations_of
 from hil.web.catalogue_pages import status_mark
@@ -40,7 +40,7 @@ def overview(request: Request) -> Response:
 
 
 def _newest(settings: Settings) -> list[Path]:
-    found = sorted(run_folders(settings.runs), key=lambda run: (number_of(run), run), reverse=True)
+    found = sorted(run_paths(settings.runs), key=lambda run: (number_of(run), run), reverse=True)
     return found[:NEWEST]
 
 

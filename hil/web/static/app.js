@@ -72,7 +72,9 @@ async function refresh(...ids) {
   const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
   for (const id of ids) {
     const [here, there] = [byId(id), fresh.getElementById(id)];
-    if (there && !here.contains(document.activeElement)) here.replaceChildren(...there.childNodes);
+    if (!there || here.contains(document.activeElement)) continue;
+    for (const part of there.querySelectorAll("details[id]")) part.open ||= Boolean(byId(part.id)?.open);
+    here.replaceChildren(...there.childNodes);
   }
 }
 
