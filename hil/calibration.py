@@ -42,7 +42,9 @@ def gains_of_sources(
     if not sources:
         raise DataError("no recording was given", hint="hil gains RUN")
     kinds: tuple[SeriesKind, ...] = ("dwell", "trajectory")
-    data = Dataset.concatenate([load_source(source, kinds=kinds) for source in sources])
+    named = robot is not None
+    parts = [load_source(source, kinds=kinds, any_arm=named) for source in sources]
+    data = Dataset.concatenate(parts)
     if method == "controller" or (method == "auto" and _only_controller(data)):
         return controller_gains(data)
     return calibrate_gains(data, load_model(robot or data.robot, gravity=data.gravity))

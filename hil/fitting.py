@@ -139,14 +139,15 @@ def fit_sources(
     """
     model = make_estimator(estimator, **params)
     attach(model, watch, checkpoints)
-    parts = [load_source(source) for source in sources]
+    named = robot is not None
+    parts = [load_source(source, any_arm=named) for source in sources]
     train = _pooled([gains.of(part) for part in parts] if gains else parts)
     if payload is not None:
         train = with_payload(train, payload)
     serial = _one_serial(sources)
-    for source in sources if robot is None else ():
+    for source in () if named else sources:
         require_arm_as_recorded(source)
-    held_out = [(source, load_source(source)) for source in validate]
+    held_out = [(source, load_source(source, any_arm=named)) for source in validate]
     for _, data in held_out:
         _require_same_effort(train, data)
         # What is not learned from may be shared: warm-ups of two runs on a mock are the same.

@@ -120,7 +120,7 @@ def test_a_run_goes_on_and_is_fitted_only_with_the_arm_it_was_recorded_with() ->
     text = arm.read_text()
     arm.write_text(text.replace("rate_hz: 250", "rate_hz: 251"))
     _parsed.cache_clear()
-    told = f"{arm.resolve()} describes another arm than when {run} was recorded"
+    told = f"{arm.resolve()} describes another arm than when {run} was made"
     with pytest.raises(DataError, match=re.escape(told)):
         hil.resume(run)
     with pytest.raises(DataError, match=re.escape(told)):

@@ -1,4 +1,4 @@
-"""The file that describes an arm of one's own: whether it is still the one of a run."""
+"""The file that describes an arm of one's own: whether it is still the one of a run or model."""
 
 from __future__ import annotations
 
@@ -32,13 +32,17 @@ def model_sha256(model: str) -> str:
         ) from None
 
 
-def require_same_arm(robot: Mapping[str, Any], run: Path, otherwise: str) -> None:
-    """Refuse to go on with what a run has of an arm whose file was changed since.
+def require_same_arm(
+    robot: Mapping[str, Any], source: Path, otherwise: str, *, gone: bool = False
+) -> None:
+    """Refuse what was made with an arm whose file was changed since.
 
     Args:
-        robot: What the run's start document says about the robot; one that has no digest passes.
-        run: For the message.
+        robot: What a run's start document says about the robot, or a model's about its arm; one
+            that has no digest passes.
+        source: The run or model, for the message.
         otherwise: What else can be done.
+        gone: A file that cannot be read passes as well: nobody can mistake it for the arm.
 
     Raises:
         DataError: The file is gone, or is not what it was.
@@ -49,10 +53,12 @@ def require_same_arm(robot: Mapping[str, Any], run: Path, otherwise: str) -> Non
     try:
         found = model_sha256(model)
     except SpecError as error:
+        if gone:
+            return
         raise DataError(error.message, hint=f"put {model} back, or {otherwise}") from None
     if found != recorded:
         raise DataError(
-            f"{model} describes another arm than when {run} was recorded: its SHA-256 is "
-            f"{found[:12]}…, start.json says {str(recorded)[:12]}…",
+            f"{model} describes another arm than when {source} was made: its SHA-256 is now "
+            f"{found[:12]}…, and was {str(recorded)[:12]}…",
             hint=f"put the original file back, or {otherwise}",
         )

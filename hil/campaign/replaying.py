@@ -17,6 +17,7 @@ import numpy as np
 from hil import plugins
 from hil.campaign.sink import counts_of, recorded_span
 from hil.data.completeness import Completeness, completeness_of
+from hil.data.load import require_arm_as_recorded
 from hil.errors import DataError, HilError, PluginError
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
@@ -86,6 +87,7 @@ def replay(source: Path, log: Path, runs: Path) -> Replayed:
             f"{source} has {run.attempts} attempts, a log is of one",
             hint="replay logs of runs that were not resumed",
         )
+    require_arm_as_recorded(source)
     opened, plan = _opened(run, log), read_plan(run.path / "plan.json")
     directory = RunDirectory.create(runs, str(run.start["robot_name"]), _name(run))
     stop = run.stop or {}

@@ -34,7 +34,7 @@ def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:
         if not asked:
             return ""
         try:
-            data = load_source(run)
+            data = load_source(run, any_arm=True)
         except HilError as error:
             return f"it cannot be told whether a model was fitted to it: {error.message}"
         return next((one.why for one, rows in asked if rows.share_known(data) > 0.0), "")

@@ -50,7 +50,9 @@ WINDOW_PAYLOAD = "payload of window {}"
 MEASURED_KINDS: tuple[SeriesKind, ...] = ("move", "dwell", "trajectory", "reference", "warmup")
 
 
-def load_source(path: str | Path, kinds: Collection[SeriesKind] | None = None) -> Dataset:
+def load_source(
+    path: str | Path, kinds: Collection[SeriesKind] | None = None, *, any_arm: bool = False
+) -> Dataset:
     """The samples of a run directory or of one MCAP file, cut into series with their conditions.
 
     A run's plan says which step every sample belongs to; a step recorded several times (after a
@@ -62,19 +64,22 @@ def load_source(path: str | Path, kinds: Collection[SeriesKind] | None = None) -
         path: Run directory or MCAP file.
         kinds: Only series of these kinds; all that measured something by default. Leaving out the
             moves of a long dwell program saves most of the time.
+        any_arm: Take it as well when the file that describes its arm was changed since: whoever
+            says so names an arm, or needs none.
 
     Raises:
         DataError: The source is missing, damaged, from a newer hil, or does not say whose samples
-            it holds; or it holds none.
+            it holds; or it holds none; or its arm's description was changed.
     """
     source, wanted = Path(path), MEASURED_KINDS if kinds is None else tuple(kinds)
-    if source.is_dir():
-        return replace(_from_run(source, wanted), gravity=gravity_of(source))
     if not source.exists():
         raise DataError(
             f"{source} does not exist", hint="give a run directory or an MCAP file (hil runs)"
         )
-    return replace(_from_file(source, wanted), gravity=gravity_of(source))
+    if not any_arm:
+        require_arm_as_recorded(source, gone=True)
+    found = _from_run(source, wanted) if source.is_dir() else _from_file(source, wanted)
+    return replace(found, gravity=gravity_of(source))
 
 
 def gravity_of(source: Path) -> tuple[float, float, float]:
@@ -99,14 +104,19 @@ def serial_of(path: str | Path) -> str:
     return str(robot.get("serial") or told or "")
 
 
-def require_arm_as_recorded(path: str | Path) -> None:
+def require_arm_as_recorded(path: str | Path, *, gone: bool = False) -> None:
     """Refuse a source whose arm of one's own has another description than when it was recorded.
+
+    Args:
+        path: Run directory or MCAP file.
+        gone: Take it when the description cannot be read here.
 
     Raises:
         DataError: It has, or the source is missing, damaged or from a newer hil.
     """
     source = Path(path)
-    require_same_arm(_robot_of(source), source, "name the arm to fit: --robot FILE")
+    otherwise = "name the arm to fit: --robot FILE (hil fit, hil gains)"
+    require_same_arm(_robot_of(source), source, otherwise, gone=gone)
 
 
 def _robot_of(source: Path) -> Mapping[str, Any]:

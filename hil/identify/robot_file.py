@@ -1,4 +1,7 @@
-"""The robot model inside a model folder: how it was made, and a copy of its URDF if it has one."""
+"""The robot model inside a model folder: how it was made, and a copy of its URDF if it has one.
+
+Of an arm that a file of one's own describes, it has that file's SHA-256.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms import require_same_arm
 from hil.dynamics import RobotModel
+from hil.dynamics.robot_model import MOTOR_SIDE
 from hil.errors import DataError, FitError, SpecError
 
 URDF_FILE = "robot.urdf"
@@ -28,6 +33,8 @@ def store_robot(robot: RobotModel) -> tuple[dict[str, Any], bytes | None]:
         except OSError as error:
             raise FitError(f"cannot store the robot's URDF: {error}") from error
     _require_same(robot, document)
+    if robot.arm is not None and robot.arm.sha256:
+        document["model_sha256"] = robot.arm.sha256
     return document, content
 
 
@@ -35,11 +42,15 @@ def restore_robot(document: dict[str, Any], folder: Path) -> RobotModel:
     """The robot model a folder was stored with: mounting, rotor inertias and loads included.
 
     Raises:
-        DataError: Its built-in arm or URDF cannot be used here.
+        DataError: Its built-in arm or URDF cannot be used here, or the file that describes its arm
+            was changed since.
         KeyError, TypeError, ValueError: The document is damaged.
     """
     if document["kind"] == "urdf":
         document = document | {"name": str(folder / URDF_FILE)}
+    else:
+        own = {**document, "model": str(document["name"]).removesuffix(MOTOR_SIDE)}
+        require_same_arm(own, folder, "fit the model again")
     try:
         return RobotModel.from_dict(document)
     except SpecError as error:

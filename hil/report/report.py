@@ -10,7 +10,9 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from hil.arms import require_same_arm
 from hil.data.dataset import Dataset
+from hil.data.described import robot_of_run
 from hil.errors import DataError, HilError
 from hil.record.rundir import RunDirectory
 from hil.report.background import preflight, provenance, timeline
@@ -50,7 +52,7 @@ def render_report(run: Path) -> Path:
 
     Raises:
         DataError: It is not a run directory, was written by a newer hil, or its recordings were
-            deleted: the page that is there shows them yet.
+            deleted: the page that is there shows them yet. Or its arm's description was changed.
     """
     page = Path(run) / REPORT_FILE
     if page.exists() and RunDirectory(Path(run)).pruned:
@@ -85,6 +87,7 @@ def render_fit_report(
 def run_page(path: Path) -> Page:
     """The page of a run, as blocks."""
     facts = read_facts(path)
+    require_same_arm(robot_of_run(facts.start), path, "leave the page that is there", gone=True)
     problems: list[str] = []
     recording = read_recording(facts, problems)
     held_out = _held_out(facts, recording, problems)

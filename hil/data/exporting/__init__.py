@@ -81,7 +81,7 @@ def export_data(source: Path, out: Path) -> Exported:
     for file in files:
         if file.exists():
             raise RecordingError(f"{file} exists already", hint="choose another name")
-    dataset = load_source(source)
+    dataset = load_source(source, any_arm=True)
     table = table_of(dataset, source)
     write(out, table)
     notes: tuple[str, ...] = ()
