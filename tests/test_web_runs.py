@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from web_parts import SLY, dashboard, plain, seen
 
 import hil
+from hil.record.lock import hold_run
 from hil.registry.facts import facts_of
 from hil.registry.registry import Registry
 from hil.web.run_files import SHUT_IN
@@ -52,8 +54,24 @@ def test_a_page_says_what_it_was_and_what_came_of_it(measured: Path) -> None:
     for text in ("Twelve static poses", "ur5-full-0", "0 kg", "dwell 24 24", "RMSE raw ≤ 0.35 A",
                  "static-wls", "J6 wrist_3_joint", "00.mcap", "&lt;img"):  # fmt: skip
         assert text in told
+    assert "clock virtual: simulated" in told
+    assert re.search("12\u202f\\d{3} samples in 1 min", html)
     assert '<a href="/models/ur5/v1">ur5 v1</a>' in html
     assert f'href="{address(run, measured)}/report"' in html
+
+
+@pytest.mark.parametrize("clock", ["virtual", "wall", 3, None])
+def test_simulated_time_is_called_so_and_no_other(lab: Path, clock: object) -> None:
+    run = run_in(lab)
+    start = json.loads((run / "start.json").read_text())
+    start["robot"]["clock"] = clock
+    (run / "start.json").write_text(json.dumps(start))
+    badge = '<span class="badge quiet">virtual clock</span>'
+    assert (badge in seen(dashboard(lab), address(run, lab))) == (clock == "virtual")
+    with hold_run(run):
+        assert (badge in seen(dashboard(lab), address(run, lab))) == (clock == "virtual")
+        (run / "start.json").write_text("[1")
+        assert badge not in seen(dashboard(lab), address(run, lab))
 
 
 def test_what_ended_early_says_why_and_how_to_go_on(lab: Path) -> None:

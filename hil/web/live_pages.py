@@ -23,6 +23,7 @@ from hil.record.lock import is_live
 from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
 from hil.web.places import address_of, name_of, run_at
 from hil.web.rendering import page, settings_of, who_of
+from hil.web.run_details import is_virtual
 from hil.web.run_facts import facts_of_run
 from hil.web.run_files import require_run
 from hil.web.security import form_of
@@ -42,7 +43,7 @@ def run_page(request: Request) -> Response:
         return page(request, "run.html.j2", title=name_of(run, settings), facts=facts)
     now = LiveRun(run, settings).look()
     now["log"] = now["log"][-FIRST_LINES:]
-    return page(request, "live_run.html.j2", title=now["name"], now=now)
+    return page(request, "live_run.html.j2", title=now["name"], now=now, virtual=is_virtual(run))
 
 
 async def stop(request: Request) -> Response:

@@ -12,8 +12,8 @@ from hil.catalogue.stamp import ALWAYS_READ, stamp_of
 from hil.identify.model_folder import MODEL_FILE, models_below
 from hil.record.files import sha256_of
 from hil.report.blocks import Badge
-from hil.report.documents import Document, as_float, as_object, as_objects
-from hil.report.facts import PLURALS, RunFacts, read_facts
+from hil.report.documents import Document, as_objects
+from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_facts import FitFacts
 from hil.report.judgement import (
     ENDINGS,
@@ -21,18 +21,15 @@ from hil.report.judgement import (
     failed_fits,
     next_command,
     sentence_of,
-    verdict_words,
 )
 from hil.report.words import (
-    counted,
     criterion_text,
-    duration,
     joint_title,
     number,
-    when,
     with_unit,
 )
 from hil.web.registered import registered_models
+from hil.web.run_details import completeness_of, details_of, virtual_clock
 from hil.web.run_files import listed_files, report_address, require_run
 from hil.web.settings import Settings
 
@@ -67,11 +64,12 @@ def _facts(run: Path, settings: Settings) -> dict[str, Any]:
         "name": facts.name,
         "badge": {"text": badge.text.lower(), "mark": badge.mark or "quiet"},
         "sentence": sentence_of(facts),
+        "virtual": virtual_clock(facts.start),
         "hint": str(facts.stop.get("hint") or ""),
         "command": next_command(facts, shlex.quote(str(run))),
         "warnings": _warnings(facts),
-        "details": [(label, text) for label, text in _details(facts) if text],
-        "complete": list(_complete(facts)),
+        "details": [(label, text) for label, text in details_of(facts) if text],
+        "complete": list(completeness_of(facts)),
         "fits": [_fit(fit) for fit in facts.listed_fits],
         "criteria": [_criterion(row) for row in as_objects(facts.verdict.get("rows"))],
         "models": list(_models(run, settings)),
@@ -97,60 +95,6 @@ def _warnings(facts: RunFacts) -> list[str]:
     told = facts.stop.get("problems")
     ending = [str(one) for one in told] if isinstance(told, list) else []
     return [*facts.problems, *ending, *failed_fits(facts), *facts.studies.warnings]
-
-
-def _details(facts: RunFacts) -> Iterator[tuple[str, str]]:
-    start, identity = facts.start, as_object(facts.robot.get("identity"))
-    code = facts.stop.get("exit_code")
-    yield "description", str(facts.spec.get("description") or "")
-    yield "started", when(start.get("started"))
-    yield "ended", when(facts.stop.get("stopped"))
-    yield "robot", str(start.get("robot_name") or facts.path.parent.name)
-    yield "arm", str(facts.robot.get("model") or "")
-    yield "serial number", str(identity.get("serial") or "")
-    yield "operator", str(start.get("operator") or "")
-    yield "part of the program", facts.commissioning
-    yield "loads", ", ".join(_load(load) for load in as_objects(start.get("loads")))
-    yield "occasion", str(start.get("occasion") or "")
-    yield "program", _program(facts)
-    yield "recorded", _recorded(facts)
-    yield "verdict", verdict_words(facts)
-    yield "reason of the end", str(facts.stop.get("reason") or "")
-    yield "exit code", "" if code is None else str(code)
-
-
-def _load(load: Document) -> str:
-    mass = as_float(load.get("mass_kg"))
-    return " ".join(filter(None, (str(load.get("name") or ""), f"{number(mass)} kg")))
-
-
-def _program(facts: RunFacts) -> str:
-    if not facts.steps:
-        return ""
-    kinds = [str(step.get("kind")) for step in facts.steps]
-    counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-    told = ", ".join(
-        f"{n} {kind if n == 1 else PLURALS.get(kind, f'{kind}s')}" for kind, n in counts.items()
-    )
-    ended = f"; ended in {facts.ended_in}" if facts.ended_in else ""
-    return f"{counted(len(kinds), 'step')}: {told}{ended}"
-
-
-def _recorded(facts: RunFacts) -> str:
-    told = facts.recorded
-    if "samples" not in told:
-        return ""
-    took = duration(as_float(told.get("device_s")))
-    missing = f"{told.get('missing', 0)} missing in {counted(told.get('gaps', 0), 'gap')}"
-    return f"{counted(told['samples'], 'sample')} in {took}; {missing}"
-
-
-def _complete(facts: RunFacts) -> Iterator[dict[str, Any]]:
-    """How much of what was to be measured was."""
-    for kind, told in as_object(facts.recorded.get("complete")).items():
-        done, of = (as_float(as_object(told).get(key)) for key in ("done", "of"))
-        if of > 0 and done >= 0:
-            yield {"kind": kind, "done": int(done), "of": int(of)}
 
 
 def _fit(fit: FitFacts) -> dict[str, Any]:
