@@ -1,24 +1,45 @@
-"""'Did you mean …?': the closest of a handful of known words."""
+"""'Did you mean …?': the one of a handful of known words that a slip of typing made another of."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher
+from itertools import takewhile
 
-CUTOFF = 0.6
-"""Of `difflib`: `cvs` and `csv` reach 0.67, and so, alas, do `speed` and `spec`."""
+LETTERS_A_SLIP = 4
+"""A slip is believed for so many letters: one in `csv`, none that makes `spec` of `speed`."""
+
+MOST_SLIPS = 3
+
+LEAST_SHARE = 0.5
+"""Of a name's letters: `velocity` is meant to be `max_velocity_deg_s`, `s` is not."""
+
+STEM = 2 / 3
+"""Of the longer word's letters, where both begin so: `validation` is meant to be `validate`."""
 
 LONGEST_WORD = 64
 """Longer words are no typing slips, and comparing them would take noticeable time."""
 
 
 def closest(word: str, options: Iterable[str]) -> str | None:
-    """The option most like `word`, ignoring case and `-` against `_`, or None."""
-    if len(word) > LONGEST_WORD:
+    """The option that `word` is a slip of, or a part of, else None.
+
+    Ignored are case and `-` against `_`. A slip is a letter too many, missing or another, or two
+    neighbours swapped.
+    """
+    if not 0 < len(word) <= LONGEST_WORD:
         return None
-    by_folded = {_fold(option): option for option in options}
-    matches = get_close_matches(_fold(word), by_folded, n=1, cutoff=CUTOFF)
-    return by_folded[matches[0]] if matches else None
+    typed = _fold(word)
+    found: list[tuple[int, float, str]] = []
+    for option in options:
+        known = _fold(option)
+        slips = _slips(typed, known)
+        if slips is None and not _is_part(typed, known) and not _has_stem(typed, known):
+            continue
+        unlike = 1 - SequenceMatcher(None, typed, known).ratio()
+        found.append((MOST_SLIPS + 1 if slips is None else slips, unlike, option))
+    return min(found)[2] if found else None
 
 
 def did_you_mean(word: str, options: Iterable[str]) -> str:
@@ -27,6 +48,55 @@ def did_you_mean(word: str, options: Iterable[str]) -> str:
     if match := closest(word, known):
         return f"did you mean {match!r}?"
     return f"there is {', '.join(known)}" if known else "there is none"
+
+
+def _slips(typed: str, known: str) -> int | None:
+    """How many slips apart two words are, None where that is too many for their length."""
+    length = max(len(typed), len(known))
+    most = min(max(length // LETTERS_A_SLIP, 1), MOST_SLIPS)
+    if typed != known and (min(len(typed), len(known)) < 2 or abs(len(typed) - len(known)) > most):
+        return None
+    count = _distance(typed, known)
+    return count if count <= most else None
+
+
+def _distance(a: str, b: str) -> int:
+    """Edits between two words, a swap of neighbours being one (optimal string alignment)."""
+    before: list[int] = []
+    last = list(range(len(b) + 1))
+    for i, x in enumerate(a, start=1):
+        row = [i]
+        for j, y in enumerate(b, start=1):
+            least = min(last[j] + 1, row[j - 1] + 1, last[j - 1] + (x != y))
+            if i > 1 and j > 1 and x == b[j - 2] and y == a[i - 2]:
+                least = min(least, before[j - 2] + 1)
+            row.append(least)
+        before, last = last, row
+    return last[-1]
+
+
+def _is_part(typed: str, known: str) -> bool:
+    """Whether one has all of the other, its words in any order, and not much more."""
+    few, many = sorted((_words(typed), _words(known)), key=lambda words: len("".join(words)))
+    letters, of = "".join(few), "".join(many)
+    if len(letters) < 2 or len(letters) < LEAST_SHARE * len(of):
+        return False
+    return letters in of or all(any(_is_word(word, other) for other in many) for word in few)
+
+
+def _is_word(word: str, other: str) -> bool:
+    """Within a name, where short words have other neighbours to be told by, these must be right."""
+    return word == other or (len(word) > LETTERS_A_SLIP and _slips(word, other) is not None)
+
+
+def _has_stem(typed: str, known: str) -> bool:
+    alike = (x == y for x, y in zip(typed, known, strict=False))
+    common = sum(1 for _ in takewhile(bool, alike))
+    return common >= LETTERS_A_SLIP and common >= STEM * max(len(typed), len(known))
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"[^\W_]+", text)
 
 
 def _fold(word: str) -> str:
