@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import os
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,20 @@ def test_runs_are_numbered_below_day_and_robot(tmp_path: Path) -> None:
 def test_name_cannot_leave_the_runs_folder(tmp_path: Path) -> None:
     run = RunDirectory.create(tmp_path / "runs", "../..", "../../../etc/passwd")
     assert run.path.resolve().is_relative_to((tmp_path / "runs").resolve())
+
+
+def test_a_disk_without_room_for_the_reserve_is_told_and_no_run_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def takes_a_part(descriptor: int, data: bytes) -> int:  # as a nearly full disk does
+        return real(descriptor, data[: len(data) // 2])
+
+    real = os.write
+    monkeypatch.setattr(os, "write", takes_a_part)
+    with pytest.raises(RecordingError, match="No space left on device") as caught:
+        RunDirectory.create(tmp_path, "ur5", "fourier")
+    assert "free the disk" in str(caught.value.hint)
+    assert [run.number for run in list_runs(tmp_path)] == []
 
 
 def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path) -> None:

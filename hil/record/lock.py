@@ -29,7 +29,7 @@ def hold_run(run: Path) -> Iterator[None]:
     except OSError as error:
         raise RecordingError(
             f"cannot lock {run}: {error.strerror or error}",
-            hint="see whether the folder is there and may be written to",
+            hint="see whether the folder is there, may be written to and its disk has room",
         ) from error
     if isinstance(held, Holder):
         raise DataError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 
@@ -18,7 +19,9 @@ def reserve(run: Path) -> None:
     """
     descriptor = os.open(run / NAME, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        os.write(descriptor, os.urandom(BYTES))  # what no file system compresses or leaves out
+        # What no file system compresses or leaves out. Of a nearly full disk a part is taken first.
+        if os.write(descriptor, os.urandom(BYTES)) < BYTES:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(descriptor)
     finally:
         os.close(descriptor)

@@ -87,9 +87,7 @@ class RunDirectory:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             path = claim(Path(runs_root), folder, name_for_path(name))
-            (path / "recording").mkdir()
-            reserve(path)
-            fsync_directory(path)
+            _begin(path)
             fsync_directory(folder)
         except OSError as error:
             raise RecordingError(
@@ -296,6 +294,21 @@ class RunDirectory:
                 f"cannot read {self.path} back: {error}",
                 hint="hil recover RUN makes whole what is left of it",
             ) from error
+
+
+def _begin(path: Path) -> None:
+    """What a new run needs; nothing is left of one that has no room."""
+    recording = path / "recording"
+    try:
+        recording.mkdir()
+        reserve(path)
+        fsync_directory(path)
+    except OSError:
+        release(path)
+        with contextlib.suppress(OSError):
+            recording.rmdir()
+            path.rmdir()
+        raise
 
 
 def _changed(path: Path, name: str, digest: object, length: object) -> str:
