@@ -1,16 +1,18 @@
 """The wheel in fresh virtual environments: each set of extras under each Python at hand.
 
-    python tests/install_matrix.py          # everything; torch is gigabytes where it is not +cpu
+    python tests/install_matrix.py          # everything
     python tests/install_matrix.py --sets core,ur --pythons 3.11
 
 Builds the wheel, installs it with constraints.txt, runs `install_smoke.py` outside the checkout
 and prints a table in Markdown (docs/reference/installing.md keeps one). Exits 1 when a cell fails;
-a Python that is not at hand and a set without wheels for one are said, and are no failure.
+a Python that is not at hand and a set without wheels for one are said, and are no failure. So is
+torch where pip finds only builds with CUDA, which are gigabytes.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
@@ -59,6 +61,18 @@ def interpreter(version: str) -> str | None:
         if done.returncode == 0 and done.stdout.split()[-1] == version:
             return done.stdout.split()[0]
     return None
+
+
+def only_cuda(python: str) -> bool:
+    """Whether pip would take a torch with CUDA for this Python; it looks and installs nothing.
+
+    Raises:
+        RuntimeError: pip finds no torch at all.
+    """
+    look = ["install", "--dry-run", "--ignore-installed", "--no-deps", "--report", "-", "--quiet"]
+    found = _run([python, "-m", "pip", *look, "-c", str(ROOT / "constraints.txt"), "torch"])
+    (torch,) = json.loads(found)["install"]
+    return not torch["metadata"]["version"].endswith("+cpu")
 
 
 def build(folder: Path) -> Path:
@@ -127,6 +141,8 @@ def matrix(sets: list[str], versions: list[str], folder: Path) -> dict[tuple[str
                 cells[name, version] = Cell(reason)
             elif python is None:
                 cells[name, version] = Cell("no interpreter")
+            elif name == "learn" and only_cuda(python):
+                cells[name, version] = Cell("not tried: only CUDA builds at hand")
             else:
                 cells[name, version] = try_out(python, SETS[name], wheel, place)
                 shutil.rmtree(place)

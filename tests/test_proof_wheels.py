@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 import pytest
-from install_matrix import PYTHONS, SETS, interpreter, matrix
+from install_matrix import PYTHONS, SETS, interpreter, matrix, only_cuda
 
 pytestmark = pytest.mark.proof
 
@@ -19,6 +20,15 @@ def test_the_wheel_works_without_and_with_every_small_extra(tmp_path: Path) -> N
     cells = matrix(sets, [HERE], tmp_path)
     told = {" ".join(of): cell.said for of, cell in cells.items() if cell.failed}
     assert not told, "\n".join(told.values())
+
+
+@pytest.mark.parametrize(("version", "cuda"), [("2.13.0", True), ("2.13.0+cpu", False)])
+def test_a_torch_with_cuda_is_told_from_one_without(
+    version: str, cuda: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = {"install": [{"metadata": {"name": "torch", "version": version}}]}
+    monkeypatch.setattr("install_matrix._run", lambda command: json.dumps(report))
+    assert only_cuda(sys.executable) is cuda
 
 
 def test_an_interpreter_that_only_seems_to_be_there_is_none(
