@@ -22,6 +22,7 @@ from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import state_words, step_words
 from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
+from hil.report.measures import measures
 from hil.report.words import duration
 from hil.web.places import address_of, name_of
 from hil.web.settings import Settings
@@ -235,10 +236,9 @@ def _margin_texts(margins: list[Document]) -> Document:
 
 
 def _margin_words(margin: Document) -> str:
-    value, limit = (_figures(margin.get(key)) for key in ("value", "limit"))
+    value, limit = measures(margin.get("value"), margin.get("limit"), margin.get("unit"))
     bound = "at least" if margin.get("least") else "limit"
-    unit = margin.get("unit", "")
-    return plain(f"{margin.get('subject')}: {value} {unit}, {bound} {limit} {unit}", most=200)
+    return plain(f"{margin.get('subject')}: {value}, {bound} {limit}", most=200)
 
 
 def _margin_values(margins: list[Document]) -> Document:
@@ -268,11 +268,6 @@ def _number(value: object, scale: float, form: str) -> str:
         return NOT_KNOWN
     text = format(scale * value, form)
     return text.lstrip("-") if not text.strip("-0.") else text  # rounded to zero: no sign
-
-
-def _figures(value: object) -> str:
-    big = isinstance(value, int | float) and abs(value) >= 1000
-    return _number(value, 1.0, ".0f" if big else ".4g")
 
 
 def _finite(value: object) -> float:
