@@ -65,12 +65,11 @@ class Unfinished:
     complete: Completeness
 
 
-def open_unfinished(path: Path) -> Unfinished:
-    """Open a run for going on with it.
+def require_resumable(path: Path) -> RunDirectory:
+    """A run that may be gone on with, as far as its documents say; its recordings are not read.
 
     Raises:
-        DataError: It is no run, lacks what a resumption needs, its plan or spec is not the one
-            it was begun with, or it was judged already.
+        DataError: It is no run, one of a kind that has no program to go on with, or lacks a file.
     """
     directory = RunDirectory.open(path)
     start = directory.start
@@ -95,6 +94,18 @@ def open_unfinished(path: Path) -> Unfinished:
                 f"{path} has no {name}: it ended before anything moved",
                 hint="there is nothing to go on with; run the experiment again",
             )
+    return directory
+
+
+def open_unfinished(path: Path) -> Unfinished:
+    """Open a run for going on with it.
+
+    Raises:
+        DataError: See `require_resumable`; or its plan or spec is not the one it was begun with,
+            or it was judged already.
+    """
+    directory = require_resumable(path)
+    start = directory.start
     plan = read_plan(path / "plan.json")
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
     # The copy of the station in the run is the same station, and its robots the same robots.

@@ -22,11 +22,15 @@ from hil.campaign.detached import begin, last_lines, ticks_of
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
+from hil.campaign.resuming import require_resumable
 from hil.campaign.steering import stop_run
 from hil.errors import DataError, HilError, RecordingError, SpecError
 from hil.plan.commissioning import commissioning_of
 from hil.record.files import json_document, read_json, write_replacing
+from hil.record.lock import is_live
 from hil.record.numbering import run_folders
+from hil.record.parts import name_of_attempt
+from hil.record.rundir import RunDirectory
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 
@@ -45,7 +49,8 @@ class Started:
     Attributes:
         id: Names it below its folder of runs.
         runs: The folder of runs.
-        spec, station: What was started; the station is empty for the usual one.
+        spec, station: What was started; the station is empty for the usual one. Instead of a spec
+            the directory of a run that is gone on with.
         operator: Who asked for it.
         pid: Its process.
         ticks: When that began, in the kernel's own count: other processes may get its pid.
@@ -76,7 +81,16 @@ class Started:
     @property
     def made(self) -> list[Path]:
         """Its run directories: none while it plans, several for a series."""
+        if (again := self.again) is not None:
+            resumed = again / name_of_attempt("resume.json", RunDirectory(again).attempts - 1)
+            return [again] if self._has_written(resumed) else []
         return [run for run in run_folders(Path(self.runs)) if self._is_mine(run)]
+
+    @property
+    def again(self) -> Path | None:
+        """The run that it goes on with; None where it makes one."""
+        run, root = Path(self.spec), Path(self.runs).resolve()
+        return run if run.is_dir() and run.resolve().is_relative_to(root) else None
 
     @property
     def last_words(self) -> list[str]:
@@ -100,11 +114,13 @@ class Started:
                 os.kill(self.pid, signal.SIGTERM)
 
     def _is_mine(self, run: Path) -> bool:
-        start = run / "start.json"
+        return self._has_written(run / "start.json")
+
+    def _has_written(self, document: Path) -> bool:
         try:
-            if start.stat().st_mtime < self.time - SLACK_S:
+            if document.stat().st_mtime < self.time - SLACK_S:
                 return False
-            said = read_json(start)
+            said = read_json(document)
         except (OSError, DataError):
             return False
         return said.get("pid") == self.pid and said.get("host") == self.host
@@ -164,15 +180,42 @@ def start_run(
     """
     check_start(spec, station, overrides)
     commissioning_of(speed, first)
+    options = [f"--station={station}"] if station else []
+    options += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
+    options += [f"--speed={speed}"] if speed else []
+    options += [f"--first={first}"] if first else []
+    return _start("run", options, spec, runs, station=station, operator=operator)
+
+
+def go_on_with(run: Path, runs: Path, *, operator: str = "") -> Started:
+    """Start `hil resume RUN --elsewhere` in a session of its own: the arm moves.
+
+    Args:
+        run: Directory of a run that ended early.
+        runs: The folder of runs that it is in.
+        operator: Who asks; recorded as who is at the robot.
+
+    Raises:
+        DataError: It is live, was completed, or cannot be gone on with; nothing was started.
+        RecordingError: The folder of runs cannot be written to.
+    """
+    directory = require_resumable(run)
+    run = run.resolve()
+    if is_live(run) or any(one.alive and one.again == run for one in started_runs(runs)):
+        raise DataError(f"{run} goes on already", hint=f"follow it: hil watch {run}")
+    if directory.status == "completed":
+        raise DataError(f"{run} was completed", hint=f"what came of it: hil show {run}")
+    return _start("resume", [], run, runs, station=None, operator=operator)
+
+
+def _start(
+    verb: str, options: list[str], what: Path, runs: Path, *, station: Path | None, operator: str
+) -> Started:
     folder = runs / FOLDER
     name = f"{time.time_ns():020d}-{os.getpid()}"
-    command = [sys.executable, "-m", "hil", "run", f"--runs={runs}", "--elsewhere"]
-    command += [f"--station={station}"] if station else []
+    command = [sys.executable, "-m", "hil", verb, f"--runs={runs}", "--elsewhere", *options]
     command += [f"--operator={operator}"] if operator else []
-    command += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
-    command += [f"--speed={speed}"] if speed else []
-    command += [f"--first={first}"] if first else []
-    command += ["--", str(spec)]  # its name may begin as an option does
+    command += ["--", str(what)]  # its name may begin as an option does
     if any("\0" in word for word in command):
         raise SpecError(
             "a run cannot be started with a NUL character in what it is given",
@@ -183,7 +226,7 @@ def start_run(
     # Whoever started it hears of its end, so that none is left as a zombie.
     threading.Thread(target=process.wait, name="hil-started", daemon=True).start()
     started = Started(
-        id=name, runs=str(runs), spec=str(spec), station=str(station or ""), operator=operator,
+        id=name, runs=str(runs), spec=str(what), station=str(station or ""), operator=operator,
         pid=process.pid, ticks=ticks, time=time.time(), host=platform.node(),
     )  # fmt: skip
     try:

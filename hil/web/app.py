@@ -30,6 +30,7 @@ PAGES = (
     "hil.web.run_files",
     "hil.web.live_pages",
     "hil.web.start_pages",
+    "hil.web.resume_pages",
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""
 

@@ -21,15 +21,25 @@ def going_on(settings: Settings) -> list[dict[str, Any]]:
 
 
 def being_planned(settings: Settings) -> list[dict[str, str]]:
-    """`id`, `spec` and `address` of what was started here and is no live run yet, or between two.
+    """What was started here and is no live run yet, or between two (id, spec, text, address).
 
     A start that cannot be looked at is left out: it is no run.
     """
     return [
-        {"id": one.id, "spec": Path(one.spec).name, "address": f"/start/{one.id}"}
+        {
+            "id": one.id,
+            "spec": Path(one.spec).name,
+            "text": words_of(one),
+            "address": f"/start/{one.id}",
+        }
         for one in started_runs(settings.runs)
         if _is_planned(one)
     ]
+
+
+def words_of(planned: Started) -> str:
+    """What it does before it is a live run."""
+    return "is about to go on" if planned.again else "is being planned"
 
 
 def _is_planned(started: Started) -> bool:

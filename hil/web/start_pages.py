@@ -17,6 +17,7 @@ from starlette.routing import Route
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
 from hil.plan.commissioning import commissioning_of
+from hil.web.going import words_of
 from hil.web.offered import file_offered, offered
 from hil.web.once import Once
 from hil.web.places import address_of
@@ -65,7 +66,7 @@ def started_page(request: Request) -> Response:
     answer = page(
         request,
         "started.html.j2",
-        title="Starting" if started.alive else "It did not begin",
+        title="Starting" if started.alive else "Not started",
         started=_told(started, settings),
         last_words=started.last_words,
     )
@@ -174,14 +175,16 @@ def _form(
 
 def _told(started: Started, settings: Settings) -> dict[str, Any]:
     made = started.made
-    unmade = "is being planned" if started.alive else "did not begin"
+    again = started.again is not None
+    unmade = words_of(started) if started.alive else "did not go on" if again else "did not begin"
     return {
         "id": started.id,
         "spec": Path(started.spec).name,
         "operator": started.operator,
         "alive": started.alive,
-        "text": "has begun" if made else unmade,
+        "text": ("goes on" if again else "has begun") if made else unmade,
         "log": started.log,
+        "run": address_of(started.again, settings) if started.again else "",
         "address": address_of(made[-1], settings) if made else f"/start/{started.id}",
     }
 
