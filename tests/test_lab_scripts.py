@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import re
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -158,6 +159,7 @@ def test_a_mass_that_does_not_show_was_not_checked(
     found = SimpleNamespace(values=[1.5], interval=[mass, *[centre] * 3], other_arm="", notes=())
     report = SimpleNamespace(error=None, run=Path("run"))
     monkeypatch.setattr("hil.api.run", lambda *given, **options: report)
+    monkeypatch.setattr("hil.identify.load_model_file", lambda model: None)
     monkeypatch.setattr("hil.api.estimate_payload", lambda *given, **options: found)
     result = ended("payload_check", "model", "--spec", ROOT / "experiments" / "ur5_weigh.yaml")
     assert result.exit_code == code, result.output
@@ -224,9 +226,73 @@ def test_an_arm_that_the_station_lacks_is_told(tmp_path: Path) -> None:
     assert "two" in result.stdout
 
 
+@pytest.mark.parametrize(
+    ("given", "code", "said"),
+    [
+        (["one", "two", "--spec", "no-fit.yaml"], 2, "no-fit.yaml fits 0 models"),
+        (["one", "two", "--station", "none.yaml"], 2, "none.yaml: there is no such file"),
+        (["one", "three"], 2, "no robot 'three'"),
+        (["one", "two", "--spec", "latin.yaml"], 2, "latin.yaml"),
+        (["one", "two", "--out", "lab.yaml/out"], 7, "lab.yaml/out"),
+    ],
+    ids=["no fit", "no station", "no such arm", "not UTF-8", "no folder can be made"],
+)
+def test_wrong_input_of_a_comparison_is_told_before_anything_moves(
+    given: list[str], code: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    station(Path("lab.yaml"), one={}, two={})
+    program = yaml.safe_load((ROOT / "experiments" / "fleet_fourier.yaml").read_text("utf-8"))
+    Path("program.yaml").write_text(json.dumps(program), "utf-8")
+    unjudged = {"fit": [], "validate": {}, "accept": {"gaps_percent": {"max": 1}}}
+    Path("no-fit.yaml").write_text(json.dumps(program | unjudged), "utf-8")
+    Path("latin.yaml").write_bytes(b"hil: 1\nname: \xe4")
+    monkeypatch.setattr("hil.api.run", lambda *given, **options: pytest.fail("it moves"))
+    usual = ["--station", "lab.yaml", "--spec", "program.yaml"]
+    result = ended("compare_arms", *usual, *given)
+    assert result.exit_code == code, result.output
+    assert result.stdout.startswith("not compared: ")
+    assert said in result.stdout
+
+
+def test_wrong_input_of_a_payload_check_is_told_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.api.run", lambda *given, **options: pytest.fail("it moves"))
+    spec = ROOT / "experiments" / "ur5_weigh.yaml"
+    no_model = ended("payload_check", tmp_path / "none", "--spec", spec)
+    assert (no_model.exit_code, no_model.output[:12]) == (8, "NOT CHECKED:")
+    told = yaml.safe_load(spec.read_text("utf-8"))
+    told["excitation"]["file"] = str(spec.parent / told["excitation"]["file"])
+    told["loads"] = [{"mass_kg": 0}, {"mass_kg": 1, "prompt": "Mount 1 kg"}]
+    (tmp_path / "two.yaml").write_text(yaml.safe_dump(told), "utf-8")
+    two = ended("payload_check", tmp_path / "none", "--spec", tmp_path / "two.yaml")
+    assert two.exit_code == 2
+    assert "has several loads" in two.output
+    monkeypatch.setattr("hil.identify.load_model_file", lambda model: None)
+    no_bare = ended("payload_check", "model", "--spec", spec, "--bare", tmp_path / "none")
+    assert no_bare.exit_code == 8
+    assert "does not exist" in no_bare.output
+
+
+def test_a_folder_that_cannot_be_made_is_told_by_the_weekly_script(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = ended("weekly_reidentification", "weekly.yaml", "--home", tmp_path / "file")
+    assert result.exit_code == 7
+    assert result.stdout.startswith("weekly: FAILED: ")
+
+
+@pytest.mark.parametrize("name", ["compare_arms", "payload_check", "weekly_reidentification"])
+def test_a_script_says_with_h_where_it_writes(name: str) -> None:
+    said = subprocess.run(
+        [sys.executable, SCRIPTS / f"{name}.py", "-h"], capture_output=True, text=True, check=True
+    ).stdout
+    assert "folder" in said.casefold()
+
+
 def test_every_script_is_short_and_has_its_command_on_the_page() -> None:
     lab = sorted(path for path in SCRIPTS.glob("*.py") if path.stem != "fleet_station")
-    assert all(len(path.read_text("utf-8").splitlines()) < 130 for path in lab)
+    assert all(len(path.read_text("utf-8").splitlines()) < 160 for path in lab)
     assert set(ON_A_LINE.findall(PAGE.read_text("utf-8"))) == {
         f"experiments/scripts/{path.name}" for path in lab
     }

@@ -19,7 +19,8 @@ from typing import Annotated
 import typer
 
 import hil
-from hil.errors import HilError
+from hil.errors import HilError, SpecError
+from hil.identify import load_model_file
 
 WRONG, NOT_CHECKED = 10, 20
 
@@ -53,7 +54,12 @@ def check(
 ) -> tuple[list[str], bool]:
     """Weigh and print what was found; what contradicts the declaration, and whether mass shows."""
     experiment = hil.load(spec, station)
-    load = experiment.spec.loads[0]
+    if len(experiment.spec.loads) != 1:
+        raise SpecError(f"{spec} has several loads", hint="declare the one that is mounted")
+    (load,) = experiment.spec.loads
+    load_model_file(model)  # what cannot be read is told before anything moves
+    if bare:
+        hil.dataset(*bare)
     report = hil.run(experiment, runs=home / "runs")
     if report.error is not None:
         raise report.error
@@ -85,17 +91,17 @@ def main(
         list[Path] | None, typer.Option(help="Run of the bare flange, much smaller errors.")
     ] = None,
     home: Annotated[Path, typer.Option(help="Folder for runs.")] = Path(),
-    tolerance_kg: Annotated[float, typer.Option(help="Allowed beyond the interval.")] = 0.1,
-    tolerance_mm: Annotated[float, typer.Option(help="The same of the centre.")] = 15.0,
+    tolerance_kg: Annotated[float, typer.Option(min=0, help="Allowed beyond the interval.")] = 0.1,
+    tolerance_mm: Annotated[float, typer.Option(min=0, help="The same of the centre.")] = 15.0,
 ) -> None:
     """Weigh what the robot holds, and compare it with what is declared."""
     try:
         wrong, shown = check(
             model, spec, station, bare or [], home, tolerance_kg, tolerance_mm / 1000
         )
-    except HilError as error:
-        print(f"NOT CHECKED: {error.message}", file=sys.stderr)
-        raise typer.Exit(error.exit_code) from error
+    except (HilError, OSError) as error:
+        print(f"NOT CHECKED: {error}", file=sys.stderr)
+        raise typer.Exit(error.exit_code if isinstance(error, HilError) else 7) from error
     if wrong:
         print("DO NOT START: " + "; ".join(wrong))
         raise typer.Exit(WRONG)
@@ -106,4 +112,6 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
+    app.command()(main)
+    app()

@@ -52,14 +52,14 @@ def main(
         file, own = schedule.absolute(), station.absolute() if station else None
         with chdir(home):  # all folders are where `hil run` and `hil schedule` have them there
             told = hil.reidentify(file, station=own, tell=lambda text: print(text, file=sys.stderr))
-    except HilError as error:
-        print(f"{schedule.stem}: FAILED: {error.message}")
-        if error.hint:
-            print(f"  {error.hint}")
-        raise typer.Exit(error.exit_code) from error
+    except (HilError, OSError) as error:
+        print(f"{schedule.stem}: FAILED: {error}")
+        raise typer.Exit(error.exit_code if isinstance(error, HilError) else 7) from error
     print("\n".join(letter(told)))
     raise typer.Exit(0 if told["outcome"] in ("quiet", "promoted") else LOOK)
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]})
+    app.command()(main)
+    app()
