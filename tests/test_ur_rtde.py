@@ -263,15 +263,16 @@ def test_a_recording_at_full_rate_has_no_gap(controller, arm, rate_hz):
 def test_a_client_pauses_and_starts_again(controller):
     """As UR's C++ client does at its first connection."""
     where = controller("ur5e")
-    with started(where, ["timestamp"], 50.0) as raw:
+    with started(where, ["timestamp"], 50.0) as raw, started(where, ["timestamp"]) as other:
         before = [raw.read()["timestamp"] for _ in range(5)][-1]
         assert raw.pause()
-        raw.socket.settimeout(0.2)
+        until(lambda: other.read()["timestamp"] > before + 0.2)
+        raw.socket.settimeout(0.01)
         with pytest.raises(TimeoutError):
             raw.receive()
         raw.socket.settimeout(5.0)
         assert raw.start()
-        assert raw.read()["timestamp"] > before + 0.1
+        assert raw.read()["timestamp"] > before + 0.2
 
 
 def test_a_control_loop_writes_set_points_and_reads_them_back(controller):
