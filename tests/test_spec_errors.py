@@ -403,6 +403,35 @@ def test_the_hint_says_where_all_keys_are_listed() -> None:
 
 
 @pytest.mark.parametrize(
+    ("entry", "hint"),
+    [
+        ("  wypnts: 12\n", "`hil explain excitation`"),
+        ("  max_velocity_deg_s: fast\n", "`hil explain excitation.max_velocity_deg_s`"),
+        ("fit: [{estimator: static-wls, banana: 1}]\n", "`hil explain fit`"),
+        ("fit: [{banana: 1}]\nzzz: 1\n", "`hil explain fit.estimator`"),
+        ("zzz: 1\n", "`hil schema experiment`"),
+    ],
+)
+def test_the_hint_leads_to_the_first_section_with_a_wrong_key(entry: str, hint: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        spec_from_text(GOOD + entry)
+    assert hint in caught.value.hint
+    asked = caught.value.hint.split("`")[1].removeprefix("hil ").split()
+    assert CliRunner().invoke(app, asked).exit_code == 0
+
+
+def test_the_hint_in_a_station_is_of_what_a_robot_may_have(tmp_path: Path) -> None:
+    path = tmp_path / "station.yaml"
+    path.write_text(
+        "hil_station: 1\nname: a\nrobots:\n  left: {driver: mock, model: ur5, host: 1}\n"
+    )
+    with pytest.raises(SpecError) as caught:
+        load_station(path)
+    assert caught.value.hint == "`hil explain robots` lists what may stand there"
+    assert "in_service" in CliRunner().invoke(app, ["explain", "robots"]).stdout
+
+
+@pytest.mark.parametrize(
     ("kind", "load"),
     [("series", load_series_spec), ("schedule", load_schedule_spec), ("station", load_station)],
 )

@@ -88,9 +88,8 @@ def _below(info: KeyInfo) -> list[KeyInfo]:
     from hil.spec.describe import MODELS, keys_below
 
     known = keys_below(MODELS[info.file])
-    return [
-        replace(one, file=info.file) for one in known if one.path.rpartition(".")[0] == info.path
-    ]
+    above = (info.path, f"{info.path}.<name>")  # entries of a dict have names of their own
+    return [replace(one, file=info.file) for one in known if one.path.rpartition(".")[0] in above]
 
 
 def _example(info: KeyInfo) -> str:

@@ -21,9 +21,10 @@ from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.findings import findings_of
 from hil.spec.hashing import spec_hash
 from hil.spec.messages import explain
+from hil.spec.model_tree import key_above
 from hil.spec.overrides import lay_over
 from hil.spec.quantities import Strict
-from hil.spec.source import MOST_PROBLEMS, Problem, Source, refuse
+from hil.spec.source import MOST_PROBLEMS, Problem, Source, dotted, refuse
 from hil.spec.station import Station, StationRobot
 from hil.spec.yaml_source import parse, read_source
 from hil.suggest import did_you_mean
@@ -134,12 +135,20 @@ def validated(source: Source, model: type[M]) -> M:
         findings = findings_of(error.errors(include_url=False), model, source)
         problems = [explain(finding, model, source) for finding in findings[:MOST_PROBLEMS]]
         more = len(findings) - len(problems)
-        kind = model.__name__.removesuffix("Spec").lower()  # one that `hil schema` knows
-        hint = f"`hil schema {kind}` lists every key with its unit and meaning"
+        hint = _where_to_read(problems, model)
         raise refuse(source.problems + problems, hint=hint, more=more) from None
     if source.problems:
         raise refuse(source.problems)
     return spec
+
+
+def _where_to_read(problems: list[Problem], model: type[Strict]) -> str:
+    """Of the first section with a problem; where all are at the top, of the whole file."""
+    for problem in sorted(problems, key=lambda problem: problem.mark):
+        if len(problem.path) > 1 and (section := key_above(problem.path, model)):
+            return f"`hil explain {dotted(section)}` lists what may stand there"
+    kind = model.__name__.removesuffix("Spec").lower()  # one that `hil schema` knows
+    return f"`hil schema {kind}` lists every key with its unit and meaning"
 
 
 _KINDS = {

@@ -108,3 +108,20 @@ def _below(place: Any, step: str | int) -> Any:
 def _kind_values(model: Model) -> tuple[str, ...]:
     field = model.model_fields.get("kind")
     return choices_of(field.annotation) if field else ()
+
+
+def key_above(path: Path, model: Model) -> Path:
+    """The deepest key that a file of the model may have at a place or above it.
+
+    List indices are left out; entries of a dict go by any name, whose place is not a key itself.
+    """
+    known = [(*above, key) for above, owner in tree(model) for key in keys_of(owner)]
+    steps = tuple(step for step in path if isinstance(step, str))
+    for length in range(len(steps), 0, -1):
+        begun = steps[:length]
+        for one in known:
+            if len(one) == length and all(
+                a in (b, "<name>") for a, b in zip(one, begun, strict=True)
+            ):
+                return begun
+    return ()
