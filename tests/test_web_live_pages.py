@@ -6,6 +6,7 @@ import asyncio
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -230,3 +231,25 @@ def test_only_what_a_run_would_do_can_be_pressed(
 def test_nothing_can_be_asked_of_a_run_that_has_ended(settings: Settings, run: Run) -> None:
     directory = RunDirectory.create(settings.runs, "ur5", "ended")
     assert not any(LiveRun(directory.path, settings).look()["can"].values())
+
+
+@pytest.mark.parametrize(
+    ("clock", "wall_s", "left"),
+    [
+        ("wall", 25.0, "1 min 15 s left"),
+        ("wall", 6.25, "18.8 s left, clock × 4.0"),
+        ("virtual", 25.0, "1 min 15 s left, virtual clock"),
+        ("virtual", 0.625, "1.9 s left, virtual clock × 40"),
+    ],
+)
+def test_where_time_left_is_told_so_is_a_clock_that_is_not_that_on_the_wall(
+    settings: Settings, clock: Any, wall_s: float, left: str
+) -> None:
+    directory = RunDirectory.create(settings.runs, "ur5", "held")
+    view = LiveState(directory.path, ArmView(replace(ROBOT, clock=clock), []))
+    with hold_run(directory.path):
+        view.notify({"kind": "state", "state": "running", "reason": ""})
+        view.notify(PROGRESS | {"wall_s": wall_s})
+        view.notify({"kind": "rows", "rows": rows(1)})
+        assert LiveRun(directory.path, settings).look()["texts"]["left"] == left
+        assert header_of(directory.path, settings)["left"] == left

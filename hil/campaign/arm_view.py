@@ -30,6 +30,7 @@ class ArmView:
 
     def __init__(self, robot: Capabilities, interlocks: Iterable[Interlock]) -> None:
         self._names = list(robot.joint_names)
+        self._clock = robot.clock
         self._unit = "A" if robot.effort_kind == "current" else "N·m"
         self._watching = [one for one in interlocks if isinstance(one, HasMargin)]
 
@@ -43,6 +44,7 @@ class ArmView:
             "device_time_s": float(row["device_time"]),
             "joints": self._names,
             "effort_unit": self._unit,
+            "clock": self._clock,
             "moving": bool(row["status"] & Status.MOVING),
             **{key: _numbers(row[field]) for key, field in FIELDS.items()},
         }

@@ -33,6 +33,9 @@ FIRST_LINES = 30
 
 NOT_KNOWN = "–"
 
+FASTER = 1.5
+"""A clock that goes so many times as fast as that on the wall is a simulation's."""
+
 MOST_ASKED = 2000
 """Characters of a question that are shown."""
 
@@ -93,7 +96,7 @@ def header_of(run: Path, settings: Settings) -> Document:
         "asks": bool(run_now.prompt),
         "silent": bool(silent),
         "percent": round(100 * run_now.share),
-        "left": _left(run_now),
+        "left": _left(run_now, _mapping(view.get("arm"))),
         "over": run_now.state == "done",
     }
 
@@ -107,7 +110,7 @@ def _shown(run: Path, view: Document, live: bool) -> Document:
     texts = {
         "headline": _headline(now, run) if live else _ended(run),
         "percent": f"{100 * now.share:.0f} %" if now.steps else NOT_KNOWN,
-        "left": _left(now) if live else NOT_KNOWN,
+        "left": _left(now, arm) if live else NOT_KNOWN,
         "doing": step_words(now) or now.stage or NOT_KNOWN,
         "samples": f"{now.samples:,}".replace(",", " "),
         "troubles": ", ".join(now.troubles) or "none",
@@ -197,10 +200,14 @@ def _ended(run: Path) -> str:
     return plain(f"{end['status']}{told}{verdict}", most=500)
 
 
-def _left(now: Standing) -> str:
+def _left(now: Standing, arm: Document) -> str:
+    """By the clock on the wall; where simulated time passes at another rate, that is said."""
     if now.state in ENDING or not now.duration_s:
         return NOT_KNOWN
-    return f"{duration(now.left_s)} left"
+    clock = "virtual clock" if arm.get("clock") == "virtual" else ""
+    if now.pace >= FASTER:
+        clock = f"{clock or 'clock'} × {now.pace:.{1 if now.pace < 10 else 0}f}"
+    return ", ".join(filter(None, (f"{duration(now.left_s)} left", clock)))
 
 
 def _silent(view: Document) -> str:
