@@ -407,7 +407,7 @@ def test_the_hint_says_where_all_keys_are_listed() -> None:
     [
         ("  wypnts: 12\n", "`hil explain excitation`"),
         ("  max_velocity_deg_s: fast\n", "`hil explain excitation.max_velocity_deg_s`"),
-        ("fit: [{estimator: static-wls, banana: 1}]\n", "`hil explain fit`"),
+        ("loads: [{banana: 1}]\n", "`hil explain loads`"),
         ("fit: [{banana: 1}]\nzzz: 1\n", "`hil explain fit.estimator`"),
         ("zzz: 1\n", "`hil schema experiment`"),
     ],
