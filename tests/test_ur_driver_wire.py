@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from own_time import OwnTime
 from ur_mock import mock_ur
 
 from hil.errors import (
@@ -225,21 +226,21 @@ MOTIONS = {"move": lambda r: move(r, 0.4), "trajectory": lambda r: trajectory(r,
 def test_a_stop_is_on_the_wire_within_a_tenth_of_a_second(kind, tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, MOTIONS[kind](robot))
-        asked = time.monotonic()
+        asked = OwnTime(robot._motion.pid, running.process.pid)
         robot.stop()
-        took = time.monotonic() - asked
+        took, late_s = asked.passed_s, asked.hindered_s
         settle(robot)
         journal = running.journal()
-        stop = first(journal, "stop", after=asked)
+        stop = first(journal, "stop", after=asked.at)
         assert took < STOP_S
-        assert stop["monotonic_s"] - asked < STOP_S
+        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         assert stop["by"] == {"move": "stopj", "trajectory": "servo_stop"}[kind]
         assert not [
             e for e in journal if e["event"] == "start" and e["monotonic_s"] > stop["monotonic_s"]
         ]
-        rest = wait_for(running, "rest", after=asked)
+        rest = wait_for(running, "rest", after=asked.at)
         ramp_s = 0.5 / SPEED_OF_STOP[kind]
-        assert rest["monotonic_s"] - asked < STOP_S + ramp_s + SEEN_S
+        assert rest["device_time"] - stop["device_time"] < ramp_s + SEEN_S
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
@@ -247,12 +248,13 @@ def test_a_motion_process_that_is_killed_does_not_keep_the_arm_from_being_stoppe
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, MOTIONS[kind](robot))
         os.kill(robot._motion.pid, signal.SIGKILL)
-        asked = time.monotonic()
+        asked = OwnTime(running.process.pid)
         robot.stop()
-        assert time.monotonic() - asked < STOP_S
-        stop = first(running.journal(), "stop", after=asked)
+        took, late_s = asked.passed_s, asked.hindered_s
+        assert took < STOP_S
+        stop = wait_for(running, "stop", after=asked.at)
         assert (stop["by"], stop["via"]) == ("hil_stop", "script")
-        assert stop["monotonic_s"] - asked < STOP_S
+        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         error, _ = until_it_raises(robot)
         assert isinstance(error, RobotConnectionError)
         settle(robot)
@@ -278,10 +280,10 @@ def test_a_motion_process_that_hangs_does_not_either(tmp_path):
         begin(robot, move(robot, 0.4))
         hang(robot._motion.pid)
         try:
-            asked = time.monotonic()
+            asked = OwnTime(running.process.pid)
             robot.stop()
-            assert time.monotonic() - asked < STOP_S
-            stop = first(running.journal(), "stop", after=asked)
+            assert asked.passed_s < STOP_S
+            stop = wait_for(running, "stop", after=asked.at)
             assert stop["by"] == "hil_stop"
         finally:
             os.kill(robot._motion.pid, signal.SIGCONT)
@@ -317,13 +319,15 @@ def test_a_stop_out_of_full_speed_is_over_before_the_watchdog_bites(kind, tmp_pa
         begin(robot, FAST[kind](robot))
         while max(map(abs, running.side("state")["qd_target"])) < 0.98 * FAST_RAD_S:
             robot.read()
-        asked = time.monotonic()
+        asked = OwnTime(robot._motion.pid, running.process.pid)
         robot.stop()
+        late_s = asked.hindered_s
         settle(robot)
         time.sleep(1.0)
-        said = [e["event"] for e in running.journal() if e["monotonic_s"] > asked]
+        said = [e["event"] for e in running.journal() if e["monotonic_s"] > asked.at]
         assert not {"watchdog", "program_stopped"} & set(said), said
-        assert first(running.journal(), "stop", after=asked)["monotonic_s"] - asked < STOP_S
+        stop = first(running.journal(), "stop", after=asked.at)
+        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         follow(robot, move(robot, 0.1))
 
 
@@ -437,23 +441,20 @@ def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kin
         begin(robot, MOTIONS[kind](robot))
         running.side("fault", kind=fault)
         error, _ = until_it_raises(robot)
-        asked = time.monotonic()
+        asked = OwnTime(running.process.pid)
         with contextlib.suppress(RobotConnectionError):
             robot.stop()
-        assert time.monotonic() - asked < STOP_S
+        assert asked.passed_s < STOP_S
         assert isinstance(error, HilError)
         time.sleep(3.0)
         running.side("clear")
         journal = running.journal()
-        began = first(journal, "fault", kind=fault)["monotonic_s"]
-        stops = [
-            e["monotonic_s"]
-            for e in journal
-            if e["monotonic_s"] > began and e["event"] in ("stop", "watchdog", "program_stopped")
-        ]
+        after = journal[journal.index(first(journal, "fault", kind=fault)) :]
+        stops = [e for e in after if e["event"] in ("stop", "watchdog", "program_stopped")]
         assert stops, [e["event"] for e in journal]
-        assert stops[0] - began < KNOWN_S[fault] + BUSY_S
-        assert not [e for e in journal if e["event"] == "start" and e["monotonic_s"] > stops[0]]
+        # By the controller's clock, which a busy computer holds up with all that it counts.
+        assert stops[0]["device_time"] - after[0]["device_time"] < KNOWN_S[fault] + BUSY_S
+        assert not [e for e in after[after.index(stops[0]) :] if e["event"] == "start"]
         state = running.side("state")
         assert max(map(abs, state["qd_target"])) < 1e-6
         robot.connect()
