@@ -70,6 +70,15 @@ def test_a_page_tells_champions_the_reason_of_the_way_back_and_the_comparison(ma
     assert '<title id="timeline-title">Champions of ur5</title>' in html
 
 
+def test_without_probes_and_judgement_it_is_said_how_to_get_them(lab: Path) -> None:
+    Registry(lab / "registry").register("bare", lab / "registry" / "ur5" / "v0001", {})
+    assert "hil drift bare RUN" in seen(dashboard(lab), "/models/bare")
+    told = seen(dashboard(lab), "/models/bare/v1")
+    assert "It was judged on nothing" in told
+    assert "hil evaluate" in told
+    assert "It was judged on nothing" not in seen(dashboard(lab), "/models/ur5/v1")
+
+
 def test_the_chart_is_of_what_has_changed_until_another_is_asked_for(made: Path) -> None:
     client = dashboard(made)
     html = seen(client, "/models/ur5")

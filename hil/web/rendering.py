@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import shlex
 from functools import cache
 from html import escape
 from http import HTTPStatus
@@ -131,13 +132,15 @@ def _environment() -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     folder = files("hil.web").joinpath("templates")
-    return Environment(
+    made = Environment(
         loader=FunctionLoader(lambda name: folder.joinpath(name).read_text("utf-8")),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["quoted"] = lambda told: shlex.quote(str(told))  # for commands to be copied
+    return made
 
 
 def _user() -> str:

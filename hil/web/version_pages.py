@@ -37,7 +37,7 @@ def version(request: Request) -> Response:
         run=run_of(found, settings), evaluation=_evaluation(found.facts),
         files=sorted(found.files.items()),
         log=[deed(name, one) for one in reversed(log) if one.version == found.number],
-        commands=_exports(found),
+        commands=_exports(found), evaluate=f"hil evaluate {shlex.quote(str(found.folder))} RUN",
     )  # fmt: skip
 
 
