@@ -22,6 +22,7 @@ from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.errors import DataError, FitError, SpecError
 from hil.evaluate import evaluate
+from hil.extras import require_installed
 from hil.gains_file import DriveGains
 from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
@@ -135,9 +136,11 @@ def fit_sources(
         DataError: A source cannot be read, or is given for training and validation alike; or the
             checkpoints are of another training.
         FitError: The data do not allow the fit, or are of different robots or individuals.
-        PluginError, SpecError: No such estimator, parameter or robot.
+        PluginError: No such estimator, or it needs extras that are not installed; all are named.
+        SpecError: No such parameter or robot.
     """
     model = make_estimator(estimator, **params)
+    require_installed([(estimator, model)])
     attach(model, watch, checkpoints)
     named = robot is not None
     parts = [load_source(source, any_arm=named) for source in sources]
@@ -195,6 +198,7 @@ def fit_dataset(
         named = dict.fromkeys(condition.source for condition in dataset.conditions)
         serial = _one_serial([Path(one) for one in named if one and Path(one).exists()])
     model = make_estimator(estimator, **params)
+    require_installed([(estimator, model)])
     attach(model, watch, checkpoints if keeps_checkpoints(model) else None)
     return _fit(model, dataset, robot, out, serial)
 

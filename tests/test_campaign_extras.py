@@ -67,6 +67,24 @@ def test_a_run_whose_fits_would_fail_moves_nothing(
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_fit_names_all_that_it_lacks_before_it_reads_a_recording(tmp_path: Path) -> None:
+    with pytest.raises(PluginError) as caught:
+        hil.fit(tmp_path / "none", estimator="residual")
+    assert caught.value.message.splitlines() == [
+        "residual needs cvxpy, which is not installed, by its base rigid-hysteresis for links that "
+        "can exist; consistent: false does without",
+        "residual needs torch, which is not installed, to train its network",
+    ]
+    assert caught.value.hint == 'pip install "hil[identify,learn]"'
+
+
+def test_a_base_that_does_without_needs_what_trains_alone(tmp_path: Path) -> None:
+    base = {"estimator": "rigid-hysteresis", "consistent": False}
+    with pytest.raises(PluginError) as caught:
+        hil.fit(tmp_path / "none", estimator="residual", parameters={"base": base})
+    assert caught.value.hint == 'pip install "hil[learn]"'
+
+
 def test_validate_warns_since_another_computer_may_have_it(tmp_path: Path) -> None:
     path = written(tmp_path, NETWORK)
     assert "warning: fit: lagrangian needs torch" in validated(path)

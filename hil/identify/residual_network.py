@@ -117,7 +117,9 @@ class ResidualNetwork(CorrectedModel):
 
     def extras(self) -> dict[str, str]:
         """PyTorch, and what the physics needs."""
-        return {**made(self.base).extras(), **LEARN}
+        name, needs = self.base["estimator"], made(self.base).extras()
+        physics = {extra: f"by its base {name} {why}" for extra, why in needs.items()}
+        return {**physics, **LEARN}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit the physics, once more without each fold, then networks to what they leave.

@@ -89,7 +89,8 @@ class RigidHysteresis(RobotEstimator):
 
     def extras(self) -> dict[str, str]:
         """A solver of semidefinite programs, if the links are to be such that can exist."""
-        return IDENTIFY if self.consistent else {}
+        purpose = f"{IDENTIFY['identify']}; consistent: false does without"
+        return {"identify": purpose} if self.consistent else {}
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are part of what the gears transmit.
