@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from pathlib import Path
 
 import pytest
 
@@ -24,3 +25,11 @@ def signals_are_heard() -> None:
     for number in WATCHED:
         default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
         signal.signal(number, default)
+
+
+@pytest.fixture(scope="session")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one run of the mock and its registered model; nobody changes it."""
+    from web_parts import measured_in
+
+    return measured_in(tmp_path_factory.mktemp("lab"))

@@ -12,15 +12,13 @@ import pytest
 pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
 from typer.testing import CliRunner
-from web_parts import dashboard, seen
+from web_parts import dashboard, failing, run_in, seen
 
-import hil
 from hil.catalogue.view import find_runs
 from hil.cli.app import app
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 
-DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 DEEP = '{"a": ' * 900 + "1" + "}" * 900
 WHOLE = ["{}", "[]", '"x"', "1e999", DEEP, ""]
 VALUES = [[1e999], {"a": [1e999]}, "x", 1e999, 10**400, None, True, -1, [[]], [{}, 3, "x", None]]
@@ -29,23 +27,9 @@ DOCUMENTS = ["start.json", "stop.json", "verdict.json", "plan.json", "preflight.
              "study/*/*.json"]  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one run of the mock, with its model, report and studies."""
-    folder = tmp_path_factory.mktemp("lab")
-    hil.run(hil.load(DWELL), runs=folder / "runs")
-    return folder
-
-
 @pytest.fixture
 def lab(measured: Path, tmp_path: Path) -> Path:
-    shutil.copytree(measured, tmp_path / "lab")
-    return tmp_path / "lab"
-
-
-def only(lab: Path) -> Path:
-    (run,) = (lab / "runs").glob("*/*/0*")
-    return run
+    return Path(shutil.copytree(measured, tmp_path / "lab"))
 
 
 def documents(run: Path) -> Iterator[Path]:
@@ -55,7 +39,7 @@ def documents(run: Path) -> Iterator[Path]:
 
 def require_all_is_there(lab: Path) -> None:
     """Pages of the overview, the catalogue, the run; and `hil runs` lists it."""
-    run, client = only(lab), dashboard(lab)
+    run, client = run_in(lab), dashboard(lab)
     for address in ("/", "/runs", f"/runs/{run.relative_to(lab / 'runs')}", "/start"):
         seen(client, address)
     for query in ([], ["number>0"]):
@@ -68,7 +52,7 @@ def require_all_is_there(lab: Path) -> None:
 
 @pytest.mark.parametrize("content", WHOLE, ids=lambda text: text[:6] or "empty")
 def test_documents_of_another_kind_break_no_page(lab: Path, content: str) -> None:
-    for file in documents(only(lab)):
+    for file in documents(run_in(lab)):
         kept = file.read_bytes()
         file.write_text(content)
         require_all_is_there(lab)
@@ -77,7 +61,7 @@ def test_documents_of_another_kind_break_no_page(lab: Path, content: str) -> Non
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: str(value)[:12])
 def test_values_of_another_kind_break_no_page(lab: Path, value: object) -> None:
-    for file in only(lab).rglob("*.json"):
+    for file in run_in(lab).rglob("*.json"):
         kept = file.read_bytes()
         told = json.loads(kept)
         odd = {key: told[key] if key[:4] == "hil_" else value for key in told}
@@ -90,7 +74,7 @@ def test_values_of_another_kind_break_no_page(lab: Path, value: object) -> None:
 
 @pytest.mark.parametrize("key", ["device_s", "samples", "reason", "problems", "stopped"])
 def test_a_number_that_is_none_says_nothing(lab: Path, key: str) -> None:
-    stop = only(lab) / "stop.json"
+    stop = run_in(lab) / "stop.json"
     stop.write_text(json.dumps(json.loads(stop.read_text()) | {key: [1]}))
     require_all_is_there(lab)
     (entry,) = find_runs(runs=lab / "runs")
@@ -121,9 +105,7 @@ def test_a_live_run_can_be_stopped_whatever_its_view_says(tmp_path: Path, value:
 def test_a_header_that_fails_is_a_name_and_stop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*arguments: object) -> None:
-        raise TypeError("odd")
-
+    broken = failing(TypeError("odd"))
     monkeypatch.setattr("hil.web.going.header_of", broken)
     run = RunDirectory.create(tmp_path / "runs", "ur5", "held")
     with hold_run(run.path):
@@ -135,9 +117,7 @@ def test_a_header_that_fails_is_a_name_and_stop(
 def test_an_error_is_told_even_where_no_page_can_be_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*arguments: object) -> None:
-        raise PermissionError(13, "Permission denied", "/lab/<b>runs")
-
+    broken = failing(PermissionError(13, "Permission denied", "/lab/<b>runs"))
     monkeypatch.setattr("hil.web.rendering.going_on", broken)
     answer = dashboard(tmp_path).get("/")
     assert answer.status_code == 500
@@ -149,15 +129,13 @@ def test_an_error_is_told_even_where_no_page_can_be_made(
 def test_a_run_that_cannot_be_understood_is_damaged_with_the_reason(
     lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*arguments: object) -> None:
-        raise TypeError("odd <b>")
-
+    broken = failing(TypeError("odd <b>"))
     monkeypatch.setattr("hil.catalogue.facts._told", broken)
     monkeypatch.setattr("hil.web.run_facts._facts", broken)
     require_all_is_there(lab)
     (entry,) = find_runs(runs=lab / "runs")
     assert (entry["status"], entry["samples"]) == ("damaged", None)
     assert "TypeError: odd <b>" in entry["problem"]
-    html = seen(dashboard(lab), f"/runs/{only(lab).relative_to(lab / 'runs')}")
+    html = seen(dashboard(lab), f"/runs/{run_in(lab).relative_to(lab / 'runs')}")
     assert "TypeError: odd &lt;b&gt;" in html
     assert "00.mcap" in html

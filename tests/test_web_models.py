@@ -53,6 +53,12 @@ def lab(made: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
+def spoil(file: Path, text: str) -> None:
+    """What is registered is read-only, which stops nobody."""
+    file.chmod(0o644)
+    file.write_text(text)
+
+
 def test_all_names_say_who_is_in_use(made: Path) -> None:
     html = seen(dashboard(made), "/models")
     assert '<a href="/models/ur5/v1">v1</a> rigid-wls' in html
@@ -135,18 +141,14 @@ def test_a_changed_log_is_broken_and_nobody_is_champion(lab: Path) -> None:
 
 
 def test_a_version_whose_files_were_changed_says_so(lab: Path) -> None:
-    model = lab / "registry" / "ur5" / "v0002" / "model.json"
-    model.chmod(0o644)
-    model.write_text("{}")
+    spoil(lab / "registry" / "ur5" / "v0002" / "model.json", "{}")
     html = seen(dashboard(lab), "/models/ur5/v2")
     assert "model.json is not the file that was registered" in html
     assert "files as registered" not in html
 
 
 def test_a_damaged_version_is_named_and_the_others_are_listed(lab: Path) -> None:
-    version = lab / "registry" / "ur5" / "v0002" / "version.json"
-    version.chmod(0o644)
-    version.write_text("{")
+    spoil(lab / "registry" / "ur5" / "v0002" / "version.json", "{")
     for address in ("/models", "/models/ur5"):
         assert "v0002/version.json cannot be read" in seen(dashboard(lab), address)
     assert "/models/ur5/v1" in seen(dashboard(lab), "/models/ur5")
@@ -161,9 +163,7 @@ def test_damaged_probes_are_named(lab: Path, content: str) -> None:
 
 
 def test_probes_are_told_where_the_champion_of_then_is_damaged(lab: Path) -> None:
-    model = lab / "registry" / "ur5" / "v0001" / "model.json"
-    model.chmod(0o644)
-    model.write_text("{}")
+    spoil(lab / "registry" / "ur5" / "v0001" / "model.json", "{}")
     html = seen(dashboard(lab), "/models/ur5")
     assert "friction up on shoulder_lift_joint" in html
     assert 'id="control-title"' not in html

@@ -11,40 +11,16 @@ import pytest
 
 pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 
-from web_parts import SLY, dashboard, plain, seen
+from web_parts import SLY, dashboard, plain, run_in, seen
+from web_parts import address_of_run as address
 
-import hil
 from hil.record.lock import hold_run
-from hil.registry.facts import facts_of
-from hil.registry.registry import Registry
 from hil.web.run_files import SHUT_IN
-
-DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
-
-
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with one run of the mock, its model registered."""
-    folder = tmp_path_factory.mktemp("lab")
-    report = hil.run(hil.load(DWELL), runs=folder / "runs", operator=SLY)
-    (model,) = (report.run / "fit").iterdir()
-    Registry(folder / "registry").register("ur5", model, facts_of(model))
-    return folder
 
 
 @pytest.fixture
 def lab(measured: Path, tmp_path: Path) -> Path:
-    shutil.copytree(measured, tmp_path / "lab")
-    return tmp_path / "lab"
-
-
-def run_in(lab: Path) -> Path:
-    (found,) = (lab / "runs").glob("*/*/*")
-    return found
-
-
-def address(run: Path, lab: Path) -> str:
-    return f"/runs/{run.relative_to(lab / 'runs').as_posix()}"
+    return Path(shutil.copytree(measured, tmp_path / "lab"))
 
 
 def test_a_page_says_what_it_was_and_what_came_of_it(measured: Path) -> None:
@@ -103,13 +79,8 @@ def test_a_damaged_file_is_named_and_the_rest_is_shown(
 
 def test_a_folder_that_was_never_begun_is_no_fault(lab: Path) -> None:
     (run_in(lab).parent / "0009-empty").mkdir()
-    html = seen(dashboard(lab), address(run_in_named(lab, "0009-empty"), lab))
+    html = seen(dashboard(lab), address(run_in(lab, "0009-empty"), lab))
     assert "neither start.json nor plan.json" in html
-
-
-def run_in_named(lab: Path, name: str) -> Path:
-    (found,) = (lab / "runs").glob(f"*/*/{name}")
-    return found
 
 
 def test_a_report_is_shut_in(measured: Path) -> None:

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 from starlette.testclient import TestClient
 
+import hil
+from hil.registry.facts import facts_of
+from hil.registry.registry import Registry
 from hil.web.app import create_app
 from hil.web.settings import Settings
 
+DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 SLY = "<img src=x onerror=alert(1)>"
 """A text that would run, were it not escaped."""
 
@@ -22,6 +27,34 @@ def dashboard(folder: Path, **more: Any) -> TestClient:
              "schedules": folder / "schedules", "specs": folder / "specs"}  # fmt: skip
     made = create_app(Settings(**{**given, **more}))
     return TestClient(made, base_url="http://127.0.0.1:8350", headers={"accept": "text/html"})
+
+
+def measured_in(folder: Path) -> Path:
+    """A folder with one run of the mock: its report, studies and model, which is registered."""
+    report = hil.run(hil.load(DWELL), runs=folder / "runs", operator=SLY)
+    (model,) = report.models
+    Registry(folder / "registry").register("ur5", model, facts_of(model))
+    return folder
+
+
+def run_in(lab: Path, name: str = "0*") -> Path:
+    """The only run of a folder, or the only one of that name."""
+    (found,) = (lab / "runs").glob(f"*/*/{name}")
+    return found
+
+
+def address_of_run(run: Path, lab: Path) -> str:
+    """Where its page is."""
+    return f"/runs/{run.relative_to(lab / 'runs').as_posix()}"
+
+
+def failing(error: Exception) -> Callable[..., None]:
+    """Something that only raises."""
+
+    def fails(*arguments: object) -> None:
+        raise error
+
+    return fails
 
 
 def seen(client: TestClient, address: str, status: int = 200) -> str:
