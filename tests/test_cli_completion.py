@@ -46,7 +46,7 @@ STATION = "hil_station: 1\nname: bench\nrobots:\n  left: {driver: mock}\n  right
 def bench(tmp_path: Path) -> Path:
     """A folder with two runs, a spec, a station, another YAML file and a registered model."""
     for name in ("0001-first", "0012-second"):
-        (tmp_path / "runs" / "2026-11-20" / "ur5" / name).mkdir(parents=True)
+        (tmp_path / "runs" / "2026-11-20" / "ur5" / name / "recording").mkdir(parents=True)
     (tmp_path / "registry" / "welding" / "v1").mkdir(parents=True)
     (tmp_path / "mine.yaml").write_text("# a spec\nhil: 1\nname: mine\n", "utf-8")
     (tmp_path / "station.yaml").write_text(STATION, "utf-8")
@@ -93,8 +93,23 @@ def test_bash_offers_what_there_is(bench: Path, words: tuple[str, ...], offered:
 
 
 def test_another_folder_of_runs_is_looked_into_when_it_stands_before(bench: Path) -> None:
-    (bench / "old" / "2025-01-01" / "ur5" / "0003-old").mkdir(parents=True)
+    (bench / "old" / "2025-01-01" / "ur5" / "0003-old" / "recording").mkdir(parents=True)
     assert complete("bash", bench, "hil", "show", "--runs", "old", "") == ["0003-old"]
+
+
+def test_only_runs_are_offered_where_runs_are_asked(bench: Path) -> None:
+    day = bench / "runs" / "2026-11-21"
+    for other in ("simulations/simulation-weekly", "series/two-loads", "ur5/compared"):
+        (day / other).mkdir(parents=True)
+    (day / "series" / "two-loads" / "series.json").touch()
+    (bench / "runs" / "compared" / "runs" / "ur5-001").mkdir(parents=True)
+    assert complete("bash", bench, "hil", "show", "") == ["0001-first", "0012-second"]
+    assert complete("bash", bench, "hil", "show", "runs/2026-11-21") == []
+    assert complete("bash", bench, "hil", "report", "") == [
+        "0001-first",
+        "0012-second",
+        "two-loads",
+    ]
 
 
 def test_zsh_and_fish_offer_the_same(bench: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,12 @@ Given = Mapping[str, Any]
 
 def runs(given: Given, begun: str) -> list[str]:
     """Names of runs; their numbers once a digit other than 0 is typed; their paths after a `/`."""
-    root = _folder(given, "runs", "HIL_RUNS", "runs")
-    found = _run_folders(root)[-MOST:]
-    if "/" in begun:
-        return _beginning(map(str, found), begun)
-    if begun.isdecimal() and not begun.startswith("0"):
-        return _beginning((path.name.partition("-")[0].lstrip("0") for path in found), begun)
-    return _beginning((path.name for path in found), begun)
+    return _named(given, begun, ("recording", "start.json"))
+
+
+def reported(given: Given, begun: str) -> list[str]:
+    """The same, and series."""
+    return _named(given, begun, ("recording", "start.json", "series.json"))
 
 
 def models(given: Given, begun: str) -> list[str]:
@@ -125,6 +125,19 @@ def _run_folders(root: Path) -> list[Path]:
     # As `hil.record.numbering` has them; that package takes 0.2 s to import, too long for a Tab.
     days = _folders_in(root)
     return [run for day in days for robot in _folders_in(day) for run in _folders_in(robot)]
+
+
+def _named(given: Given, begun: str, held: tuple[str, ...]) -> list[str]:
+    """Folders that hold one of these: series, simulations and others lie between the runs."""
+    newest = reversed(_run_folders(_folder(given, "runs", "HIL_RUNS", "runs")))
+    wanted = (path for path in newest if any((path / name).exists() for name in held))
+    found = list(islice(wanted, MOST))[::-1]
+    if "/" in begun:
+        return _beginning(map(str, found), begun)
+    if begun.isdecimal() and not begun.startswith("0"):
+        numbers = (path.name.partition("-")[0].lstrip("0") for path in found)
+        return _beginning((number for number in numbers if number.isdecimal()), begun)
+    return _beginning((path.name for path in found), begun)
 
 
 def _yaml(begun: str, keys: tuple[str, ...]) -> list[str]:

@@ -63,6 +63,7 @@ BY_COMMAND: dict[tuple[str, str], Find] = {
     ("gains", "robot"): candidates.arms,
     ("gains", "method"): _words("auto", "known-loads", "controller"),
     ("payload", "friction"): _words("auto", "model", "offset", "scale"),
+    ("report", "run"): candidates.reported,
     ("new", "robot"): candidates.arms,
     ("drift", "name"): candidates.registered,
     ("record", "until"): _words("program-stops"),
