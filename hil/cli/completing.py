@@ -7,6 +7,7 @@ that no other command pays for it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
@@ -94,11 +95,19 @@ def attach(app: typer.Typer) -> None:
         for name, hint in hints.items():
             find = BY_COMMAND.get((verb, name), BY_NAME.get(name))
             if find is not None and get_origin(hint) is Annotated:
-                for info in get_args(hint)[1:]:
-                    if isinstance(info, ParameterInfo):
-                        info.autocompletion = _quietly(find)
+                hints[name] = _with(find, hint)
         # Annotations are text until here: typer would make them anew, without what was attached.
         callback.__annotations__ = hints
+
+
+def _with(find: Find, hint: Any) -> Any:
+    """The annotation with its completion, in a copy: several commands may share one."""
+    of, *told = get_args(hint)
+    told = [copy(info) if isinstance(info, ParameterInfo) else info for info in told]
+    for info in told:
+        if isinstance(info, ParameterInfo):
+            info.autocompletion = _quietly(find)
+    return Annotated.__class_getitem__((of, *told))  # type: ignore[attr-defined]
 
 
 def commands(app: typer.Typer, before: str = "") -> Iterator[tuple[str, Callable[..., Any]]]:
