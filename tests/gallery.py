@@ -72,6 +72,7 @@ SHOTS = {
     "residuals": Shot(DWELL, "model-1", "Held-out dwells: residual against pose"),
     "health": Shot(DWELL, "recording", "Over time"),
     "trajectory": Shot(FOURIER, "model-2", "Held-out trajectory: measured and predicted"),
+    "friction": Shot(FOURIER, "model-1", "Friction over velocity"),
     "coverage": Shot(FOURIER, "excitation", "Position and velocity coverage"),
     "plan": Shot("plan.svg"),
     "excite": Shot("excite.html", "worth", "Together"),
@@ -138,7 +139,7 @@ def _picture(browser: Any, file: Path, shot: Shot) -> bytes:
     top, tall = page.evaluate(PLACE, asked) if shot.section else (0, height)
     clip = {"x": 0, "y": top, "width": width, "height": tall}
     page.add_style_tag(content="nav { position: static !important; }")
-    taken = bytes(page.screenshot(full_page=True, clip=clip))
+    taken = bytes(page.screenshot(full_page=True, clip=clip, timeout=180_000))
     page.close()
     return taken
 

@@ -419,7 +419,7 @@ def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
     page = Page(out.read_text("utf-8"))
     assert badge_of(page) == "NOT JUDGED"
     assert "Recording health" not in page.text
-    assert len(page.figures) == 31
+    assert len(page.figures) == 37
 
 
 def test_samples_that_count_as_moving_and_as_standing_are_explained(fourier, fourier_page):

@@ -11,6 +11,7 @@ Bregman divergence (Lee, Wensing & Park 2020): no link ever weighs tons.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,6 +27,7 @@ from hil.identify.diffnea.carried import DiffneaStream
 from hil.identify.diffnea.fit import DiffneaFit
 from hil.identify.diffnea.forms import FORMS
 from hil.identify.diffnea.unknowns import Unknowns, folding
+from hil.identify.friction_curve import FrictionCurve, curve_of
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.parameters import choice, number
 from hil.identify.rigid_linear import RigidLinear
@@ -83,6 +85,18 @@ class RigidDiffnea(RigidLinear):
         return DiffneaStream(
             self._arm, self.coefficients_, self.gear_rigid_, self.torque_scale_, payload
         )
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]; None of a form that has memory."""
+        form = self._arm.form
+        if form.multiples:
+            return None
+        values, shapes = self._arm.friction_values(self.coefficients_)
+        errors, of_shapes = self._arm.friction_values(self.std_error_)
+        columns, slope = form.evaluate(self._arm.moment(qd), shapes)
+        curve = curve_of(form.terms, columns, values, errors)
+        bent = np.abs(np.einsum("Njks,jk->Njs", slope, values)) * of_shapes
+        return replace(curve, std_error=curve.std_error + bent.sum(axis=-1))
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of every linear model, and the full inertial parameters."""

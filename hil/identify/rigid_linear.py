@@ -27,6 +27,7 @@ from hil.identify.checks import (
     torque_scale,
 )
 from hil.identify.compress import JointwiseQR
+from hil.identify.friction_curve import FrictionCurve, curve_of
 from hil.identify.jointwise import Solution
 from hil.identify.parameters import number, settings
 from hil.identify.plausible import require_plausible
@@ -93,6 +94,16 @@ class RigidLinear(WlsEstimator):
         self.require_match(dataset)
         data = prepared(dataset, self.filters)
         return self._predict(data, *(data[name] for name in MOTION))
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]."""
+        columns = np.stack(list(self._friction(qd).values()), axis=-1)
+        of_joints = (-1, len(TERMS))
+        values, errors = (
+            every[-len(TERMS) * qd.shape[1] :].reshape(of_joints)
+            for every in (self.coefficients_, self.std_error_)
+        )
+        return curve_of(TERMS, columns, values, errors)
 
     def _training_rows(self, dataset: Dataset) -> Dataset:
         """Prepared data, as many rows of them as the filters ask for."""

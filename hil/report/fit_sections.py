@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.report import fit_plots, fit_tables
+from hil.report import fit_plots, fit_tables, friction_plots
 from hil.report.approach import approach_table
 from hil.report.blocks import Block, Facts, Section, items
 from hil.report.documents import as_float, as_object
@@ -56,9 +56,13 @@ def _model(i: int, fit: FitFacts, shown: Shown | None, *, folded: bool) -> Secti
     if shown is not None and shown.dwells is not None:
         if sides := approach_table(fit, shown.dwells):
             blocks.append(sides)
-        blocks += fit_plots.dwell_plots(fit, shown.dwells)
+        compared, *others = fit_plots.dwell_plots(fit, shown.dwells)
+        known = friction_plots.rest_plots(fit, shown.friction) if shown.friction else []
+        blocks += [compared, *known, *others]
     if shown is not None and shown.motions is not None:
-        blocks += fit_plots.motion_plots(fit, shown.motions)
+        compared, *others = fit_plots.motion_plots(fit, shown.motions)
+        known = friction_plots.velocity_plots(fit, shown.friction) if shown.friction else []
+        blocks += [compared, *known, *others]
     if learning := learning_plots(fit):
         blocks.append(learning)
     blocks.append(_about(fit))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import series_means
-from hil.data.prediction import Model
+from hil.data.prediction import Model, Prediction
 from hil.errors import DataError
 from hil.report.documents import as_names
 from hil.report.fit_facts import FitFacts
+from hil.report.friction_seen import Friction, at_rest, in_motion, scale_of
 from hil.typing import FloatArray, IntArray
 
 MOST_ROWS = 60_000
@@ -64,10 +65,11 @@ class Motions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What can be drawn of one model on one held-out dataset; either part may be missing."""
+    """What can be drawn of one model on one held-out dataset; every part may be missing."""
 
     dwells: Dwells | None
     motions: Motions | None
+    friction: Friction | None = None
 
 
 def held_out_of(fit: FitFacts, data: Dataset) -> Dataset:
@@ -107,29 +109,34 @@ def show(folder: Path, data: Dataset) -> Shown:
 
 def shown(model: Model, data: Dataset) -> Shown:
     """Predict held-out data with a model; whatever is no dwell counts as a trajectory."""
-    at_rest = _few(data.of_kind("dwell"))
-    moving = _few(data.of_kind("trajectory", "move"))
-    return Shown(
-        _dwells(model, at_rest) if at_rest.conditions else None,
-        _motions(model, moving) if moving.conditions else None,
-    )
+    held, moved = _few(data.of_kind("dwell")), _few(data.of_kind("trajectory", "move"))
+    _, unit = scale_of(model)
+    dwells = motions = None
+    friction = Friction(unit)
+    if held.conditions:
+        prediction = model.predict(held)
+        dwells = _dwells(held, prediction)
+        friction = replace(friction, at_rest=at_rest(model, held, prediction))
+    if moved.conditions:
+        prediction = model.predict(moved)
+        motions = _motions(moved, prediction)
+        friction = replace(friction, in_motion=in_motion(model, moved, prediction, motions.qd))
+    return Shown(dwells, motions, friction)
 
 
-def _dwells(model: Model, data: Dataset) -> Dwells:
-    predicted = model.predict(data).effort
+def _dwells(data: Dataset, prediction: Prediction) -> Dwells:
     return Dwells(
         t=data["t"][data.offsets[:-1]],
         q=series_means(data, data["q"]),
         measured=series_means(data, data["effort"]),
-        predicted=series_means(data, predicted),
+        predicted=series_means(data, prediction.effort),
         approach=np.array([c.approach for c in data.conditions], dtype=np.int64),
         pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
         load=np.array([c.load for c in data.conditions], dtype=np.int64),
     )
 
 
-def _motions(model: Model, data: Dataset) -> Motions:
-    prediction = model.predict(data)
+def _motions(data: Dataset, prediction: Prediction) -> Motions:
     predicted = np.where(prediction.valid, prediction.effort, np.nan)
     measured = data["effort"]
     qd = data["qd"] if "qd" in data.columns else np.gradient(data["q"], data["t"], axis=0)
