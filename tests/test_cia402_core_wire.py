@@ -113,7 +113,14 @@ def test_motion_is_followed_and_every_cycle_recorded(bench: Bench) -> None:
     zeros = np.zeros_like(position)
     bench.core.prepare(Track(3, position, zeros, zeros))
     bench.core.start()
-    time.sleep(1.0)
+    until = time.monotonic() + 10.0
+    while bench.player.moving:
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    over = bench.cyclic.cycle + 5  # until its last set-point is reached, and told
+    while bench.cyclic.cycle < over:
+        assert time.monotonic() < until
+        time.sleep(0.005)
     rows = bench.core.take(1.0)
     assert (np.diff(rows["cycle"]) == 1).all()
     measured = rows["tpdo"][:, 0, 0, 2:6].copy().view("<i4")[:, 0]

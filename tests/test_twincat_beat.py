@@ -10,7 +10,7 @@ from hil_drivers.twincat.beat import Beat
 
 
 def beaten(*problems: HilError | None, wanted: int) -> tuple[Beat, list[int]]:
-    """A beat whose writes fail in turn with these; it is ended after so many of them, or 1 s."""
+    """A beat whose writes fail in turn with these; it is ended after so many of them, or 10 s."""
     counts, enough, left = [], threading.Event(), list(problems)
 
     def write(session: int, count: int) -> None:
@@ -22,7 +22,7 @@ def beaten(*problems: HilError | None, wanted: int) -> tuple[Beat, list[int]]:
 
     beat = Beat(write, 7)
     beat.start()
-    enough.wait(1.0)
+    assert enough.wait(10.0)
     time.sleep(0.01)
     return beat, counts
 
@@ -47,7 +47,7 @@ def test_a_beat_without_an_answer_is_followed_by_the_next() -> None:
 def test_a_lost_connection_ends_the_heartbeat_and_is_kept_as_the_reason() -> None:
     lost = RobotConnectionError("the cable is out")
     beat, counts = beaten(None, lost, wanted=2)
-    beat._thread.join(1.0)
+    beat._thread.join(10.0)
     assert not beat.alive
     assert beat.problem is lost
     assert len(counts) == 2
@@ -56,7 +56,7 @@ def test_a_lost_connection_ends_the_heartbeat_and_is_kept_as_the_reason() -> Non
 def test_a_hushed_heartbeat_writes_nothing_more() -> None:
     beat, counts = beaten(wanted=1)
     beat.hush()
-    beat._thread.join(1.0)
+    beat._thread.join(10.0)
     told = len(counts)
     assert not beat.alive
     time.sleep(0.06)

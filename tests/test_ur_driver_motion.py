@@ -113,6 +113,13 @@ def wait_until_over(process, within_s=5.0):
         time.sleep(0.01)
 
 
+def wait_until_said(fake, command, within_s=5.0):
+    until = time.monotonic() + within_s
+    while not any(line.startswith(command) for line in fake.commands()):
+        assert time.monotonic() < until, f"no {command} is commanded"
+        time.sleep(0.005)
+
+
 def move_to_the_end(process, segment):
     begin(process, segment)
     wait_until_over(process)
@@ -183,7 +190,7 @@ def test_a_stop_ends_leading_and_nothing_is_commanded_after_it(fake):
     process = fake()
     process.connect()
     begin(process, led(rows=500))
-    time.sleep(0.2)
+    wait_until_said(fake, "servoJ")
     process.stop()
     wait_until_over(process)
     said = fake.commands()
@@ -282,7 +289,7 @@ def test_a_call_that_hangs_does_not_answer_a_stop_in_time(fake):
     process.connect()
     process.prepare(move())
     threading.Thread(target=_quietly(process.start), daemon=True).start()
-    time.sleep(0.3)
+    wait_until_said(fake, "moveJ")
     asked = OwnTime(process.pid)
     with pytest.raises(RobotTimeout):
         process.stop()
@@ -324,7 +331,7 @@ def test_a_refused_end_of_leading_is_made_directly(fake):
     process = fake("refuse_stop")
     process.connect()
     begin(process, led(2.0, rows=500))
-    time.sleep(0.2)
+    wait_until_said(fake, "servoJ")
     with contextlib.suppress(RobotConnectionError):
         process.stop()
     assert fake.desk.wait(30003, b"stopj(8.000)")
