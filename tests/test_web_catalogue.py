@@ -93,6 +93,12 @@ def test_who_may_only_look_is_not_asked_to_start_one(tmp_path: Path) -> None:
     assert "/start" not in seen(dashboard(tmp_path, read_only=True), "/runs")
 
 
+@pytest.mark.parametrize(("rmse", "said"), [(4.658e-5, "0.0466 mA"), (0.115, "0.115 A")])
+def test_an_error_is_said_without_exponents(tmp_path: Path, rmse: float, said: str) -> None:
+    write_run(tmp_path / "runs", 1, fits={"rigid-wls": rmse})
+    assert said in plain(seen(dashboard(tmp_path), "/runs"))
+
+
 def test_a_folder_of_runs_that_is_a_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     assert "not a folder of runs" in plain(seen(dashboard(tmp_path), "/runs", status=422))
@@ -105,3 +111,4 @@ def test_a_run_by_a_link_is_listed_without_an_address(tmp_path: Path) -> None:
     html = seen(dashboard(tmp_path), "/runs")
     assert "0007-fourier" in html
     assert names(html) == []
+    assert "0007-fourier" in seen(dashboard(tmp_path), "/")

@@ -36,7 +36,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         registry.register("ur5", fitted.fitted.folder, facts)
     registry.promote("ur5", 1, reason="the first", evidence={}, instead_of=0)
     comparison = {"unit": "A", "joint_names": ["j1", "j2"], "champion_rmse": [0.2, 0.1],
-                  "challenger_rmse": [0.1, 0.1], "words": "errs less", "samples": 9,
+                  "challenger_rmse": [0.1, 0.1], "words": "errs less", "samples": 17532,
                   "blocks": 3}  # fmt: skip
     evidence = {"comparison": comparison}
     registry.promote("ur5", 2, reason=f"errs less {SLY}", evidence=evidence, instead_of=1)
@@ -71,7 +71,7 @@ def test_a_page_tells_champions_the_reason_of_the_way_back_and_the_comparison(ma
     assert "Champion is v1" in told
     for text in ("it shook", "champion again", "chain whole", "errs less", "j1 0.200 0.100 0.500"):
         assert text in told
-    assert "9 samples, 3 blocks of time" in told
+    assert "17\u202f532 samples, 3 blocks of time" in html
     assert html.count('role="img"') == 2
     assert '<title id="timeline-title">Champions of ur5</title>' in html
 

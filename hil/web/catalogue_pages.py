@@ -17,7 +17,8 @@ from hil.catalogue.facts import started_s
 from hil.catalogue.view import find_runs
 from hil.errors import DataError, SpecError
 from hil.report.judgement import ENDINGS
-from hil.report.words import duration, number, when
+from hil.report.measures import measure
+from hil.report.words import duration, when
 from hil.web.places import address_of
 from hil.web.rendering import page, settings_of
 from hil.web.run_files import report_address
@@ -117,7 +118,7 @@ def _row(run: Entry, settings: Settings) -> dict[str, Any]:
         "verdict": run["verdict"],
         "verdict_mark": _VERDICTS.get(run["verdict"], "quiet"),
         "duration": duration(run["duration_s"]),
-        "error": f"{number(error)} {unit}" if estimator and math.isfinite(error) else "",
+        "error": measure(error, unit) if estimator and math.isfinite(error) else "",
         "estimator": estimator,
     }
 

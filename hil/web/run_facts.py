@@ -22,11 +22,11 @@ from hil.report.judgement import (
     next_command,
     sentence_of,
 )
+from hil.report.measures import measure
 from hil.report.words import (
     criterion_text,
     joint_title,
     number,
-    with_unit,
 )
 from hil.web.registered import registered_models
 from hil.web.run_details import completeness_of, details_of, virtual_clock
@@ -119,7 +119,7 @@ def _criterion(row: Document) -> dict[str, Any]:
         "what": str(row.get("estimator") or "recording"),
         "limit": criterion_text(row),
         "of": str(row.get("what") or ""),
-        "found": with_unit(row.get("value"), row.get("unit")),
+        "found": measure(row.get("value"), row.get("unit")),
         "passed": bool(row.get("passed")),
     }
 

@@ -16,7 +16,7 @@ from hil.registry.registry import Aliases, Registry
 from hil.registry.version import ModelVersion, read_version
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, in_words, joint_title, number, when
-from hil.web.model_pages import deed, log_of, readable_versions, role_of, run_of, unit_of
+from hil.web.model_facts import deed, log_of, readable_versions, role_of, run_of, unit_of
 from hil.web.registered import model_address
 from hil.web.rendering import page, settings_of
 
