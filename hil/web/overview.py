@@ -46,9 +46,13 @@ def _newest(settings: Settings) -> list[Path]:
 
 def _run(run: Path, settings: Settings) -> dict[str, Any]:
     entry = entry_of(listing_of(run))
+    try:
+        name, address = name_of(run, settings), address_of(run, settings)
+    except ValueError:  # a link that leads out of the folder of runs
+        name, address = run.name, ""
     return {
-        "name": name_of(run, settings),
-        "address": address_of(run, settings),
+        "name": name,
+        "address": address,
         "status": entry["status"],
         "status_mark": status_mark(str(entry["status"])),
         "verdict": entry["verdict"],
