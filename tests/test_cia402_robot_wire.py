@@ -22,6 +22,7 @@ import pytest
 import yaml
 from can_mock import MockCan, mock_can
 from cia402_robot import options
+from own_time import OwnTime
 
 from hil.errors import HilError, RobotConnectionError, RobotFault
 from hil.payload import Payload
@@ -40,9 +41,10 @@ pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 STOP_S = 0.1
-OFF = ["SWITCH_ON_DISABLED"] * 6
 PATIENT = ("--sync-patience-s", "0.5")
-"""A computer that is busy with other tests is no master that has died."""
+PACE = 0.5
+"""A computer that is busy with other tests is no master that has died, and no bus that is too slow;
+what is asked of a stop is asked in wall time all the same."""
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +56,27 @@ def mock() -> Iterator[MockCan]:
 @pytest.fixture
 def robot(mock: MockCan) -> Iterator[Cia402Robot]:
     mock.tell("clear")
-    made = Cia402Robot("arm", "lab6", **options(mock))
+    made = Cia402Robot("arm", "lab6", **options(mock, pace=PACE))
     yield made
     made.close()
 
 
 @pytest.fixture
 def axes(mock: MockCan) -> Iterator[AxesRobot]:
+    yield from connected(mock, PACE)
+
+
+@pytest.fixture
+def free_axes(mock: MockCan) -> Iterator[AxesRobot]:
+    """For what has to do with the drives' time alone."""
+    yield from connected(mock, "free")
+
+
+def connected(mock: MockCan, pace: object) -> Iterator[AxesRobot]:
     mock.tell("clear")
-    made = AxesRobot("arm", "lab6", **options(mock))
-    made.connect()
-    yield made
-    made.close()
+    with closing(AxesRobot("arm", "lab6", **options(mock, pace=pace))) as made:
+        made.connect()
+        yield made
 
 
 def at_rest(mock: MockCan) -> dict[str, Any]:
@@ -95,7 +106,17 @@ def until_masked(robot: Robot) -> StructArray:
     raise AssertionError("no row was masked")
 
 
+def until_in_fault(robot: AxesRobot) -> np.void:
+    """The error may have been told by the EMCY, which a drive sends before its statusword."""
+    for _ in range(200):
+        row = robot.read()[-1]
+        if row["status"] & int(Status.FAULT) and row["fault_code"]:
+            return row
+    raise AssertionError("no row tells of a fault")
+
+
 def station_for(mock: MockCan, folder: Path, **more: Any) -> Path:
+    more = {"pace": PACE} | more
     station = yaml.safe_load((EXPERIMENTS / "stations" / "lab6_can_mock.yaml").read_text())
     station["robots"]["lab6_can"]["options"] |= options(mock) | more
     path = folder / "station.yaml"
@@ -110,10 +131,11 @@ def test_killed_in_a_motion_its_arm_is_stopped_by_this_process(mock, robot) -> N
     robot.connect()
     begin(robot, move(robot, 0.8))
     os.kill(robot.process.pid, signal.SIGKILL)
-    asked = time.monotonic()
+    asked = OwnTime()
     robot.stop()
-    assert time.monotonic() - asked < STOP_S
-    mock.wait_until(lambda state: "OPERATION_ENABLED" not in state["states"], within_s=0.2)
+    assert asked.passed_s < STOP_S
+    state = mock.wait_until(lambda state: "OPERATION_ENABLED" not in state["states"])
+    assert "FAULT" not in state["states"]  # as all are that have had to stop by themselves
     at_rest(mock)
     with pytest.raises(RobotConnectionError):
         robot.read()
@@ -124,6 +146,7 @@ def test_killed_with_nobody_there_the_drives_stop_by_themselves(mock, robot) -> 
     begin(robot, move(robot, 0.8))
     os.kill(robot.process.pid, signal.SIGKILL)
     off_and_at_rest(mock)
+    assert mock.state()["states"] == ["FAULT"] * 6
 
 
 def test_a_process_that_hangs_does_not_keep_the_arm_from_being_stopped(mock, robot) -> None:
@@ -132,9 +155,9 @@ def test_a_process_that_hangs_does_not_keep_the_arm_from_being_stopped(mock, rob
     pid = robot.process.pid
     os.kill(pid, signal.SIGSTOP)
     try:
-        asked = time.monotonic()
+        asked = OwnTime()
         robot.stop()
-        assert time.monotonic() - asked < STOP_S
+        assert asked.passed_s < STOP_S
         off_and_at_rest(mock)
     finally:
         os.kill(pid, signal.SIGCONT)
@@ -152,15 +175,17 @@ def test_a_direct_stop_stops_a_master_that_goes_on_commanding(mock, axes) -> Non
 # -- faults
 
 
-def test_one_axis_that_fails_stops_all_and_the_message_says_who_and_why(mock, axes) -> None:
+def test_one_axis_that_fails_stops_all_and_the_message_says_who_and_why(
+    mock, axes, monkeypatch
+) -> None:
+    monkeypatch.setattr("hil_drivers.cia402.trouble.ASKED_S", 5.0)  # however busy this computer is
     begin(axes, move(axes, 0.8))
     mock.tell("fault", kind="following_error", axis=3)
     error = until_it_raises(axes)
     assert isinstance(error, RobotFault)
     for said in ("joint_3", "node 3", "following error", "8611h", "603Fh", "All axes were stopped"):
         assert said in error.message
-    row = axes.read()[-1]
-    assert row["status"] & int(Status.FAULT)
+    row = until_in_fault(axes)
     assert row["fault_code"] == 0x8611
     with pytest.raises(RobotFault, match=r"does not obey since a fault: joint_3"):
         axes.prepare(move(axes, 0.1))
@@ -202,7 +227,7 @@ def test_rows_in_which_an_axis_ignores_set_points_are_masked(mock, axes) -> None
 
 def test_an_arm_led_by_torque_moves_is_stopped_and_moves_again(mock) -> None:
     mock.tell("clear")
-    more = {"trajectory_mode": "cst", "rate_hz": 200}
+    more = {"trajectory_mode": "cst", "rate_hz": 200, "pace": "free"}
     with closing(AxesRobot("arm", "lab6", **options(mock, **more))) as led:
         led.connect()
         segment = move(led, 0.4)
@@ -218,19 +243,22 @@ def test_an_arm_led_by_torque_moves_is_stopped_and_moves_again(mock) -> None:
 # -- loads, temperatures, raw integers
 
 
-def test_a_declared_load_is_felt_by_the_drives(mock, axes) -> None:
+def test_a_declared_load_is_felt_by_the_drives(free_axes) -> None:
+    axes = free_axes
     settle(axes)
     before = np.mean([axes.read()[-1]["effort"] for _ in range(20)], axis=0)
     assert axes.set_payload(Payload(5.0, (0.0, 0.0, 0.05))).mass == pytest.approx(5.0)
     settle(axes)
-    time.sleep(0.3)
-    axes.read()
+    sagged = axes.read()["device_time"][-1] + 0.3
+    while axes.read()["device_time"][-1] < sagged:
+        pass
     after = np.mean([axes.read()[-1]["effort"] for _ in range(20)], axis=0)
     axes.set_payload(Payload())
     assert np.abs(after - before)[1:3].max() > 10.0
 
 
-def test_rows_have_temperatures_and_every_integer_is_recorded(mock, axes) -> None:
+def test_rows_have_temperatures_and_every_integer_is_recorded(free_axes) -> None:
+    axes = free_axes
     rows = follow(axes, move(axes, 0.1))
     raw = axes.drain()[TOPIC]
     assert np.isfinite(rows["temperature"]).all()
@@ -306,7 +334,7 @@ def test_an_experiment_runs_over_can_frames_without_a_gap(mock, tmp_path) -> Non
 
 def test_an_interrupt_in_a_trajectory_brings_the_arm_to_rest(mock, tmp_path) -> None:
     with run(mock, tmp_path) as process:
-        mock.wait_until(lambda state: max(map(abs, state["qd"])) > 0.3, within_s=30.0)
+        mock.wait_until(lambda state: max(map(abs, state["qd"])) > 0.3, within_s=90.0)
         process.send_signal(signal.SIGINT)
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)
@@ -321,9 +349,9 @@ def test_a_fault_for_a_person_stays_one_however_often_somebody_connects(mock, tm
     mock.wait_until(lambda state: state["states"][2] == "FAULT")
     for _ in range(2):
         with pytest.raises(RobotFault, match=r"joint_3.*over-current.*2310h"):
-            AxesRobot("arm", "lab6", **options(mock)).connect()
+            AxesRobot("arm", "lab6", **options(mock, pace=PACE)).connect()
         time.sleep(0.4)  # longer than a drive waits for our heartbeat
     assert mock.state()["errors"][2] == 0x2310
     assert main(["reset", str(station_for(mock, tmp_path)), "lab6_can"]) == 0
-    with closing(AxesRobot("arm", "lab6", **options(mock))) as axes:
+    with closing(AxesRobot("arm", "lab6", **options(mock, pace=PACE))) as axes:
         axes.connect()
