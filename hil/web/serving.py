@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from hil.errors import RobotConnectionError
 from hil.web.app import create_app
-from hil.web.settings import DEFAULT_PORT, Settings, is_loopback
+from hil.web.settings import DEFAULT_PORT, Settings, is_wildcard
 
 PORTS_TRIED = 10
 CLOSED_WITHIN_S = 1
@@ -69,9 +69,7 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
 
 def address(settings: Settings) -> str:
     """What to open in a browser."""
-    host = settings.host
-    if not is_loopback(host) and host in ("0.0.0.0", "::"):  # noqa: S104 - compared, not bound
-        host = settings.names[0] if settings.names else socket.gethostname()
+    host = settings.called[0] if is_wildcard(settings.host) else settings.host
     if ":" in host and not host.startswith("["):
         host = f"[{host}]"
     # What is printed is kept: by the journal of systemd, say, which others may read.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import secrets
+import socket
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,6 +48,11 @@ class Settings:
         return is_loopback(self.host)
 
     @property
+    def called(self) -> tuple[str, ...]:
+        """Names besides `host`: those given, and for a wildcard that of this computer."""
+        return (*self.names, socket.gethostname()) if is_wildcard(self.host) else self.names
+
+    @property
     def cookie(self) -> str:
         """Name of the cookie; browsers do not tell the ports of one host apart."""
         return f"hil_{self.port}"
@@ -59,7 +65,7 @@ class Settings:
         """
         name = host.lower()
         name = name[: name.index("]") + 1] if name.startswith("[") else name.partition(":")[0]
-        if name in {"localhost", self.host.lower(), *(one.lower() for one in self.names)}:
+        if name and name in {"localhost", self.host.lower(), *map(str.lower, self.called)}:
             return True
         try:
             address = ipaddress.ip_address(name.strip("[]"))
@@ -75,5 +81,13 @@ def is_loopback(host: str) -> bool:
         return True
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def is_wildcard(host: str) -> bool:
+    """Whether it stands for every address of this computer, and is none to be opened."""
+    try:
+        return not host or ipaddress.ip_address(host).is_unspecified
     except ValueError:
         return False
