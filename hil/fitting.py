@@ -20,7 +20,7 @@ from hil.data.dataset import Dataset
 from hil.data.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
-from hil.errors import DataError, FitError, SpecError
+from hil.errors import DataError, FitError, RecordingError, SpecError
 from hil.evaluate import evaluate
 from hil.extras import require_installed
 from hil.gains_file import DriveGains
@@ -138,9 +138,11 @@ def fit_sources(
         FitError: The data do not allow the fit, or are of different robots or individuals.
         PluginError: No such estimator, or it needs extras that are not installed; all are named.
         SpecError: No such parameter or robot.
+        RecordingError: The model cannot be written there.
     """
     model = make_estimator(estimator, **params)
     require_installed([(estimator, model)])
+    _require_folder(out)  # before hours of training
     attach(model, watch, checkpoints)
     named = robot is not None
     parts = [load_source(source, any_arm=named) for source in sources]
@@ -250,7 +252,7 @@ def parse_payload(text: str) -> Payload:
     """
     try:
         numbers = [float(part) for part in text.split(",")]
-    except ValueError:
+    except (ValueError, AttributeError):
         numbers = []
     if len(numbers) not in (1, 4) or not np.all(np.isfinite(numbers)) or numbers[0] < 0:
         raise SpecError(
@@ -275,12 +277,22 @@ def _fit(
     return Fitted(model, _store(model, out), seconds, training.effort_std)
 
 
+def _require_folder(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise RecordingError(f"{out} is a file", hint="choose another folder for models")
+
+
 def _store(model: RobotEstimator, out: Path) -> Path:
     """Write the model's folder; an equal model that is there already stays as it is."""
     files = model_files(model)
     digest = hashlib.sha256(b"".join(files.values())).hexdigest()[:DIGEST_LENGTH]
     folder = out / f"{model.estimator}-{digest}"
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make {folder}: {error.strerror}", hint="choose another folder for models"
+        ) from None
     for name, content in files.items():
         if not (folder / name).exists():
             write_whole(folder / name, content)

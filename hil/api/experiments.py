@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.arguments import AnyPath
+from hil.api.arguments import AnyPath, mapping, path
 from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
@@ -17,6 +17,9 @@ from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
     from hil.study.result import StudyResult
+
+
+WAIVERS = "{'disk': 'another disk comes on Monday'}"
 
 
 def load(
@@ -38,9 +41,22 @@ def load(
     """
     texts = {
         key: value if isinstance(value, str) else json.dumps(value, default=_plain)
-        for key, value in (overrides or {}).items()
+        for key, value in mapping(overrides, "overrides", "{'excitation.seed': 3}").items()
     }
-    return load_experiment(Path(spec), Path(station) if station else None, texts)
+    return load_experiment(path(spec), path(station) if station else None, texts)
+
+
+def _loaded(experiment: Experiment) -> Experiment:
+    """What `load` gives.
+
+    Raises:
+        SpecError: It is something else.
+    """
+    if isinstance(experiment, Experiment):
+        return experiment
+    raise SpecError(
+        f"{experiment!r:.80} is no experiment", hint="load it first: hil.load('spec.yaml')"
+    )
 
 
 def _plain(value: object) -> object:
@@ -69,7 +85,7 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
     """
     from hil.campaign.robots import planned
 
-    with planned(experiment, connect=connect) as (_, made, _):
+    with planned(_loaded(experiment), connect=connect) as (_, made, _):
         return made
 
 
@@ -99,11 +115,11 @@ def run(
         HilError: What went wrong before there was a run directory.
     """
     return run_experiment(
-        experiment,
-        runs=Path(runs),
+        _loaded(experiment),
+        runs=path(runs),
         operator=operator,
         observers=observers,
-        waivers=waivers,
+        waivers=mapping(waivers, "waivers", WAIVERS),
         desk=desk,
     )
 
@@ -134,8 +150,9 @@ def resume(
         HilError: What else keeps the run from going on.
     """
     return resume_experiment(
-        Path(run), operator=operator, observers=observers, waivers=waivers, desk=desk
-    )
+        path(run), operator=operator, observers=observers, desk=desk,
+        waivers=mapping(waivers, "waivers", WAIVERS),
+    )  # fmt: skip
 
 
 def study(
@@ -163,9 +180,10 @@ def study(
     from hil.campaign.studies import entries_for, run_studies, unwatched
     from hil.report import render_report
 
-    path = Path(run)
-    found = run_studies(path, entries_for(path, name, parameters or {}), watch or unwatched)
-    render_report(path)
+    folder = path(run)
+    given = mapping(parameters, "parameters", "{'seed': 3}")
+    found = run_studies(folder, entries_for(folder, name, given), watch or unwatched)
+    render_report(folder)
     if found.error is not None:
         raise found.error
     return tuple(result for _, result in found.made)
@@ -192,4 +210,4 @@ def figures(
     """
     from hil.report.paper import write_papers
 
-    return write_papers(Path(run), Path(out), formats=formats, width=width)
+    return write_papers(path(run), path(out), formats=formats, width=width)

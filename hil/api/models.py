@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.arguments import AnyPath, paths
+from hil.api.arguments import AnyPath, mapping, path, paths, sources_of
+from hil.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.fitting import FitReport
@@ -47,21 +49,30 @@ def fit(
     from hil.fitting import fit_sources, parse_payload
     from hil.gains_file import read_gains
 
-    held_out = paths(validate)
+    held_out, given = paths(validate), mapping(parameters, "parameters", "{'weighted': True}")
+    if taken := sorted(given.keys() & signature(fit_sources).parameters.keys()):
+        raise SpecError(
+            f"{taken[0]} is no parameter of an estimator", hint=f"hil.fit(…, {taken[0]}=…)"
+        )
+    if page is not None and not held_out:
+        raise SpecError(
+            "a page shows how a model does on held-out recordings, and none was given",
+            hint="name one: hil.fit(…, validate=…)",
+        )
     result = fit_sources(
-        paths(sources),
+        sources_of(sources),
         estimator=estimator,
         robot=robot,
-        payload=parse_payload(payload) if payload else None,
-        gains=read_gains(Path(gains)) if gains else None,
+        payload=parse_payload(payload) if payload is not None else None,
+        gains=read_gains(path(gains)) if gains else None,
         validate=held_out,
-        out=Path(out),
+        out=path(out),
         watch=watch,
-        checkpoints=None if checkpoints is None else Path(checkpoints),
-        **(parameters or {}),
+        checkpoints=None if checkpoints is None else path(checkpoints),
+        **given,
     )
     if page is not None:
-        _fit_page(result, held_out, Path(page))
+        _fit_page(result, held_out, path(page))
     return result
 
 
@@ -83,7 +94,7 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     """
     from hil.fitting import evaluate_sources
 
-    return evaluate_sources(Path(model), paths(sources))
+    return evaluate_sources(path(model), sources_of(sources))
 
 
 def estimate_payload(
@@ -118,6 +129,6 @@ def estimate_payload(
     from hil.load_fit import payload_of_sources
 
     return payload_of_sources(
-        Path(model), paths(sources), cast("Any", friction),
+        path(model), paths(sources), cast("Any", friction),
         bare=paths(bare), gain_share=gain_share,
     )  # fmt: skip

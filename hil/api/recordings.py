@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from hil.api.arguments import AnyPath
+from hil.api.arguments import AnyPath, path, sources_of
 from hil.data.dataset import Dataset
 
 
 def dataset(*sources: AnyPath) -> Dataset:
-    """The samples of run directories or MCAP files, with their conditions."""
+    """The samples of run directories or MCAP files, with their conditions.
+
+    Args:
+        sources: One or more, of one robot and one kind of effort.
+
+    Returns:
+        Columns of N rows by name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s], `effort`
+        (N, n) [A or N·m] and what else was recorded.
+
+    Raises:
+        DataError: None was given, one cannot be read, or they are of different robots.
+        SpecError: One is no path.
+    """
     from hil.data.load import load_source
 
-    return Dataset.concatenate([load_source(Path(source)) for source in sources])
+    return Dataset.concatenate([load_source(source) for source in sources_of(sources)])
 
 
 def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
@@ -33,7 +44,7 @@ def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
     """
     from hil.data.exporting import export_data as exported
 
-    return exported(Path(source), Path(out)).to_dict()
+    return exported(path(source), path(out)).to_dict()
 
 
 def import_recording(
@@ -65,12 +76,12 @@ def import_recording(
     from hil.fitting import parse_payload
 
     report = import_file(
-        Path(file),
-        Path(map_file),
-        out=Path(out),
+        path(file),
+        path(map_file),
+        out=path(out),
         format_=format_,
         rows=rows,
         drop_bad_rows=drop_bad_rows,
-        payload=parse_payload(payload) if payload else None,
+        payload=parse_payload(payload) if payload is not None else None,
     )
     return report.to_dict()

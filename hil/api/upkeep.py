@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.arguments import AnyPath
+from hil.api.arguments import AnyPath, path
 from hil.engine import Observer
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ def registry(folder: AnyPath = "registry") -> Registry:
     """
     from hil.registry.registry import Registry
 
-    return Registry(Path(folder))
+    return Registry(path(folder))
 
 
 def reidentify(
@@ -59,11 +58,11 @@ def reidentify(
     from hil.pipeline.by_hand import run_once
 
     return run_once(
-        Path(schedule),
-        station=Path(station) if station else None,
-        runs=Path(runs),
-        registry=Path(registry),
-        state=Path(state) if state else None,
+        path(schedule),
+        station=path(station) if station else None,
+        runs=path(runs),
+        registry=path(registry),
+        state=path(state) if state else None,
         campaign=campaign,
         observers=observers,
         tell=tell or (lambda text: None),

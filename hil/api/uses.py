@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.api.arguments import AnyPath
+from hil.api.arguments import AnyPath, path
 from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
@@ -42,8 +41,8 @@ def export_model(
     from hil.deploy.export.targets import export_model as export
     from hil.identify.model_file import load_model_file
 
-    stored = load_model_file(Path(model))
-    return export(stored, Path(out), to, prefix=prefix, unchecked=unchecked)
+    stored = load_model_file(path(model))
+    return export(stored, path(out), to, prefix=prefix, unchecked=unchecked)
 
 
 def rest_poses(
@@ -81,10 +80,10 @@ def rest_poses(
     from hil.rest_report import find_rest_poses
 
     return find_rest_poses(
-        Path(model),
-        station=Path(station) if station else None,
+        path(model),
+        station=path(station) if station else None,
         robot=robot,
-        payload=parse_payload(payload) if payload else None,
+        payload=parse_payload(payload) if payload is not None else None,
         clearance_mm=clearance_mm,
         near_deg=near_deg,
         count=count,
@@ -132,13 +131,13 @@ def try_out(
     from hil.report.trial_page import REPORT_FILE, trial_page
     from hil.trial.trial import run_trial
 
-    folder = Path(out)
+    folder = path(out)
     require_new(folder)
     trial = run_trial(
-        Path(model),
-        station=Path(station) if station else None,
+        path(model),
+        station=path(station) if station else None,
         robot=robot,
-        payload=parse_payload(payload) if payload else None,
+        payload=parse_payload(payload) if payload is not None else None,
         seed=seed,
         friction_share=friction_share,
         progress=progress or (lambda text: None),

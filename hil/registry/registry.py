@@ -165,7 +165,7 @@ class Registry:
         return load_model_file(version.folder)
 
     def register(
-        self, name: str, model: Path, facts: Mapping[str, Any], *, challenger: bool = False
+        self, name: str, model: str | Path, facts: Mapping[str, Any], *, challenger: bool = False
     ) -> ModelVersion:
         """Add a model folder as a version; the same model twice is one version.
 
@@ -180,6 +180,7 @@ class Registry:
             DataError: The folder holds no model that can be read.
         """
         require_name(name)
+        model = Path(model)
         load_model_file(model)
         files = {p.name: p.read_bytes() for p in sorted(model.iterdir()) if p.is_file()}
         files.pop(VERSION_FILE, None)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from hil.errors import DataError, PluginError, SpecError
+from hil.errors import DataError, PluginError, RecordingError, SpecError
 from hil.record.files import write_replacing
 from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_tables import csv_text, latex_text
@@ -72,7 +72,12 @@ def write_papers(
     results = [read_study(path) for path in study_files(run)] if run.is_dir() else []
     found, plots = items(results), _page_plots(run, bool(results))
     _require_matplotlib()
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"cannot make the folder {out}: {error.strerror}", hint="choose another place for it"
+        ) from None
     files = [file for item in found for file in _files(item, formats, width)]
     files += [file for stem, each in plots for file in _page_files(stem, each, formats, width)]
     files.append((CONTENTS, (_contents(found) + _page_contents(plots)).encode()))

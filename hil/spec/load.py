@@ -158,6 +158,13 @@ _KINDS = {
     "hil_series": "a series of experiments",
     "hil_schedule": "a schedule",
 }
+_USES = {
+    "hil": "hil run FILE",
+    "hil_station": "hil run SPEC --station FILE",
+    "hil_map": "hil import RECORDING --map FILE -o OUT",
+    "hil_series": "hil run FILE",
+    "hil_schedule": "hil run FILE, hil schedule run FILE",
+}
 
 
 def refuse_other_kind(source: Source, wanted: str) -> None:
@@ -168,7 +175,8 @@ def refuse_other_kind(source: Source, wanted: str) -> None:
         raise refuse([Problem(source.mark(()), (), message)])
     if key := _other_kind(data, wanted):
         message = f"this file is {_KINDS[key]}, but {_KINDS[wanted]} is needed here"
-        raise refuse([Problem(source.mark((key,), key=True), (), message)])
+        hint = f"this one is for: {_USES[key]}"
+        raise refuse([Problem(source.mark((key,), key=True), (), message)], hint=hint)
 
 
 def no_such_kind(file: FilePath, wanted: str) -> str:
