@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hil.campaign.view import entry_of, number_in
 from hil.errors import DataError
+from hil.quick_yaml import look_into
 from hil.record.catalogue import listing_of
 from hil.record.files import read_json
 
@@ -97,11 +97,9 @@ def _fit(file: Path) -> dict[str, Any]:
 
 
 def _description(spec: Path) -> str:
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    with contextlib.suppress(OSError, ValueError, yaml.YAMLError, RecursionError):
+    with contextlib.suppress(OSError, ValueError):
         if spec.stat().st_size <= LARGEST_SPEC:
-            told = yaml.load(spec.read_bytes(), loader)  # noqa: S506 - a safe loader, compiled
-            return _text(_mapping(told).get("description"))
+            return _text(_mapping(look_into(spec.read_bytes())).get("description"))
     return ""
 
 
