@@ -20,12 +20,13 @@ from starlette.testclient import TestClient
 
 from hil.campaign.control_files import waiting
 from hil.campaign.live_state import LIVE_FILE, LiveState, read_live
-from hil.campaign.steering import answer_run
+from hil.campaign.steering import answer_run, question_of
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 from hil.web import live_pages, start_pages, streams
 from hil.web.app import create_app
+from hil.web.listeners import Listeners
 from hil.web.settings import Settings
 
 HOST = "127.0.0.1:8350"
@@ -67,7 +68,30 @@ def held(tmp_path: Path) -> Iterator[Held]:
     with hold_run(held.path):
         held.directory.write_start({"uid": "u"})
         (held.path / ".control").mkdir()
+        held.view = LiveState(held.path)
         yield held
+
+
+def test_a_yes_read_in_an_attempt_that_died_answers_no_question_of_the_next(
+    tmp_path: Path,
+) -> None:
+    held = Held(Settings(tmp_path / "runs", tmp_path / "registry", specs=tmp_path, port=8350))
+    held.directory.write_start({"uid": "u"})
+    with hold_run(held.path):
+        (held.path / ".control").mkdir()
+        held.view = LiveState(held.path)
+        held.asks("Mount the 3 kg disc")
+        old = held.form()
+    with hold_run(held.path):  # killed and gone on with: its questions count from one again
+        with pytest.raises(DataError, match="asks nothing"):
+            question_of(held.path)
+        held.view = LiveState(held.path)
+        held.asks("Mount the 3 kg disc")
+        refused = held.answer(old)
+        assert "asks something else now" in refused.text
+        assert not refused.is_success and held.dropped() == []
+        assert held.answer(held.form()).status_code == 200
+        assert [(each["asked"], each["yes"]) for each in held.dropped()] == [(1, True)]
 
 
 @pytest.mark.parametrize("text", [LINES, "Mount it. " * 500, "Mount it"])
@@ -221,3 +245,29 @@ def test_the_disk_is_never_waited_for_where_requests_come_in(
         asyncio.run(streams.run_events(request_of(held, name="none")))
     assert len(where) >= 3
     assert threading.current_thread().name not in where
+
+
+def test_a_page_that_was_refused_a_stream_can_ask_why() -> None:
+    async def endless(scope: Any, receive: Any, send: Any) -> None:
+        await asyncio.sleep(10)
+
+    async def ask(app: Listeners, method: str) -> int:
+        told: list[int] = []
+
+        async def send(message: Any) -> None:
+            told.append(message.get("status", 0))
+
+        scope = {"type": "http", "method": method, "path": "/events", "headers": []}
+        await app(scope, None, send)  # type: ignore[arg-type]
+        return told[0]
+
+    async def all_of() -> list[int]:
+        app = Listeners(endless, most=1)
+        before = await ask(app, "HEAD")
+        listening = asyncio.create_task(ask(app, "GET"))
+        await asyncio.sleep(0)
+        told = [before, await ask(app, "GET"), await ask(app, "HEAD")]
+        listening.cancel()
+        return told
+
+    assert asyncio.run(all_of()) == [204, 503, 503]

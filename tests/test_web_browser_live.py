@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+import platform
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +19,8 @@ from browser.looking import until
 from live_run import live_run
 from live_run import until as wait
 
+from hil.campaign.detached import ticks_of
+from hil.campaign.starting import Started
 from hil.record.rundir import RunDirectory
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
@@ -23,6 +29,7 @@ PAGES = 10
 """More than the six connections that a browser keeps to a host."""
 
 BANNER = "document.getElementById('old').textContent"
+SAMPLES = "Number(document.querySelector('[data-text=samples]').textContent.replace(/[^0-9]/g, ''))"
 QUESTION = ".question button[value=yes]"
 FREE = f"document.querySelector('{QUESTION}').getAttribute('aria-disabled') === 'false'"
 TELLS = """
@@ -81,10 +88,10 @@ def test_ten_pages_of_a_run_are_kept_up_to_date_and_stop_acts_in_the_last(
         pages = [page, *(page.context.new_page() for _ in range(PAGES - 1))]
         for one in pages:
             one.goto(address_of(run, bench), timeout=5000)
-        shown = text_of(pages[-1], "[data-text=samples]")
+        shown = pages[-1].evaluate(SAMPLES)
         for one in pages:
             assert one.evaluate("document.visibilityState") == "visible"
-            until(one, f"document.querySelector('[data-text=samples]').textContent > '{shown}'", 5)
+            until(one, f"{SAMPLES} > {shown}", 5)
         pages[0].close()  # it held the stream for all
         begun = time.monotonic()
         pages[-1].click(".stopping button.stop")
@@ -199,3 +206,48 @@ def test_pause_and_resume_follow_the_run_and_the_keyboard_stays_where_it_is(
         page.keyboard.press("Enter")  # nothing is asked
         page.wait_for_timeout(200)
         assert text_of(page, "[data-can=resume] ~ .said") == ""
+
+
+def test_what_is_being_planned_comes_and_goes_in_the_header_of_every_page(
+    page: Any, bench: Bench
+) -> None:
+    folder, address, _ = bench
+    page.goto(f"{address}models")
+    with subprocess.Popen(["sleep", "60"]) as planning:
+        said = Started(
+            id="", runs="", spec="asks_for_a_rather_long_while.yaml", station="", operator="anna",
+            pid=planning.pid, ticks=ticks_of(planning.pid), time=time.time(), host=platform.node(),
+        )  # fmt: skip
+        (folder / "runs" / ".started").mkdir(parents=True, exist_ok=True)
+        records = [folder / "runs" / ".started" / f"{i}.json" for i in (1, 2)]
+        for record in records:
+            record.write_text(json.dumps(asdict(said)))
+        try:
+            until(page, "document.querySelector('#live .planned .how')", 5)
+            told = " ".join(text_of(page, "#live .planned").split())
+            name = "asks_for_a_rather_long_while.yaml"
+            assert told == f"{name} is being planned Cancel {name}"
+            page.set_viewport_size({"width": 390, "height": 800})
+            box = page.locator("#live .planned").first.bounding_box()
+            assert box["width"] > 340, "one below the other on a phone"
+            assert box["height"] < 80
+            page.focus("#live .planned button")
+        finally:
+            planning.kill()
+    until(page, "!document.querySelector('#live .planned')", 5)
+    assert page.evaluate("document.activeElement.id") == "main"
+    for record in records:
+        record.unlink()
+
+
+def test_too_many_pages_are_told_apart_from_a_dashboard_that_is_gone(
+    page: Any, bench: Bench
+) -> None:
+    page.route("**/events*", partial(refuse, 503))
+    page.goto(bench[1])
+    until(page, f"{BANNER}.startsWith('Too many browsers listen')", 4)
+    page.unroute("**/events*")
+    until(page, f"{BANNER} === ''", 6)
+    page.route("**/events*", lambda route: route.abort())
+    page.reload()
+    until(page, f"{BANNER}.startsWith('No news from the dashboard')", 4)

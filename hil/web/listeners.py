@@ -25,7 +25,11 @@ class Listeners:
         if scope["type"] != "http" or not _is_stream(scope):
             await self._app(scope, receive, send)
             return
-        if self._open >= self._most:
+        full = self._open >= self._most
+        if scope["method"] == "HEAD":  # asked by a page that was refused, and cannot see why
+            await PlainTextResponse("", 503 if full else 204)(scope, receive, send)
+            return
+        if full:
             told = f"{self._most} pages listen already: close some, or reload this one for news\n"
             await PlainTextResponse(told, 503, {"Retry-After": "10"})(scope, receive, send)
             return
@@ -38,4 +42,4 @@ class Listeners:
 
 def _is_stream(scope: Scope) -> bool:
     path = str(scope["path"])
-    return scope["method"] == "GET" and path.endswith("/events")
+    return scope["method"] in ("GET", "HEAD") and path.endswith("/events")

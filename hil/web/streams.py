@@ -11,6 +11,7 @@ import json
 import threading
 import time
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import zip_longest
 from typing import Any
@@ -19,7 +20,7 @@ from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 
 from hil.errors import HilError
-from hil.web.going import going_on
+from hil.web.going import being_planned, going_on
 from hil.web.live_facts import LiveRun
 from hil.web.rendering import settings_of
 from hil.web.run_files import require_run
@@ -47,8 +48,8 @@ async def run_events(request: Request) -> EventSourceResponse:
 async def events(request: Request) -> EventSourceResponse:
     """Which runs are live and where they are, and how every `run` of the query is.
 
-    A stream of `live`, `run`, `over` and `beat`; `after` says for each `run` how many lines of its
-    log are known.
+    A stream of `live`, `planned`, `run`, `over` and `beat`; `after` says for each `run` how many
+    lines of its log are known.
     """
     settings = settings_of(request)
     names = request.query_params.getlist("run")[:MOST_RUNS]
@@ -65,13 +66,15 @@ async def events(request: Request) -> EventSourceResponse:
 
 async def _told(known: _LiveRuns, looking: list[LiveRun], *, ends: bool = False) -> Told:
     seen: dict[LiveRun, dict[str, Any]] = {}
-    before: list[dict[str, Any]] | None = None
+    before = _Going()
     beat = time.monotonic() + BEAT_EVERY_S
     while True:
-        runs = await in_thread("telling", known.now)
-        if runs != before:
-            yield {"event": "live", "data": json.dumps(runs)}
-        before = runs
+        going = await in_thread("telling", known.now)
+        if going.live != before.live:
+            yield {"event": "live", "data": json.dumps(going.live)}
+        if going.planned != before.planned:
+            yield {"event": "planned", "data": json.dumps(going.planned)}
+        before = going
         for one in list(looking):
             now = await in_thread("telling", one.look)
             if now != seen.get(one):
@@ -87,19 +90,29 @@ async def _told(known: _LiveRuns, looking: list[LiveRun], *, ends: bool = False)
         await asyncio.sleep(LOOK_EVERY_S if looking else 2 * LOOK_EVERY_S)
 
 
+@dataclass(frozen=True, slots=True)
+class _Going:
+    """What every page shows of what goes on; None before anybody has looked."""
+
+    live: list[dict[str, Any]] | None = None
+    planned: list[dict[str, str]] | None = None
+
+
 class _LiveRuns:
-    """The live runs, looked for once for all that are told of them."""
+    """The live runs and those being planned, looked for once for all that are told of them."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._looking = threading.Lock()
-        self._until, self._seen = 0.0, list[dict[str, Any]]()
+        self._until, self._seen = 0.0, _Going()
 
-    def now(self) -> list[dict[str, Any]]:
+    def now(self) -> _Going:
         """What every page shows of each of them."""
         with self._looking:
             if time.monotonic() >= self._until:
-                self._seen = going_on(self._settings)
+                # Looked for first: one that has just become live is shown twice, not left out.
+                planned = being_planned(self._settings)
+                self._seen = _Going(going_on(self._settings), planned)
                 self._until = time.monotonic() + LOOK_EVERY_S
             return self._seen
 

@@ -16,29 +16,45 @@ function setShown(element, shown) {
 
 // --- live runs in the header and on the overview --------------------------------------------
 
-function showHeader(runs) {
+// The entries of the header of one kind, `data-run` or `data-planned`: made, shown, taken away.
+function showEntries(kind, template, news, make, show) {
   const box = byId("live");
-  const known = new Map([...box.querySelectorAll("[data-run]")].map((form) => [form.dataset.run, form]));
-  for (const run of runs) {
-    let form = known.get(run.name);
-    known.delete(run.name);
+  const known = new Map([...box.querySelectorAll(`[data-${kind}]`)].map((form) => [form.dataset[kind], form]));
+  for (const [id, one] of news) {
+    let form = known.get(id);
+    known.delete(id);
     if (!form) {
-      form = byId("stopping").content.firstElementChild.cloneNode(true);
-      form.dataset.run = run.name;
-      form.action = `${run.address}/stop`;
-      const link = form.querySelector("a");
-      link.href = run.address;
-      link.textContent = run.name;
-      const sr = form.querySelector(".sr");
-      if (sr) sr.textContent = ` ${run.name}`;
+      form = byId(template).content.firstElementChild.cloneNode(true);
+      form.dataset[kind] = id;
+      make(form, one);
       box.append(form);
     }
-    showRun(form, run);
+    show(form, one);
   }
   for (const form of known.values()) {
     if (form.contains(document.activeElement)) byId("main").focus();
     form.remove();
   }
+}
+
+function named(form, name, address, what) {
+  form.action = `${address}/${what}`;
+  const link = form.querySelector("a");
+  link.href = address;
+  link.textContent = name;
+  const sr = form.querySelector(".sr");
+  if (sr) sr.textContent = ` ${name}`;
+}
+
+function showHeader(runs) {
+  const make = (form, run) => named(form, run.name, run.address, "stop");
+  showEntries("run", "stopping", runs.map((run) => [run.name, run]), make, showRun);
+}
+
+function showPlanned(all) {
+  const make = (form, one) => named(form, one.spec, one.address, "cancel");
+  const show = (form, one) => setText(form.querySelector(".how"), one.text);
+  showEntries("planned", "planning", all.map((one) => [one.id, one]), make, show);
 }
 
 function showRun(element, run) {
@@ -170,6 +186,8 @@ function take(kind, news) {
   if (kind === "live") {
     showHeader(news);
     showOverview(news);
+  } else if (kind === "planned") {
+    showPlanned(news);
   } else if (run && news.name === run.dataset.name && !("over" in run.dataset)) {
     if (kind === "over") run.dataset.over = "";
     showNow(run, news);
@@ -177,16 +195,18 @@ function take(kind, news) {
 }
 
 // The seconds are not read aloud, or they would be said every second.
-function showOld(seconds) {
+function showOld(seconds, full) {
   const box = byId("old");
   document.body.classList.toggle("old", seconds > 0);
   if (!seconds) return void box.replaceChildren();
-  if (!box.firstChild) {
+  if (!box.firstChild || box.dataset.full !== String(full)) {
     const count = document.createElement("span");
     count.ariaHidden = "true";
-    box.append("No news from the dashboard", count, ": what is shown is old. Only the robot’s own button stops it for sure.");
+    box.dataset.full = full;
+    if (full) box.replaceChildren("Too many browsers listen", count, ": close some, or reload this page. What is shown is old; Stop works.");
+    else box.replaceChildren("No news from the dashboard", count, ": what is shown is old. Only the robot’s own button stops it for sure.");
   }
-  box.querySelector("span").textContent = ` for ${seconds} s`;
+  box.querySelector("span").textContent = full ? "" : ` for ${seconds} s`;
 }
 
 // A page that comes back from the browser's memory has no connection any more.

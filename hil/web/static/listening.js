@@ -2,19 +2,27 @@
 // is asked, Stop above all, needs one that is free. One page leads: it holds the stream and shares
 // what it hears. Pages that nobody sees do neither. Locks would be simpler, but exist on https only.
 
-const KINDS = ["live", "run", "over", "beat"];
+const KINDS = ["live", "planned", "run", "over", "beat"];
 const SIGN_MS = 1000; // how often a leader says that it leads, and the others what they show
 const GONE_MS = 3500; // a leader that has given no sign for so long has gone
 const OLD_MS = 5000; // the server beats every two seconds
 const AGAIN_MS = 2000;
 
+// A stream does not say why it was refused.
+async function why() {
+  const signal = AbortSignal.timeout(SIGN_MS);
+  const answer = await fetch("/events", { method: "HEAD", signal }).catch(() => null);
+  return answer?.status === 503 ? "full" : "lost";
+}
+
 // wanted(): the run that this page shows, and how many lines of its log it knows; take(kind, data):
-// what has come; old(seconds): for how long nothing has, 0 while all is well.
+// what has come; old(seconds, full): for how long nothing has, 0 while all is well, and whether that
+// is because too many listen.
 export function listening(wanted, take, old) {
   const me = `${Date.now()}-${Math.random()}`;
   const channel = new BroadcastChannel("hil-news-1");
   const pages = new Map();
-  let [on, leads, lost] = [false, false, false];
+  let [on, leads, lost, full] = [false, false, false, false];
   let [signed, heard, opened, again] = [0, 0, 0, 0];
   let [source, ticking, opening] = [null, 0, 0];
   const now = () => performance.now();
@@ -44,7 +52,7 @@ export function listening(wanted, take, old) {
       source?.close(); // refused, it would not try again by itself
       source = null;
       again = now() + AGAIN_MS;
-      share("lost");
+      why().then((kind) => on && leads && !source && share(kind));
     };
   }
 
@@ -68,7 +76,8 @@ export function listening(wanted, take, old) {
   }
 
   function came(kind, data) {
-    lost = kind === "lost";
+    full = kind === "full";
+    lost = full || kind === "lost";
     if (!lost) heard = now();
     show();
     if (!lost) take(kind, data);
@@ -76,7 +85,7 @@ export function listening(wanted, take, old) {
 
   function show() {
     const quiet = now() - heard;
-    old(lost || quiet > OLD_MS ? Math.max(1, Math.round(quiet / 1000)) : 0);
+    old(lost || quiet > OLD_MS ? Math.max(1, Math.round(quiet / 1000)) : 0, full);
   }
 
   function tick() {
