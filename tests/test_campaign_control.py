@@ -141,15 +141,19 @@ def test_what_was_meant_for_an_earlier_attempt_is_not_obeyed(rig: Rig) -> None:
     assert rig.engine.asked == []
 
 
-def test_what_a_dead_run_left_is_swept_before_listening(tmp_path: Path) -> None:
-    (tmp_path / ".control").mkdir()
-    (tmp_path / ".control" / "1.json").write_text("{}")
+def test_a_stop_asked_for_while_a_resumed_run_connects_is_obeyed(tmp_path: Path) -> None:
+    (tmp_path / ".control").mkdir()  # left by an attempt that died, with a request to it
+    drop(tmp_path, ControlRequest("pause", "bert", "the one that died"))
     with hold_run(tmp_path):
+        holder = run_holder(tmp_path)
+        assert holder is not None
+        drop(tmp_path, ControlRequest("stop", "anna", holder.id))
         rig = Rig(tmp_path)
         with rig.control:
-            assert list((tmp_path / ".control").iterdir()) == []
-            rig.ask("pause")
-    assert len(rig.events) == 1
+            until(lambda: len(rig.events) == 2)
+    assert rig.engine.asked == [("stop", "stop asked by anna")]
+    assert rig.events[0]["problem"] == "meant for an earlier attempt"
+    assert list(tmp_path.glob(".control")) == []
 
 
 @pytest.mark.parametrize(

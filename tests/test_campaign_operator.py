@@ -179,6 +179,30 @@ def test_a_no_counts_after_a_yes_and_a_yes_not_after_a_no(tmp_path: Path) -> Non
     assert asks(MOUNT, all_at_once) == Reply(False, "bert")
 
 
+class LateConsole(FakeConsole):
+    """Types yes just after somebody elsewhere has answered."""
+
+    def __init__(self, answered: Callable[[], str]) -> None:
+        super().__init__()
+        self.answered, self.said = answered, list[str]()
+
+    def line(self, wait_s: float) -> str | None:
+        self.said.append(self.answered())
+        return "yes"
+
+
+@pytest.mark.parametrize("yes", [True, False])
+def test_a_no_that_was_taken_counts_whatever_is_typed_in_that_moment(
+    yes: bool, tmp_path: Path
+) -> None:
+    console = LateConsole(lambda: asks.answer(yes, "bert", MOUNT, 1))
+    asks = ConsoleOperator("anna", console)
+    asks.listen(tmp_path)
+    assert asks(MOUNT, lambda: None) == Reply(yes, "bert")
+    assert console.said == [""]
+    assert asks.answer(False, "bert", MOUNT, 1) == "the run asks nothing"
+
+
 def test_a_pause_asked_for_meanwhile_waits_and_the_question_is_repeated() -> None:
     asks, console = operator(None, None, None, "yes")
     wishes = iter(["", "SIGINT: Enter goes on", "SIGINT: Enter goes on", ""])

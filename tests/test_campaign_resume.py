@@ -20,6 +20,7 @@ import pytest
 
 import hil
 from hil.campaign import operator, resuming
+from hil.campaign.live_state import LIVE_FILE, read_live
 from hil.campaign.trainings import FOLDER
 from hil.data import completeness
 from hil.data.completeness import completeness_of
@@ -118,6 +119,23 @@ def test_a_stopped_run_goes_on_and_is_judged(
     assert stop["complete"]["dwell"] == {"done": 24, "of": 24}
     assert RunDirectory.open(run).status == "completed"
     assert not RunDirectory.open(run).verify()
+
+
+def test_the_view_of_an_attempt_that_died_is_not_how_the_next_one_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = stopped_run(tmp_path, monkeypatch, step=30)
+    (run / LIVE_FILE).write_text(json.dumps({"state": "done", "prompt": "Mount it"}), "utf-8")
+    seen: list[dict[str, Any]] = []
+
+    def looked(run: Path) -> None:
+        seen.append(read_live(run))
+        raise DataError("enough")
+
+    monkeypatch.setattr(resuming, "open_unfinished", looked)
+    with pytest.raises(DataError, match="enough"):
+        hil.resume(run)
+    assert seen == [{}]
 
 
 def test_what_was_whole_is_not_measured_again(

@@ -89,7 +89,8 @@ def test_a_yes_read_in_an_attempt_that_died_answers_no_question_of_the_next(
         held.asks("Mount the 3 kg disc")
         refused = held.answer(old)
         assert "asks something else now" in refused.text
-        assert not refused.is_success and held.dropped() == []
+        assert not refused.is_success
+        assert held.dropped() == []
         assert held.answer(held.form()).status_code == 200
         assert [(each["asked"], each["yes"]) for each in held.dropped()] == [(1, True)]
 

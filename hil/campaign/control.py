@@ -65,12 +65,15 @@ class Control:
         self._holder = ""
 
     def start(self) -> None:
-        """Begin to listen; what was left from before is dropped."""
+        """Begin to listen.
+
+        An attempt that died has left its folder: whoever asks for a stop while the next one
+        connects has put it there. What was meant for the dead one is told by its holder.
+        """
         holder = run_holder(self._run)
         self._holder = holder.id if holder else ""
-        shutil.rmtree(self._run / FOLDER, ignore_errors=True)
         with contextlib.suppress(OSError):  # on a full disk nobody can ask, but the run goes on
-            (self._run / FOLDER).mkdir()
+            (self._run / FOLDER).mkdir(exist_ok=True)
         if self._prompt is not None:
             self._prompt.listen(self._run)
         self._thread.start()

@@ -20,6 +20,7 @@ from hil.campaign.arm_view import FIELDS, ArmView
 from hil.errors import DataError, RecordingError
 from hil.live.standing import ENDING, Standing
 from hil.record.files import json_line, read_json, write_replacing
+from hil.record.lock import run_holder
 from hil.record.provenance import utc_now
 from hil.typing import StructArray
 
@@ -50,6 +51,8 @@ class LiveState:
 
     def __init__(self, run: Path, arm: ArmView | None = None) -> None:
         self._path = run / LIVE_FILE
+        holder = run_holder(run)
+        self._holder = holder.id if holder else ""
         self._arm, self._shown = arm, dict[str, Any]()
         self._standing = Standing()
         self._next = 0.0
@@ -87,11 +90,17 @@ class LiveState:
 
     def _write(self) -> None:
         self._next = time.monotonic() + EVERY_S
-        about = {"pid": os.getpid(), "updated": utc_now(), "t": time.time()}
+        about = {"holder": self._holder, "pid": os.getpid(), "updated": utc_now(), "t": time.time()}
         view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **self._shown, **about}
         with self._writing, contextlib.suppress(RecordingError):  # a full disk spoils no run here
             if not self._closed:
                 write_replacing(self._path, json_line(view).encode() + b"\n")
+
+
+def forget_live(run: Path) -> None:
+    """Take away the view that an attempt has left which died: it is not how the run stands."""
+    with contextlib.suppress(OSError):
+        (run / LIVE_FILE).unlink()
 
 
 def read_live(run: Path) -> dict[str, Any]:

@@ -125,10 +125,11 @@ class ConsoleOperator:
 
     def _wait(self, text: str, meanwhile: Callable[[], object]) -> Reply:
         pausing: object = ""
-        while self._answer is None:
+        while (reply := self._settled()) is None:
             line = self._console.line(WAIT_S)
             if line is not None and line.lower() in YES + NO:
-                return Reply(line.lower() in YES, self._who)
+                typed = Reply(line.lower() in YES, self._who)
+                return self._settled(typed) or typed
             if line is not None:
                 self._console.say(ask="Please type yes or no: ")
             if not (self.attended or self._run):  # the terminal has gone
@@ -137,8 +138,20 @@ class ConsoleOperator:
             if pausing and not before:
                 self._console.say(f"pausing once the question is answered: {pausing}")
                 self._ask(text)
-        self._console.say(f"{self._answer.words} from another terminal")
-        return self._answer
+        self._console.say(f"{reply.words} from another terminal")
+        return reply
+
+    def _settled(self, typed: Reply | None = None) -> Reply | None:
+        """What counts of all that was answered by now, if anything was; nothing else is taken then.
+
+        A no that was taken from elsewhere stops the run, whatever is typed in that moment.
+        """
+        with self._asking:
+            given = [reply for reply in (self._answer, typed) if reply is not None]
+            if not given:
+                return None
+            self._asked = ""
+            return next((reply for reply in given if not reply.yes), given[0])
 
 
 def mock_mounts(text: str, meanwhile: Callable[[], object]) -> Reply:

@@ -142,11 +142,13 @@ def resume_experiment(
     Raises:
         HilError: What keeps the run from being resumed; later errors are in the report.
     """
+    from hil.campaign.live_state import forget_live
     from hil.campaign.resuming import open_unfinished, recorded_before, resume_recording
 
     RunDirectory.open(run)
     # Held before anything is looked at: what is missing must not be measured by two at once.
     with hold_run(run):
+        forget_live(run)
         unfinished = open_unfinished(run)
 
         def motion(attendance: Attendance) -> Recorded:

@@ -28,10 +28,12 @@ class Question:
     Attributes:
         text: The whole text.
         asked: Its number among the prompts of the run, from 1; 0 where the run does not count.
+        holder: `id` of the lock of the run: a run that was gone on with counts anew.
     """
 
     text: str
     asked: int
+    holder: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +92,12 @@ def question_of(run: Path) -> Question:
     Raises:
         DataError: It asks nothing, or is not live.
     """
-    _require_moving(run)
-    standing = standing_in(read_live(run))
-    if not standing.prompt:
+    holder = _require_moving(run)
+    question = _asked_in(read_live(run))
+    # Another holder: an attempt that has died asked that. None: a version that did not say it.
+    if not question.text or question.holder not in ("", holder):
         raise DataError(f"{run} asks nothing at the moment", hint=f"follow it: hil watch {run}")
-    return Question(standing.prompt, standing.asked)
+    return question
 
 
 def answer_run(
@@ -115,10 +118,15 @@ def answer_run(
     question = asked or question_of(run)
 
     def obeyed(view: View) -> bool:
-        now = standing_in(view)
-        return yes and Question(now.prompt, now.asked) != question  # a no ends the run
+        return yes and _asked_in(view) != question  # a no ends the run
 
     return _ask(run, "answer", who, wait_s, obeyed, "", question, yes)
+
+
+def _asked_in(view: View) -> Question:
+    """What is asked as a live view has it, in the attempt that has written it."""
+    standing = standing_in(view)
+    return Question(standing.prompt, standing.asked, str(view.get("holder", "")))
 
 
 def _ask(
@@ -132,8 +140,8 @@ def _ask(
     yes: bool = False,
 ) -> Reaction:
     deadline, seen = time.monotonic() + wait_s, read_live(run)
-    text, asked = (question.text, question.asked) if question else ("", 0)
-    asking = ControlRequest(what, who, "", reason, text, yes, asked)
+    about = question or Question("", 0, "")
+    asking = ControlRequest(what, who, about.holder, reason, about.text, yes, about.asked)
     request = _hand_over(run, asking, deadline)
     while time.monotonic() < deadline:
         view = read_live(run)
@@ -150,9 +158,14 @@ def _ask(
 def _hand_over(run: Path, request: ControlRequest, deadline: float) -> Path:
     """Drop a request as soon as the run listens; one that has just begun does not yet."""
     while True:
-        addressed = replace(request, holder=_require_moving(run))
+        holder = _require_moving(run)
+        if request.holder not in ("", holder):
+            raise DataError(
+                f"{run} was gone on with since it has asked that",
+                hint=f"follow it: hil watch {run}",
+            )
         try:
-            return drop(run, addressed)
+            return drop(run, replace(request, holder=holder))
         except DataError:
             if time.monotonic() >= deadline:
                 raise

@@ -124,7 +124,12 @@ def _shown(run: Path, view: Document, live: bool) -> Document:
         "t": view.get("t", 0),
         "texts": texts,
         "can": _can(now, live=live, known=bool(view)),
-        "values": {"share": now.share, "asked": now.asked, **_margin_values(margins)},
+        "values": {
+            "share": now.share,
+            "asked": now.asked,
+            "attempt": str(view.get("holder", "")),
+            **_margin_values(margins),
+        },
         "shown": {
             "question": bool(now.prompt),
             "arm": bool(arm),
