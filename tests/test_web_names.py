@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
+from web_parts import failing
 
 from hil.web.app import create_app
+from hil.web.security import POLICY
 from hil.web.serving import address
 from hil.web.settings import Settings
 
@@ -48,3 +50,60 @@ def test_the_printed_address_opens(
     assert answer.url.path == "/"
     assert not made.knows("evil.example:8350")
     assert not made.knows("")
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"host": "[::1"}, 421),
+        ({"host": "["}, 421),
+        ({"host": "]"}, 421),
+        ({"host": "[::1]evil.example"}, 421),
+        ({"host": "[::1]:8350:1"}, 421),
+        ({"host": "127.0.0.1:8350", "origin": "http://["}, 403),
+        ({"host": "127.0.0.1:8350", "origin": "http://[::1"}, 403),
+        ({"host": "127.0.0.1:8350", "origin": "http://\u2100@"}, 403),
+        ({"host": "127.0.0.1:8350", "sec-fetch-site": "\xff"}, 403),
+    ],
+)
+@pytest.mark.parametrize("token", ["", TOKEN])
+def test_headers_that_no_browser_sends_are_refused_without_a_page(
+    tmp_path: Path, headers: dict[str, str], status: int, token: str
+) -> None:
+    made = settings(tmp_path, token=token)
+    visitor = TestClient(create_app(made), raise_server_exceptions=False)
+    sent = {b"accept": b"text/html"}
+    sent |= {name.encode(): value.encode() for name, value in headers.items()}
+    answer = visitor.post("/who", data={"csrf": made.csrf}, headers=sent)
+    assert answer.status_code == (401 if token and status == 403 else status)
+    assert_bare(answer, made)
+
+
+def test_a_guard_that_fails_lets_nobody_in_and_shows_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.web.security.Guard._unknown", failing(RuntimeError("a mistake")))
+    made = settings(tmp_path, token=TOKEN)
+    visitor = TestClient(
+        create_app(made), base_url="http://127.0.0.1:8350", raise_server_exceptions=False
+    )
+    answer = visitor.get("/", headers={"accept": "text/html"})
+    assert answer.status_code == 400
+    assert_bare(answer, made)
+
+
+def test_a_referer_that_is_no_address_leads_to_the_overview(tmp_path: Path) -> None:
+    made = settings(tmp_path)
+    visitor = TestClient(create_app(made), base_url="http://127.0.0.1:8350", follow_redirects=False)
+    data = {"csrf": made.csrf, "who": "anna"}
+    assert (
+        visitor.post("/who", data=data, headers={"referer": "http://["}).headers["location"] == "/"
+    )
+
+
+def assert_bare(answer: Any, made: Settings) -> None:
+    """Nothing of the dashboard is in it, and the policy is."""
+    assert answer.headers["content-type"].startswith("text/plain")
+    assert answer.headers["content-security-policy"] == POLICY
+    assert made.csrf not in answer.text
+    assert "<" not in answer.text

@@ -49,7 +49,10 @@ def who_of(request: Request) -> str:
 
 def back(request: Request) -> str:
     """Where a form was sent from; only ever a page of ours."""
-    came = urlsplit(request.headers.get("referer", ""))
+    try:
+        came = urlsplit(request.headers.get("referer", ""))
+    except ValueError:  # no address
+        return "/"
     if came.netloc != request.headers.get("host", "") or not came.path.startswith("/"):
         return "/"
     # Two slashes at the beginning would name another host.

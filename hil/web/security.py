@@ -8,6 +8,7 @@ lead here (DNS rebinding) could: a request under a name that is not ours is refu
 from __future__ import annotations
 
 import hmac
+import logging
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
@@ -17,6 +18,8 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hil.web.settings import Settings
+
+_LOG = logging.getLogger(__name__)
 
 SAFE = ("GET", "HEAD")
 MOST_BYTES = 64 * 1024
@@ -60,7 +63,11 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        refusal = self._refusal(scope)
+        try:
+            refusal = self._refusal(scope)
+        except Exception:  # a page for that would show runs to whoever has shown no token
+            _LOG.exception("the guard could not judge a request")
+            refusal = _said(400, "this request cannot be understood")
         await (refusal or self._app)(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> Response | None:
@@ -134,7 +141,15 @@ def _same_origin(headers: Headers) -> bool:
     if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
         return False
     origin = headers.get("origin")
-    return origin is None or urlsplit(origin).netloc == headers.get("host", "")
+    return origin is None or _place(origin) == headers.get("host", "")
+
+
+def _place(origin: str) -> str:
+    """Host and port of an origin, empty where it is none."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
 
 
 def _cookies(headers: Headers) -> dict[str, str]:

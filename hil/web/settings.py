@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import secrets
 import socket
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from pathlib import Path
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8350
+_HOST = re.compile(r"(\[[^\[\]]*\]|[^\[\]:]+)(:[0-9]*)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +65,8 @@ class Settings:
         Args:
             host: As the browser sent it, with or without a port.
         """
-        name = host.lower()
-        name = name[: name.index("]") + 1] if name.startswith("[") else name.partition(":")[0]
+        called = _HOST.fullmatch(host.lower())
+        name = called[1] if called else ""
         if name and name in {"localhost", self.host.lower(), *map(str.lower, self.called)}:
             return True
         try:
