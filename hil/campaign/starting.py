@@ -1,129 +1,36 @@
 """Starting runs that outlive whoever starts them: each is a `hil run` of its own.
 
-What was started is kept in `RUNS/.started/`: `ID.json` says what, `ID.log` is what it prints. A run
-that dies before it has a run directory is heard of nowhere else.
+What was started, and what became of it, is in `hil.campaign.started`.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import platform
-import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from hil.campaign.detached import begin, last_lines, ticks_of
+from hil.campaign.detached import begin, ticks_of
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
 from hil.campaign.resuming import require_resumable
-from hil.campaign.steering import stop_run
-from hil.errors import DataError, HilError, RecordingError, SpecError
+from hil.campaign.started import FOLDER, Started, started_runs
+from hil.errors import DataError, RecordingError, SpecError
 from hil.plan.commissioning import commissioning_of
-from hil.record.files import json_document, read_json, write_replacing
+from hil.record.files import json_document, write_replacing
 from hil.record.lock import is_live
-from hil.record.numbering import run_folders
-from hil.record.parts import name_of_attempt
-from hil.record.rundir import RunDirectory
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 
-FOLDER = ".started"
+__all__ = ["Started", "check_start", "go_on_with", "start_run", "started_runs"]
+
 KEPT = 20
 """Of so many starts records and logs are kept."""
-
-SLACK_S = 2.0
-"""File systems and clocks may differ so much about when something was [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Started:
-    """A run that was started, which need not have a run directory yet.
-
-    Attributes:
-        id: Names it below its folder of runs.
-        runs: The folder of runs.
-        spec, station: What was started; the station is empty for the usual one. Instead of a spec
-            the directory of a run that is gone on with.
-        operator: Who asked for it.
-        pid: Its process.
-        ticks: When that began, in the kernel's own count: other processes may get its pid.
-        time: When it was started [s, Unix time].
-        host: On which computer.
-    """
-
-    id: str
-    runs: str
-    spec: str
-    station: str
-    operator: str
-    pid: int
-    ticks: int
-    time: float
-    host: str
-
-    @property
-    def log(self) -> Path:
-        """What it prints."""
-        return Path(self.runs) / FOLDER / f"{self.id}.log"
-
-    @property
-    def alive(self) -> bool:
-        """Whether its process still runs."""
-        return self.host == platform.node() and 0 < self.ticks == ticks_of(self.pid)
-
-    @property
-    def made(self) -> list[Path]:
-        """Its run directories: none while it plans, several for a series."""
-        if (again := self.again) is not None:
-            resumed = again / name_of_attempt("resume.json", RunDirectory(again).attempts - 1)
-            return [again] if self._has_written(resumed) else []
-        return [run for run in run_folders(Path(self.runs)) if self._is_mine(run)]
-
-    @property
-    def again(self) -> Path | None:
-        """The run that it goes on with; None where it makes one."""
-        run, root = Path(self.spec), Path(self.runs).resolve()
-        return run if run.is_dir() and run.resolve().is_relative_to(root) else None
-
-    @property
-    def last_words(self) -> list[str]:
-        """The last lines it printed."""
-        return last_lines(self.log)
-
-    def cancel(self, who: str = "") -> None:
-        """End it: as `hil stop` where it is live by now, else as Ctrl-C would.
-
-        Does nothing when it has ended.
-
-        Args:
-            who: Who asks; recorded. By default whoever started it.
-        """
-        for run in self.made if self.alive else ():
-            with contextlib.suppress(HilError):  # it does not listen yet, or its motion is over
-                stop_run(run, who=who or self.operator, wait_s=0)
-                return
-        if self.alive:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGTERM)
-
-    def _is_mine(self, run: Path) -> bool:
-        return self._has_written(run / "start.json")
-
-    def _has_written(self, document: Path) -> bool:
-        try:
-            if document.stat().st_mtime < self.time - SLACK_S:
-                return False
-            said = read_json(document)
-        except (OSError, DataError):
-            return False
-        return said.get("pid") == self.pid and said.get("host") == self.host
 
 
 def check_start(
@@ -236,33 +143,6 @@ def _start(
         raise
     _forget_old(runs)
     return started
-
-
-def started_runs(runs: Path) -> list[Started]:
-    """What was started, the newest first; damaged records are left out."""
-    return list(_records(runs))
-
-
-def _records(runs: Path) -> Iterator[Started]:
-    for path in sorted((runs / FOLDER).glob("*.json"), reverse=True):
-        with contextlib.suppress(DataError):
-            said = read_json(path) | {"id": path.stem, "runs": str(runs)}
-            if _is_record(said):
-                yield Started(**said)
-
-
-def _is_record(said: Mapping[str, Any]) -> bool:
-    """Whether a document is what was written here: others may have been at it."""
-    if said.keys() != {field.name for field in fields(Started)}:
-        return False
-    texts = [said[key] for key in ("spec", "station", "operator", "host")]
-    counts, time_s = [said[key] for key in ("pid", "ticks")], said["time"]
-    return (
-        all(isinstance(text, str) and "\0" not in text for text in texts)
-        and all(isinstance(count, int) and 0 <= count < 2**63 for count in counts)
-        and isinstance(time_s, int | float)
-        and 0 <= time_s < 2**53
-    )
 
 
 def _forget_old(runs: Path) -> None:
