@@ -1,0 +1,149 @@
+"""The description of an arm of one's own, as text: what its URDF says, and what is guessed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.dynamics.described import Described
+from hil.spec.new import quoted
+from hil.spec.source import shown
+from hil.typing import BoolArray, FloatArray
+
+ACCELERATION_PER_SPEED = 3.0
+"""Guessed limit [1/s]: full speed in a third of a second."""
+EFFORT_NM, SPEED_DEG_S = 50.0, 90.0
+GEAR_RATIO, DRIVE_GAIN_NM_A = 100, 10.0
+RANGE_DEG, MARGIN_DEG = 120.0, 5.0
+SLENDER = 0.05
+"""Radius of guessed bodies, as a share of the arm's length."""
+NEVER_SAID = (
+    "rate_hz", "payload_max", "excite", "qdd_max", "gear_ratio", "drive_gain", "capsules",
+)  # fmt: skip
+"""What no URDF says."""
+
+
+def arm_text(urdf: str, found: Described) -> str:
+    """The YAML file; lines with a guess are marked `GUESS`.
+
+    Args:
+        urdf: Its name, for people.
+        found: What it says.
+    """
+    joints = "\n".join(_joint(found, j) for j in range(len(found.mass)))
+    links = "\n".join(_link(found, j) for j in range(len(found.mass)))
+    return (
+        _HEAD.format(
+            urdf=shown(urdf),
+            source=quoted(f"{urdf}, but for lines marked GUESS"),
+            guessed=", ".join(_guessed(found)),
+        )
+        + f"joints:\n{joints}\nlinks:\n{links}\n{_bodies(found)}"
+    )
+
+
+def silent(found: Described) -> dict[str, tuple[str, BoolArray]]:
+    """What a URDF may leave out, by its words in the description: its name, and where it does."""
+    return {
+        "effort_max": ("torque limit", found.effort_max == 0),
+        "qd_max": ("speed limit", found.qd_max == 0),
+        "q_limits": ("position limits", ~np.isfinite(found.q_min)),
+    }
+
+
+def _guessed(found: Described) -> list[str]:
+    return [*NEVER_SAID, *(word for word, (_, lacks) in silent(found).items() if lacks.any())]
+
+
+def _joint(found: Described, j: int) -> str:
+    a, alpha, d, theta = found.dh[j]
+    low, high = _limits(found.q_min[j], found.q_max[j])
+    speed = np.degrees(found.qd_max[j]) or SPEED_DEG_S
+    effort = found.effort_max[j] or EFFORT_NM
+    narrow = max(low + MARGIN_DEG, -RANGE_DEG), min(high - MARGIN_DEG, RANGE_DEG)
+    said = {
+        "q_min_deg": low, "q_max_deg": high, "qd_max_deg_s": speed,
+        "effort_max_nm": effort,
+    }  # fmt: skip
+    excited = {"excite_min_deg": narrow[0], "excite_max_deg": narrow[1]}
+    drive = {
+        "qdd_max_deg_s2": speed * ACCELERATION_PER_SPEED,
+        "gear_ratio": GEAR_RATIO,
+        "drive_gain_nm_a": DRIVE_GAIN_NM_A,
+    }
+    dh = {"a_m": a, "alpha_deg": np.degrees(alpha), "d_m": d, "theta_deg": np.degrees(theta)}
+    silent = found.effort_max[j] == 0 or found.qd_max[j] == 0 or not np.isfinite(found.q_min[j])
+    told = "  # GUESS what the URDF leaves out" if silent else ""
+    return (
+        f"  - {{name: {quoted(found.joint_names[j])}, {_row(dh)},\n"
+        f"     {_row(said)},{told}\n"
+        f"     {_row(excited)},  # GUESS\n"
+        f"     {_row(drive)}}}  # GUESS"
+    )
+
+
+def _limits(low: float, high: float) -> tuple[float, float]:
+    """Degrees; an endless joint is given a turn to either side."""
+    return (
+        float(np.degrees(low)) if np.isfinite(low) else -360.0,
+        float(np.degrees(high)) if np.isfinite(high) else 360.0,
+    )
+
+
+def _row(values: dict[str, float]) -> str:
+    return ", ".join(f"{key}: {_number(value)}" for key, value in values.items())
+
+
+def _number(value: float) -> str:
+    return f"{round(float(value), 9) + 0.0:.10g}"
+
+
+def _numbers(values: FloatArray) -> str:
+    return "[" + ", ".join(map(_number, values)) + "]"
+
+
+def _link(found: Described, j: int) -> str:
+    body = found.inertia[j]
+    six = np.array([body[0, 0], body[1, 1], body[2, 2], body[0, 1], body[0, 2], body[1, 2]])
+    return (
+        f"  - {{name: {quoted(found.link_names[j])}, mass_kg: {_number(found.mass[j])}, "
+        f"com_m: {_numbers(found.com[j])},\n     inertia_kgm2: {_numbers(six)}}}"
+    )
+
+
+def _bodies(found: Described) -> str:
+    """Rods from joint to joint, thinner towards the flange."""
+    lengths = np.linalg.norm(found.axes[:, 1] - found.axes[:, 0], axis=1)
+    n, radius = len(found.mass), round(SLENDER * float(lengths.sum()), 3)
+    foot = max(float(found.dh[0, 2]) / 2, 0.01)
+    lines = [f"  - {{link: 0, a_m: [0, 0, 0], b_m: [0, 0, {_number(foot)}], "
+             f"radius_m: {_number(radius)}}}"]  # fmt: skip
+    for j, (a, b) in enumerate(found.axes):
+        thick = radius * (1 - 0.5 * j / max(n - 1, 1))
+        lines.append(f"  - {{link: {j + 1}, a_m: {_numbers(a)}, b_m: {_numbers(b)}, "
+                     f"radius_m: {_number(round(thick, 3))}}}")  # fmt: skip
+    head = "capsules:  # GUESS rods from joint to joint; put bodies around your arm's real outline"
+    return "\n".join([head, *lines, ""])
+
+
+_HEAD = """# An arm of one's own, from {urdf}; a station names this file as `model`.
+#
+# What that file says is here in standard (distal) DH frames; units are in the keys. What a URDF
+# does not say is guessed, in lines marked GUESS: good enough for the mock.
+# Before anything real moves:
+#
+#   limits      from the data sheet; hil plans up to them
+#   qdd_max     how hard a joint may accelerate
+#   excite      the range in which programs move, unless a spec says otherwise
+#   gear_ratio  motor turns per turn of the joint
+#   drive_gain  torque at the joint per motor current; `hil gains` calibrates it
+#   capsules    bodies that are kept apart: everything of a link must be inside its own
+#
+# Then take its word out of `guessed`: until the list is empty no real arm is moved with this file.
+#
+# Friction is nowhere here: the mock draws its own, real arms have theirs, and `hil` identifies it.
+guessed: [{guessed}]
+sources:
+  all: {source}
+rate_hz: 250  # GUESS of the controller
+payload_max_kg: 1  # GUESS
+"""
