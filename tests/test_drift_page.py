@@ -78,6 +78,13 @@ def test_without_times_probes_stand_by_their_number(told) -> None:
     assert along.place(2) == "probe 3"
 
 
+def test_names_of_champions_stand_above_the_probes_that_are_sure_to_be_unchanged(told) -> None:
+    axis = figures.chances(told, in_time(told, ())[1]).figure["layout"]["yaxis"]
+    bottom, top = axis["range"]
+    assert 0.12 < top / (top - bottom) < 0.25
+    assert top < axis["dtick"], "no number stands where no probability is"
+
+
 def test_the_page_says_what_changed_and_why_who_is_champion(registry) -> None:
     page = drift_page(registry, "ur5")
     assert page.badge.text == "changed"

@@ -3,12 +3,14 @@
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 from report_runs import fourier_plan, write_run
 
-from hil.report import render_report
-from hil.report.blocks import Badge, Page, Section
+from hil.report import colours, render_report
+from hil.report.blocks import Badge, Page, Panel, Plots, Section
 from hil.report.render import page_html
+from hil.report.traces import axes, line
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -34,12 +36,43 @@ def test_every_name_of_the_contents_can_be_seen_on_a_laptop(tmp_path):
     assert "<title>true</title>" in dom(page, tmp_path)
 
 
+@pytest.mark.wire
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt-get install chromium)")
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no pdftotext is installed")
+def test_on_paper_plots_stand_on_one_sheet_with_their_heading(tmp_path):
+    ends = np.arange(2.0)
+    figure = {"data": [line(ends, ends, "a", colours.MEASURED)], "layout": axes("t [s]", "i [A]")}
+    blocks = [
+        Plots(
+            f"Heading {i}", "Words that take some lines. " * 5,
+            tuple(Panel(f"Panel {j} of {i}", figure, "a line") for j in range(6)),
+            (("a", colours.MEASURED, "solid"),),
+        )
+        for i in range(4)
+    ]  # fmt: skip
+    page = tmp_path / "page.html"
+    sections = (Section("s", "Plots", "", tuple(blocks)),)
+    page.write_text(page_html(Page("paper", "", Badge("", ""), "", sections=sections)), "utf-8")
+    browser(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    told = subprocess.run(["pdftotext", tmp_path / "page.pdf", "-"], capture_output=True, text=True)
+    sheets = told.stdout.split("\f")
+    for i in range(4):
+        texts = (f"Heading {i}", *(f"Panel {j} of {i}" for j in range(6)))
+        assert any(all(text in sheet for text in texts) for sheet in sheets), f"plots {i}"
+    assert len(sheets) > 3
+
+
 def dom(page, folder):
     """The page as the browser leaves it."""
+    return browser(page, folder, "--dump-dom")
+
+
+def browser(page, folder, what):
+    """What the browser prints when it does `what` with the page."""
     command = [
         CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
         f"--user-data-dir={folder / 'profile'}", "--window-size=1200,3000",
-        "--virtual-time-budget=10000", "--dump-dom", page.as_uri(),
+        "--virtual-time-budget=10000", what, page.as_uri(),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
     return done.stdout

@@ -30,6 +30,9 @@ FEWEST = 3
 """Limits that fewer probes have told are wider than the picture."""
 
 
+ROOM = 0.15
+"""Of the height of a picture, for words above its marks."""
+
 WHOLE = 20
 """Up to so many probes each has a number on the axis."""
 
@@ -120,7 +123,9 @@ def chances(told: Sequence[Banded], along: Along) -> Panel:
     values = np.maximum([one.chance for one in told], 1e-12)
     layout = along.layout("probability [1]")
     lowest = float(np.log10(values.min()))
-    layout["yaxis"] |= {"type": "log", "range": [min(-3.0, lowest - 0.5), 0.3]}
+    bottom = min(-3.0, lowest - 0.5)
+    # Above a probability of 1 there is room for the names of champions, less than to a next tick.
+    layout["yaxis"] |= {"type": "log", "range": [bottom, -ROOM * bottom]}
     layout["yaxis"] |= {"exponentformat": "power", "dtick": max(1, int(np.ceil(-lowest / 6)))}
     rate = np.array([one.probe.false_alarm for one in told])
     every = range(len(told))
