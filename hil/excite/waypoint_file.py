@@ -12,10 +12,14 @@ from typing import Literal
 import numpy as np
 
 from hil.errors import SpecError
+from hil.spec.source import shown
 from hil.typing import FloatArray
 
 MOST_PROBLEMS = 20
 """A file with more mistakes than this has one mistake, made often."""
+
+MOST_QUOTED = 40
+"""Characters of a line: enough to find it, and to give no foreign file away."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +94,17 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     rows = []
     for number, line in enumerate(text.splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
-            rows.append((number, [cell.strip() for cell in next(csv.reader([line]))]))
+            rows.append((number, _cells(path, number, line)))
     return rows
+
+
+def _cells(path: Path, number: int, line: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise SpecError(
+            f"{path}:{number}: {error}", hint="a line has a pose: numbers, separated by commas"
+        ) from None
 
 
 def _columns(path: Path, header: tuple[int, list[str]], joint_names: Sequence[str]) -> list[int]:
@@ -100,7 +113,7 @@ def _columns(path: Path, header: tuple[int, list[str]], joint_names: Sequence[st
     if sorted(cells) != sorted(joint_names):
         raise SpecError(
             f"{path}:{line}: the first line is neither a pose nor the joints' names: "
-            f"{', '.join(cells)}",
+            f"{shown(', '.join(cells), MOST_QUOTED)}",
             hint=f"the joints are {', '.join(joint_names)}",
         )
     return [cells.index(name) for name in joint_names]
@@ -112,9 +125,9 @@ def _complaint(cells: Sequence[str], joint_names: Sequence[str]) -> str:
     for column, cell in enumerate(cells, start=1):
         value = _number(cell)
         if value is None:
-            return f"column {column} is {cell!r}, not a number"
+            return f"column {column} is '{shown(cell, MOST_QUOTED)}', not a number"
         if not math.isfinite(value):
-            return f"column {column} is {cell}, not a finite number"
+            return f"column {column} is {shown(cell, MOST_QUOTED)}, not a finite number"
     return ""
 
 

@@ -17,6 +17,7 @@ from starlette.routing import Route
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
 from hil.plan.commissioning import commissioning_of
+from hil.web.given_files import require_files_offered
 from hil.web.going import words_of
 from hil.web.offered import file_offered, offered
 from hil.web.once import Once
@@ -90,6 +91,7 @@ def _begin(request: Request, given: Mapping[str, str]) -> Response:
         named = given.get("station", "")
         station = file_offered(named, settings, "station") if named else None
         overrides = overrides_in(given.get("overrides", ""))
+        require_files_offered(overrides, spec, settings)
         who = given.get("operator", "").strip()[:80] or who_of(request)
         require_text(who, "the name of who is at the robot")
         speed, first = given.get("speed", "").strip(), given.get("first", "").strip()
