@@ -86,6 +86,7 @@ def test_the_page_says_what_the_events_will_say(settings: Settings, run: Run) ->
     assert (shown["effort.5"], shown["temperature.5"]) == ("1.50", "–")
     assert shown["margin.speed"] == "j3: 45.0 °/s, limit 90 °/s"
     assert now["values"]["margin.speed"] == pytest.approx(0.5)
+    assert "“stale” has none" in html  # it is not forgotten: bars are made of samples
     assert now["series"] == {f"effort.{i}": 1.5 for i in range(6)}  # nothing to draw of the others
 
 
@@ -164,7 +165,8 @@ def test_a_damaged_view_shows_no_numbers_and_no_errors(settings: Settings, run: 
 
 def test_live_runs_are_told_of_at_once_and_when_they_change(settings: Settings, run: Run) -> None:
     moving(run[1])
-    (first,) = asyncio.run(_first_events(settings, 1))
+    first, planned = asyncio.run(_first_events(settings, 2))
+    assert planned == []
     assert [(one["name"].rpartition("/")[2], one["percent"]) for one in first] == [
         (run[0].path.name, 25)
     ]
