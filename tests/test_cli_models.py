@@ -122,6 +122,61 @@ def test_what_is_empty_is_not_told_where_a_table_comes_row_by_row(
     ]  # fmt: skip
 
 
+def narrow(monkeypatch: pytest.MonkeyPatch, columns: int = 50) -> None:
+    monkeypatch.setattr("hil.cli.output.width_of", lambda stream: columns)
+
+
+def test_words_at_the_end_of_rows_are_wrapped_in_their_column(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrow(monkeypatch, 40)
+    print_table(
+        ("kind", "what"), [("dwell", "gravity and friction from poses at rest"), ("a", "b")]
+    )
+    assert capsys.readouterr().out.splitlines() == [
+        "kind   what",
+        "dwell  gravity and friction from poses",
+        "       at rest",
+        "a      b",
+    ]
+
+
+def test_rows_stay_together_where_names_take_most_of_the_width(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrow(monkeypatch)
+    rows = [("runs/2026-11-22/ur5/0001-ci-dwell-12", "completed", "1 min 41 s", "passed")]
+    print_table(("run", "status", "duration", "verdict"), rows)
+    assert capsys.readouterr().out.splitlines() == [
+        "runs/2026-11-22/ur5/0001-ci-dwell-12",
+        "  status: completed, duration: 1 min 41 s,",
+        "    verdict: passed",
+    ]
+
+
+def test_rows_that_share_a_name_are_not_taken_apart(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrow(monkeypatch, 30)
+    rows = [("drivers", name, "hil 0.1.0", "ok") for name in ("cia402", "mock")]
+    print_table(("group", "name", "from", "state"), rows)
+    told = capsys.readouterr().out.splitlines()
+    assert told[:2] == ["drivers", "  name: cia402, from: hil"]
+
+
+def test_rows_without_titles_are_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrow(monkeypatch, 40)
+    rows = [("steps", "93"), ("margin: robot_acceleration_rad_s2", "12.57 of 15 with these loads")]
+    print_table(("", ""), rows)
+    assert capsys.readouterr().out.splitlines() == [
+        "steps  93",
+        "margin: robot_acceleration_rad_s2  12.57",
+        "  of 15 with these loads",
+    ]
+
+
 def test_zero_has_no_sign() -> None:
     assert [fixed(x, 3) for x in (-0.0001, 0.0, -0.002)] == ["0.000", "0.000", "-0.002"]
 

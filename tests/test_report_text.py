@@ -11,6 +11,7 @@ from study_parts import result
 
 from hil.api import parse_parameters
 from hil.campaign.view import list_runs
+from hil.cli.runs import tell_run
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.report import summary_lines
@@ -211,6 +212,22 @@ def test_a_narrow_terminal_gets_narrow_lines(tmp_path):
     run = judged(tmp_path, name="fourier-with-a-name-that-goes-on")
     for line in summary_lines(run.path, 60):
         assert len(line) <= 60 or str(tmp_path) in line, line
+
+
+@pytest.mark.parametrize("width", [50, 80])
+def test_names_of_joints_are_never_shortened(tmp_path, width):
+    lines = summary_lines(judged(tmp_path).path, width)
+    assert all(len(line) <= width or str(tmp_path) in line for line in lines)
+    for j, name in enumerate(JOINTS, start=1):
+        (line,) = [line for line in lines if line.startswith(f"J{j} ")]
+        assert name in line
+
+
+def test_show_in_a_pipe_knows_no_columns(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "50")
+    tell_run(judged(tmp_path).path)
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("J1 ")]
+    assert len(table[0]) > 50
 
 
 def test_without_a_report_the_command_for_one_is_shown(tmp_path):

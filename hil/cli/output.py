@@ -31,6 +31,9 @@ RunsOption = Annotated[
 APART = 2
 """Blanks between two columns."""
 
+LEAST_PROSE = 20
+"""Columns that words at the end of a row are wrapped within; fewer are no pleasure to read."""
+
 
 def print_json(document: Any) -> None:
     """Print a document; NaN and infinity become null, since JSON has neither."""
@@ -40,8 +43,9 @@ def print_json(document: Any) -> None:
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Columns as wide as needed, the first of them names; in a pipe nothing is broken.
 
-    A table wider than the terminal comes in blocks of columns, each with the names; where names
-    leave no room for that, row by row, without what is empty.
+    In a table wider than the terminal the words at the end of its rows are wrapped. Where that is
+    not enough it comes in blocks of columns, each with the names; where these leave no room for
+    that, or are shared by rows, row by row, without what is empty.
     """
     table = [list(header), *[list(row) for row in rows]]
     padded = [
@@ -49,16 +53,43 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         for column in zip(*table, strict=True)
     ]
     width = out_width()
-    widest = max((len(column[0]) for column in padded[1:]), default=0)
-    if width is not None and len(padded[0][0]) + APART + widest > width:
-        for name, *cells in table[1:]:
-            typer.echo(name)
-            said = zip(header[1:], cells, strict=True)
-            if told := ", ".join(f"{title}: {cell}" for title, cell in said if cell):
-                typer.echo(indent(fold(told, width - APART), " " * APART))
-        return
-    for line in lines_of(padded, width):
+    for line in _table_lines(table, padded, width):
         typer.echo(line)
+
+
+def _table_lines(
+    table: list[list[str]], padded: list[list[str]], width: int | None
+) -> Iterable[str]:
+    wide = [len(column[0]) for column in padded]
+    if width is None or sum(wide) + APART * (len(wide) - 1) <= width:
+        return lines_of(padded, None)
+    before = sum(wide[:-1]) + APART * (len(wide) - 1)
+    words = [word for row in table for word in row[-1].split()]
+    if width - before >= max([LEAST_PROSE, *map(len, words)]):
+        return _wrapped_at_the_end(padded, before, width)
+    names = [row[0] for row in table]
+    if len(set(names)) < len(names) or wide[0] > width - APART - max(width // 2, *wide[1:]):
+        return _row_by_row(table, width)
+    return lines_of(padded, width)
+
+
+def _wrapped_at_the_end(padded: list[list[str]], before: int, width: int) -> Iterator[str]:
+    for *cells, last in zip(*padded, strict=True):
+        first, *others = wrap(last, width - before, break_on_hyphens=False) or [""]
+        yield (" " * APART).join([*cells, first]).rstrip()
+        yield from (" " * before + line for line in others)
+
+
+def _row_by_row(table: list[list[str]], width: int) -> Iterator[str]:
+    (_, *titles), *rows = table
+    for name, *cells in rows:
+        if not any(titles):
+            yield fold((" " * APART).join([name, *filter(None, cells)]), width)
+            continue
+        yield name
+        said = (f"{title}: {cell}" for title, cell in zip(titles, cells, strict=True) if cell)
+        if told := ", ".join(said):
+            yield indent(fold(told, width - APART), " " * APART)
 
 
 def lines_of(columns: Sequence[list[str]], width: int | None) -> Iterator[str]:

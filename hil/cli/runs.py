@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shutil import get_terminal_size
 from typing import Annotated, Any, TypeAlias
 
 import typer
@@ -12,6 +11,7 @@ from hil.cli.output import (
     JsonFlag,
     RunsOption,
     duration,
+    out_width,
     print_json,
     print_table,
     say,
@@ -43,10 +43,10 @@ def fail(error: HilError, json: bool) -> None:
 
 
 def tell_run(run: Path) -> None:
-    """The summary of a run, as wide as the terminal."""
-    from hil.report.text import summary_lines
+    """The summary of a run, as wide as the terminal; in a pipe as everywhere."""
+    from hil.report.text import WIDTH, summary_lines
 
-    for line in summary_lines(run, max(40, min(80, get_terminal_size().columns))):
+    for line in summary_lines(run, max(40, min(WIDTH, out_width() or WIDTH))):
         typer.echo(line)
 
 

@@ -26,7 +26,8 @@ from hil.report.words import LATE, counted, criterion_text, duration, joint_titl
 WIDTH = 80
 LABEL = 11
 NAMES = 28
-COLUMN = 11
+COLUMN, NARROW = 11, 9
+APART = 2
 
 
 def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
@@ -34,7 +35,7 @@ def summary_lines(run: Path, width: int = WIDTH) -> list[str]:
 
     Args:
         run: The run directory.
-        width: Of the terminal; the table of a model needs 56 columns.
+        width: Of the terminal; the table of a model needs 40 columns.
 
     Raises:
         DataError: It is not a run directory, or was written by a newer hil.
@@ -148,18 +149,23 @@ def _fit_lines(fit: FitFacts, width: int) -> list[str]:
     lines = wrap(title, width)
     if not fit.is_honest:
         lines += wrap(f"not judged; {fit.protocol}", width)
-    names = max(LABEL, min(NAMES, width - 4 * COLUMN))
-    lines.append(_row("joint", ["raw", "filtered", "fast", "trained"], names))
-    for j, name in enumerate(fit.joint_names):
-        values = [number(column[j]) for column in columns]
-        lines.append(_row(joint_title(j, name), values, names))
-    lines.append(_row("mean", [number(mean) for mean in means], names))
+    titles = [joint_title(j, name) for j, name in enumerate(fit.joint_names)]
+    longest = max([NAMES, *(len(title) + APART for title in titles)])
+    wide = COLUMN if width >= LABEL + 4 * COLUMN else NARROW
+    names = max(0, min(longest, width - 4 * wide))
+    lines += _row("joint", ["raw", "filtered", "fast", "trained"], names, wide)
+    for j, title in enumerate(titles):
+        lines += _row(title, [number(column[j]) for column in columns], names, wide)
+    lines += _row("mean", [number(mean) for mean in means], names, wide)
     return lines + [line for row in fit.criteria for line in _criterion(row, width)]
 
 
-def _row(name: str, values: list[str], names: int) -> str:
-    cut = name if len(name) <= names - 2 else f"{name[: names - 3]}…"
-    return cut.ljust(names) + "".join(f"{value:>{COLUMN}}" for value in values)
+def _row(name: str, values: list[str], names: int, wide: int) -> list[str]:
+    """A name that takes more than its column has a line of its own: none is shortened."""
+    cells = "".join(f"{value:>{wide}}" for value in values)
+    if len(name) + APART > names:
+        return [name, " " * names + cells]
+    return [name.ljust(names) + cells]
 
 
 def _criterion(row: object, width: int) -> list[str]:
