@@ -34,6 +34,7 @@ def test_what_is_no_number_is_not_known(value: object) -> None:
      (4.658e-5, 0.5, "rad", ("< 0.001 rad", "0.5 rad")),
      (47137, 500, "MB", ("47.1 GB", "0.5 GB")),
      (0.3, 150.0, "N·m", ("0.300 N·m", "150 N·m")),
+     (45.62, 142.5, "N·m", ("45.6 N·m", "142.5 N·m")),
      (12.3, 250, "mm", ("12.3 mm", "250 mm"))],
 )  # fmt: skip
 def test_a_value_and_its_limit_are_in_one_unit(

@@ -57,20 +57,20 @@ def _suiting(greatest: float, unit: str, least: float) -> tuple[float, str]:
 
 
 def _said(value: float, unit: str, *, exact: bool = False) -> str:
-    """A limit is exact: noughts at its end would say nothing."""
-    text = _figure(value)
+    """A limit is exact: it has more digits, and no noughts at its end."""
+    text = _figure(value, 4 if exact else 3)
     if exact and "." in text:
         text = text.rstrip("0").rstrip(".")
     return text if unit in ("", "1") or text == UNKNOWN else f"{text} {unit}"
 
 
-def _figure(value: float) -> str:
-    """Three digits; thousands apart; what would be a row of noughts is less than a thousandth."""
+def _figure(value: float, digits: int) -> str:
+    """So many digits; thousands apart; what would be a row of noughts is less than a thousandth."""
     if not math.isfinite(value) or not value:
         return number(value)
     if abs(value) < 0.9995e-3:
         return "< 0.001" if value > 0 else "> -0.001"
-    return number(value) if abs(value) < 999.5 else count(round(value))
+    return number(value, digits) if abs(value) < 999.5 else count(round(value))
 
 
 def _known(value: Any) -> float:
