@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from docs_commands import ROOT, blocks
+from gallery_dashboard import LIVE, MOVING, WHO, looked_at
 
 PAGE = ROOT / "docs" / "gallery.md"
 OUT = ROOT / "docs" / "images" / "gallery"
@@ -47,7 +48,8 @@ class Shot:
     """A picture: of the top of a page, or of plots under a heading.
 
     Attributes:
-        file: Of the page or picture, a pattern in the folder of the commands.
+        file: Of the page or picture, a pattern in the folder of the commands; with a slash before
+            it, the address of a page of the dashboard.
         section: Id of the section; empty for the top of the page.
         title: Heading of the plots in it.
         size: Of the window; pictures of plots end with the last panel that is whole in that height.
@@ -85,6 +87,17 @@ SHOTS = {
     "chance": Shot("drift.html", "probes", "Chance"),
     "drift": Shot("drift.html", "friction", "Friction"),
     "fleet": Shot("runs/*/fleet/*/fleet.html", "friction", "Friction over age"),
+    "dashboard": Shot("/"),
+    "dashboard-dark": Shot("/", dark=True),
+    "live": Shot(LIVE),
+    "live-dark": Shot(LIVE, dark=True),
+    "run": Shot("/runs/*/ur5/0002-*"),
+    "run-dark": Shot("/runs/*/ur5/0002-*", dark=True),
+    "model": Shot("/models/ur5"),
+    "model-dark": Shot("/models/ur5", dark=True),
+    "schedule": Shot("/schedules/ur5-weekly"),
+    "schedule-dark": Shot("/schedules/ur5-weekly", dark=True),
+    "moving": Shot(MOVING, size=(1240, 1240)),  # answered: what shows the question comes before
     "paper": Shot("paper/model-2-held-out-trajectory-measured-and-predicted.png"),
 }
 
@@ -92,16 +105,23 @@ SHOTS = {
 def run_commands(folder: Path) -> None:
     """Run every command of the page, in its order, and keep its files."""
     (folder / "experiments").symlink_to(ROOT / "experiments")
-    parts = [b.script() for b in blocks(PAGE) if b.language == "sh" or b.asked[:5] == "file:"]
+    made = [b for b in blocks(PAGE) if b.language == "sh" or b.asked[:5] == "file:"]
+    parts = [b.script() for b in made if serve_command() not in b.commands]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     kept = {k: v for k, v in os.environ.items() if not k.startswith("HIL_")}
     script = "".join(parts)
     subprocess.run(
         ["bash", "-euxo", "pipefail", "-c", script],
         cwd=folder,
-        env=kept | {"PATH": path},
+        env=kept | {"PATH": path, "LOGNAME": WHO},
         check=True,
     )
+
+
+def serve_command() -> str:
+    """The only command of the page that does not end."""
+    (found,) = (c for b in blocks(PAGE) for c in b.commands if c.startswith("hil serve"))
+    return str(found)
 
 
 def take(folder: Path, names: Sequence[str]) -> None:
@@ -112,7 +132,13 @@ def take(folder: Path, names: Sequence[str]) -> None:
     program = shutil.which("chromium") or shutil.which("google-chrome")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        for name in names:
+        if served := [name for name in names if SHOTS[name].file.startswith("/")]:
+            with looked_at(browser, folder, serve_command()) as dashboard:
+                for name in served:
+                    shot = SHOTS[name]
+                    raw = dashboard.picture(shot.file, shot.size, dark=shot.dark)
+                    _keep(raw, OUT / f"{name}.webp")
+        for name in (each for each in names if each not in served):
             shot = SHOTS[name]
             file = next(iter(sorted(folder.glob(shot.file))))
             raw = file.read_bytes() if file.suffix == ".png" else _picture(browser, file, shot)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import docs_commands
 import gallery
@@ -43,3 +44,22 @@ def test_every_section_with_pictures_says_the_command_that_makes_them() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_is_one_of_hil(command: str) -> None:
     docs_commands.parse(command)
+
+
+def test_the_dashboard_is_served_for_its_pictures_and_not_before(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    scripts: list[str] = []
+    monkeypatch.setattr(gallery.subprocess, "run", lambda words, **_: scripts.append(words[-1]))
+    gallery.run_commands(tmp_path)
+    assert gallery.serve_command() in COMMANDS
+    assert "hil serve" not in scripts[0]
+    assert "hil fleet run" in scripts[0]
+
+
+def test_pages_of_the_dashboard_are_shown_in_both_themes() -> None:
+    served = {name: shot for name, shot in gallery.SHOTS.items() if shot.file.startswith("/")}
+    light = {name for name, shot in served.items() if not shot.dark}
+    assert {f"{name}-dark" for name in light - {"moving"}} == served.keys() - light
+    for name in light - {"moving"}:
+        assert served[name].file == served[f"{name}-dark"].file
