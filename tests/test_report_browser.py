@@ -8,7 +8,7 @@ import pytest
 from report_runs import fourier_plan, write_run
 
 from hil.report import colours, render_report
-from hil.report.blocks import Badge, Page, Panel, Plots, Section
+from hil.report.blocks import Badge, Column, Page, Panel, Plots, Section, Table, cells
 from hil.report.render import page_html
 from hil.report.traces import axes, line
 
@@ -60,6 +60,28 @@ def test_on_paper_plots_stand_on_one_sheet_with_their_heading(tmp_path):
         texts = (f"Heading {i}", *(f"Panel {j} of {i}" for j in range(6)))
         assert any(all(text in sheet for text in texts) for sheet in sheets), f"plots {i}"
     assert len(sheets) > 3
+
+
+@pytest.mark.wire
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt-get install chromium)")
+def test_on_a_phone_a_row_of_a_table_is_a_few_lines_high_and_its_first_words_are_seen(tmp_path):
+    playwright = pytest.importorskip("playwright.sync_api")
+    columns = [Column(title, number=False) for title in ("taken", "what it says", "by", "of")]
+    said = "probe 1 of this program under this champion: nothing to compare with yet"
+    row = cells("22 Nov 2026, 20:49 UTC", said, "a champion of some name", "0002-ur5-probe")
+    section = Section("s", "Probes", "", (Table("Every probe", tuple(columns), (row,)),))
+    page = tmp_path / "page.html"
+    page.write_text(page_html(Page("phone", "", Badge("", ""), "", sections=(section,))), "utf-8")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        seen = opened.new_page(viewport={"width": 390, "height": 844})
+        seen.goto(page.as_uri())
+        height = seen.evaluate("document.querySelector('tbody tr').getBoundingClientRect().height")
+        over = seen.evaluate("document.documentElement.scrollWidth - innerWidth")
+        right = seen.evaluate("document.querySelector('tbody td').getBoundingClientRect().right")
+        opened.close()
+    assert (over, height < 4.5 * 24) == (0, True), height
+    assert right <= 390
 
 
 def dom(page, folder):
