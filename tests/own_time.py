@@ -3,7 +3,9 @@
 A program that has a tenth of a second to do a thing cannot do it while others have its core. What
 it is made for leaves it one; a machine that tests in parallel does not. The kernel counts how long
 each thread was ready to run and waited for a core, so sleeps, locks, disks and timers of the code
-itself count in full, however busy the computer is.
+itself count in full. Of processes that are waited for it is the most that they may have delayed
+us: they may have waited for a core beside us, not in our way. On a computer that is idle nothing
+is taken off.
 """
 
 from __future__ import annotations
