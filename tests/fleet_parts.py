@@ -60,7 +60,7 @@ def told(process: subprocess.Popen[str]) -> dict[str, Any]:
     return document
 
 
-def until(seen: Callable[[], Any], timeout_s: float = 30.0) -> Any:
+def until(seen: Callable[[], Any], timeout_s: float = 60.0) -> Any:
     """What is seen as soon as there is something."""
     end = time.monotonic() + timeout_s
     while not (found := seen()):
