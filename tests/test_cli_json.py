@@ -162,3 +162,15 @@ def test_where_nothing_is_the_next_command_is_said(
     code, out, _ = call(monkeypatch, *verb.split())
     assert code == 0
     assert ": hil " in out
+
+
+def test_an_argument_that_may_be_left_out_says_what_then() -> None:
+    silent = [
+        f"{verb} {parameter.name}"
+        for verb, command in VERBS.items()
+        for parameter in command.params
+        if parameter.param_type_name == "argument" and not parameter.required
+        if not parameter.help
+        or not ("by default" in parameter.help or (parameter.show_default and parameter.default))
+    ]
+    assert silent == []

@@ -21,7 +21,11 @@ def drift(
     name: NameArgument,
     probes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PROBE]...", help="Runs or MCAP files, oldest first; or none."),
+        typer.Argument(
+            metavar="[PROBE]...",
+            help="Runs or MCAP files, oldest first; by default none, and what was said is shown.",
+            show_default=False,
+        ),
     ] = None,
     false_alarm: Annotated[
         float,

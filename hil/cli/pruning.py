@@ -27,7 +27,11 @@ def register(app: typer.Typer) -> None:
 def prune(
     query: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[QUERY]...", help="Only runs that meet it, as of `hil runs`."),
+        typer.Argument(
+            metavar="[QUERY]...",
+            help="Only runs that meet it, as of `hil runs`; by default whatever they are.",
+            show_default=False,
+        ),
     ] = None,
     older_than: Annotated[
         str, typer.Option("--older-than", metavar="AGE", help="Started longer ago, such as 180d.")

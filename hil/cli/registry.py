@@ -54,7 +54,9 @@ def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None
 @app.command()
 def show(
     name: NameArgument,
-    version: Annotated[str, typer.Argument(help="champion, challenger or v3; all if none.")] = "",
+    version: Annotated[
+        str, typer.Argument(help="champion, challenger or v3; by default all.")
+    ] = "",
     registry: RegistryOption = HERE,
     json: JsonFlag = False,
 ) -> None:

@@ -56,7 +56,7 @@ def runs(
         typer.Argument(
             metavar="[QUERY]...",
             help="Terms that all hold: robot=ur5-*, status=completed, since=7d, 'rmse<0.1', or a "
-            "word of name, description or operator.",
+            "word of name, description or operator; by default all runs.",
             show_default=False,
         ),
     ] = None,

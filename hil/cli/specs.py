@@ -156,7 +156,8 @@ def _figure(value: float | None) -> str:
 
 def schema(
     kind: Annotated[
-        Literal["experiment", "station", "series", "schedule", "map"], typer.Argument()
+        Literal["experiment", "station", "series", "schedule", "map"],
+        typer.Argument(help="What kind of file it is of."),
     ] = "experiment",
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule or import map, for editors."""

@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
 
 
 def new(
-    kind: Annotated[str, typer.Argument(help="What to begin; `--list` names them.")] = "",
+    kind: Annotated[str, typer.Argument(help="What to begin; by default all are listed.")] = "",
     file: Annotated[
         Path | None,
         typer.Argument(help="The file to write; by default NAME.yaml.", show_default=False),
