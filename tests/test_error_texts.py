@@ -69,6 +69,10 @@ def all_texts() -> list[Text]:
 TEXTS = all_texts()
 
 
+EXTRA = r"""pip install "hil\[|update hil \(pip install --upgrade hil\)|…"""
+"""How hints say what to install; works in the shells of Linux and Windows."""
+
+
 def faults_of(text: Text) -> list[str]:
     """What is wrong with the style of a text."""
     found = []
@@ -81,6 +85,8 @@ def faults_of(text: Text) -> list[str]:
             found.append(f"{what} has blanks around it")
         if re.search(r"(?i)\b(sorry|oops|invalid input|unknown error)\b", said):
             found.append(f"{what} says nothing")
+    if "pip install" in (hint := text.hint or "") and not re.match(EXTRA, hint):
+        found.append("the hint names no extra as all others do")
     if text.hint is not None and text.hint != "…" and text.hint == text.message:
         found.append("the hint says what the message says")
     return found
@@ -109,6 +115,7 @@ def test_no_more_errors_than_before_leave_open_what_to_do() -> None:
         ("DataError('It is gone')", "begins with a capital"),
         ("DataError(f'{x} is gone', hint='Look.')", "hint ends with a full stop"),
         ("SpecError('sorry, no')", "says nothing"),
+        ('PluginError("needs a", hint="pip install \'hil[a]\'")', "names no extra as all others"),
         ("SpecError('look there', hint='look there')", "says what the message says"),
     ],
 )

@@ -237,4 +237,4 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch) -> None:
     )
     with pytest.raises(PluginError, match="needs onnxruntime, not installed") as refused:
         export_onnx(fitted("rigid-wls"), tmp_path / "model.onnx")
-    assert refused.value.hint == "pip install 'hil[onnx]'"
+    assert refused.value.hint == 'pip install "hil[onnx]"'

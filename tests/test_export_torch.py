@@ -236,4 +236,4 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(torch_export, "find_spec", lambda name: None)
     with pytest.raises(PluginError, match="needs torch") as refused:
         export_torch(fitted("rigid-wls"), tmp_path / "model.pt2")
-    assert refused.value.hint == "pip install 'hil[learn]'"
+    assert refused.value.hint == 'pip install "hil[learn]"'

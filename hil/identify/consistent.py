@@ -174,6 +174,6 @@ def _cvxpy() -> Any:
     except ImportError as error:
         raise PluginError(
             f"physically consistent fits need the package {error.name}",
-            hint="pip install 'hil[identify]'",
+            hint='pip install "hil[identify]"',
         ) from error
     return cvxpy

@@ -55,7 +55,7 @@ def parquet_file(out: Path, table: Table) -> None:
     except ImportError:
         raise PluginError(
             "Parquet needs pyarrow, which is not installed",
-            hint="pip install 'hil[parquet]', or export to .csv or .npz",
+            hint='pip install "hil[parquet]", or export to .csv or .npz',
         ) from None
     columns = [(name, unit, pa.array(values)) for name, unit, values in table.flat()]
     fields = [

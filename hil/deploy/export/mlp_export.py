@@ -47,7 +47,7 @@ def export_onnx_mlp(model: RobotEstimator, out: Path) -> Exported:
     if missing := [name for name in LIBRARIES if find_spec(name) is None]:
         raise PluginError(
             f"{missing[0]} is not installed, so ONNX cannot be written and checked",
-            hint="pip install 'hil[onnx]'",
+            hint='pip install "hil[onnx]"',
         )
     told = _told(model, chain)
     content = _onnx_file(chain, model.robot_.n, told)

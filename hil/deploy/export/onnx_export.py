@@ -62,7 +62,7 @@ def require_onnx() -> None:
     """
     if missing := [name for name in NEEDED if find_spec(name) is None]:
         raise PluginError(
-            f"--to onnx needs {', '.join(missing)}, not installed", hint="pip install 'hil[onnx]'"
+            f"--to onnx needs {', '.join(missing)}, not installed", hint='pip install "hil[onnx]"'
         )
 
 

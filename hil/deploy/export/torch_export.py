@@ -39,7 +39,7 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
     require_new(out)
     if find_spec("torch") is None:
         raise PluginError(
-            "--to torch needs torch, which is not installed", hint="pip install 'hil[learn]'"
+            "--to torch needs torch, which is not installed", hint='pip install "hil[learn]"'
         )
     from hil.deploy.export.torch_model import module_of
 

@@ -167,6 +167,6 @@ def arrays_on(device: str, precision: Precision) -> Arrays:
     except ImportError as error:
         raise SpecError(
             f"device {device!r} needs torch, which is not installed",
-            hint="pip install 'hil[learn]', or use device: cpu",
+            hint='pip install "hil[learn]", or use device: cpu',
         ) from error
     return TorchArrays(device.removeprefix("torch-"), precision)

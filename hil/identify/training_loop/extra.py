@@ -18,5 +18,5 @@ def require_torch() -> None:
     """
     if find_spec("torch") is None:
         raise PluginError(
-            "this network needs torch, which is not installed", hint="pip install 'hil[learn]'"
+            "this network needs torch, which is not installed", hint='pip install "hil[learn]"'
         )
