@@ -33,7 +33,7 @@ PAGES = [
 BLOCK = re.compile(
     r"(?:^<!-- ((?:run|file:)(?:(?!-->).)*?) ?-->\n)?^```(\w*)\n(.*?)^```$", re.M | re.S
 )
-COMMAND = re.compile(r"\s*(?:[A-Z_]+=\S+ )*(hil|make) ")
+COMMAND = re.compile(r"\s*(?:[A-Z_]+=\S+ )*(?:\S+/bin/)?(hil|make|python|jupyter) ")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """Lines that call `hil` or `make`, continued ones joined, without their comments."""
+        """Lines that call programs of ours, continued ones joined, without their comments."""
         joined = self.text.replace("\\\n", " ") if self.language == "sh" else ""
         return [line for line in joined.splitlines() if COMMAND.match(line)]
 
@@ -113,18 +113,42 @@ def parse(line: str) -> None:
     words = shlex.split(line, comments=True)
     while "=" in words[0]:
         words.pop(0)
-    words = list(before_operator(words))
-    if words[0] == "make":
-        targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.M))
-        if unknown := [word for word in words[1:] if "=" not in word and word not in targets]:
-            raise ValueError(f"the Makefile has no {unknown}")
-        return
+    program, *arguments = before_operator(words)
+    parsers = {"make": parse_make, "python": parse_python, "jupyter": parse_jupyter}
+    parsers.get(Path(program).name, parse_hil)(arguments)
+
+
+def parse_make(arguments: list[str]) -> None:
+    """Targets of the Makefile."""
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.M))
+    if unknown := [word for word in arguments if "=" not in word and word not in targets]:
+        raise ValueError(f"the Makefile has no {unknown}")
+
+
+def parse_python(arguments: list[str]) -> None:
+    """Scripts and modules: their own parser, which says how it is called where all is right."""
+    done = subprocess.run(
+        [sys.executable, *arguments, "--help"], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    if done.returncode:
+        raise ValueError(done.stdout + done.stderr)
+
+
+def parse_jupyter(arguments: list[str]) -> None:
+    """Notebooks that are executed; proofs execute them."""
+    verb, *notebooks = arguments
+    if verb != "execute" or not all((ROOT / name).is_file() for name in notebooks):
+        raise ValueError(f"no such notebooks: {arguments}")
+
+
+def parse_hil(arguments: list[str]) -> None:
+    """Verbs, options and arguments of `hil`."""
     import typer
 
     from hil.cli.app import app
 
     command: Any = typer.main.get_command(app)
-    arguments, context = words[1:], None
+    context = None
     if arguments[:1] and arguments[0] in [name for own in command.params for name in own.opts]:
         return  # `--version`, `--install-completion`: parsing them is doing them
     while hasattr(command, "commands"):

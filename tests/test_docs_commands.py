@@ -15,6 +15,7 @@ BLOCKS = [block for page in docs_commands.PAGES for block in docs_commands.block
 COMMANDS = [(block, line) for block in BLOCKS for line in block.commands]
 
 SERVES = "serves until Ctrl-C, or asks one that does: the tests of the mocks and the driver do it"
+SCRIPTS = "tests/test_lab_scripts.py runs the scripts on the mock, proofs execute the notebooks"
 HARDWARE = "needs a robot, or recordings, of the reader's own"
 LONG = "minutes to hours, or a cluster: proofs with the same experiments do it"
 BEGUN = "goes on with what is under way: tests of runs, registry and fleets do it"
@@ -23,14 +24,15 @@ INSTALLS = "writes into the environment or the shell of who calls it"
 NOT_RUN = {
     "README.md": {INSTALLS: 2, LONG: 5},
     "docs/explanation/past-one-machine.md": {LONG: 1},
-    "docs/gallery.md": {LONG: 15},
+    "docs/gallery.md": {LONG: 15, SERVES: 1},
     "docs/how-to/calibrate-drive-gains.md": {HARDWARE: 1},
     "docs/how-to/drive-a-ur.md": {SERVES: 1, HARDWARE: 4},
-    "docs/how-to/drive-can-drives.md": {SERVES: 3},
+    "docs/how-to/drive-can-drives.md": {SERVES: 3, HARDWARE: 1},
     "docs/how-to/drive-twincat.md": {SERVES: 2},
     "docs/how-to/export-onnx-mlp.md": {LONG: 1},
     "docs/how-to/identify-a-load.md": {HARDWARE: 6},
     "docs/how-to/import-your-data.md": {HARDWARE: 3},
+    "docs/how-to/lab-scripts.md": {SCRIPTS: 4},
     "docs/how-to/re-identify-on-schedule.md": {SERVES: 4},
     "docs/how-to/record-a-program.md": {HARDWARE: 4},
     "docs/how-to/run-a-fleet.md": {LONG: 1},
@@ -44,6 +46,7 @@ NOT_RUN = {
     "docs/how-to/watch-for-drift.md": {LONG: 5},
     "docs/how-to/write-a-spec.md": {HARDWARE: 3},
     "docs/reference/estimators.md": {HARDWARE: 1},
+    "docs/reference/installing.md": {INSTALLS: 1},
     "docs/reference/mock-can-faults.md": {SERVES: 4},
     "docs/reference/mock-can.md": {SERVES: 2},
     "docs/reference/mock-ur-faults.md": {SERVES: 4},
@@ -76,6 +79,11 @@ def test_the_command_is_one(block: docs_commands.Block, line: str) -> None:
         ("hil mock ur --sped 10", "invalid choice: '10'"),
         ("hil mock nobody", "no mock 'nobody'"),
         ("make dmeo", "no ['dmeo']"),
+        (".venv/bin/hil dcotor", "No such command 'dcotor'"),
+        ("python experiments/scripts/compare_arms.py a b --sped 1", "No such option: --sped"),
+        ("python experiments/scripts/compare.py a b", "No such file"),
+        ("python -m hil_drivers.cia402 rset station.yaml arm", "invalid choice"),
+        ("jupyter execute experiments/notebooks/none.ipynb", "no such notebooks"),
     ],
 )
 def test_a_command_that_is_none_is_found(
