@@ -87,7 +87,7 @@ def test_a_wrong_unit_of_velocity_ends_the_first_motion(mock: MockCan) -> None:
 
 
 def test_an_arm_that_is_led_by_torque_stays_near_its_set_points(mock: MockCan) -> None:
-    with axes(mock, trajectory_mode="cst") as robot:
+    with axes(mock, trajectory_mode="cst", pace="free") as robot:
         follow(robot, move(robot, 0.4))
         rows = robot.read()
         assert not (rows["status"] & int(Status.FAULT)).any()
