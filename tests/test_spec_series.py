@@ -119,7 +119,7 @@ def test_a_missing_file_and_files_of_another_kind_are_told_at_once_by_line(folde
 
 
 def test_no_list_of_keys_is_pointed_at_where_a_file_name_is_wrong(folder: Path) -> None:
-    known = "`hil schema series`"
+    known = "`hil explain series"
     for entry, hint in (("spec: none.yaml", ""), ("spec: small.yaml, to: 1", known)):
         with pytest.raises(SpecError) as caught:
             load_series(written(folder, f"series: [{{{entry}}}]\n"))
