@@ -21,6 +21,7 @@ import pytest
 import hil
 from hil.campaign import operator, resuming
 from hil.campaign.live_state import LIVE_FILE, read_live
+from hil.campaign.steering import stop_run
 from hil.campaign.trainings import FOLDER
 from hil.data import completeness
 from hil.data.completeness import completeness_of
@@ -130,12 +131,14 @@ def test_the_view_of_an_attempt_that_died_is_not_how_the_next_one_stands(
 
     def looked(run: Path) -> None:
         seen.append(read_live(run))
+        stop_run(run, who="anna", wait_s=0)  # taken while the way back is still to be planned
         raise DataError("enough")
 
     monkeypatch.setattr(resuming, "open_unfinished", looked)
     with pytest.raises(DataError, match="enough"):
         hil.resume(run)
     assert seen == [{}]
+    assert list(run.glob(".control")) == []
 
 
 def test_what_was_whole_is_not_measured_again(

@@ -65,11 +65,7 @@ class Control:
         self._holder = ""
 
     def start(self) -> None:
-        """Begin to listen.
-
-        An attempt that died has left its folder: whoever asks for a stop while the next one
-        connects has put it there. What was meant for the dead one is told by its holder.
-        """
+        """Begin to listen, first to what was asked since the run is held (`hold_attempt`)."""
         holder = run_holder(self._run)
         self._holder = holder.id if holder else ""
         with contextlib.suppress(OSError):  # on a full disk nobody can ask, but the run goes on

@@ -6,17 +6,21 @@ for, so that one left behind by a crash is not obeyed by whoever resumes the run
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from hil.campaign.live_state import forget_live
 from hil.errors import DataError, RecordingError
 from hil.holder import plain
 from hil.record.files import fsync_directory, json_document
+from hil.record.lock import hold_run
 
 FOLDER = ".control"
 MOST_BYTES = 64 * 1024
@@ -55,6 +59,26 @@ class ControlRequest:
 
 _KINDS: dict[str, type] = {"yes": bool, "asked": int}
 """Of fields that are no texts."""
+
+
+@contextlib.contextmanager
+def hold_attempt(run: Path) -> Iterator[None]:
+    """Hold a run while inside, and take requests from the first moment: a stop, above all.
+
+    They wait until somebody listens (`hil.campaign.control.Control`). What an attempt has left
+    that died, its live view and requests to it, is not of this one.
+
+    Raises:
+        DataError, RecordingError: See `hil.record.lock.hold_run`.
+    """
+    with hold_run(run):
+        forget_live(run)
+        with contextlib.suppress(OSError):  # on a full disk nobody can ask, but the run goes on
+            (run / FOLDER).mkdir(exist_ok=True)
+        try:
+            yield
+        finally:
+            shutil.rmtree(run / FOLDER, ignore_errors=True)
 
 
 def drop(run: Path, request: ControlRequest) -> Path:

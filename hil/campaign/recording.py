@@ -9,6 +9,7 @@ from pathlib import Path
 from hil import plugins
 from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
+from hil.campaign.control_files import hold_attempt
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment
 from hil.campaign.extras import require_extras
@@ -16,7 +17,6 @@ from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.robots import held, plan_for
 from hil.errors import HilError
-from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 from hil.robot import Robot
 from hil.spec.judgeable import require_judgeable
@@ -46,7 +46,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
         with attendance.signals.guard():
             directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-            attendance.until_judged.enter_context(hold_run(directory.path))
+            attendance.until_judged.enter_context(hold_attempt(directory.path))
             lease.note_run(directory.path)
             try:
                 write_beginning(

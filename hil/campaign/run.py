@@ -17,7 +17,6 @@ from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError
 from hil.identify.model_folder import models_below
-from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 
 if TYPE_CHECKING:
@@ -142,13 +141,12 @@ def resume_experiment(
     Raises:
         HilError: What keeps the run from being resumed; later errors are in the report.
     """
-    from hil.campaign.live_state import forget_live
+    from hil.campaign.control_files import hold_attempt
     from hil.campaign.resuming import open_unfinished, recorded_before, resume_recording
 
     RunDirectory.open(run)
     # Held before anything is looked at: what is missing must not be measured by two at once.
-    with hold_run(run):
-        forget_live(run)
+    with hold_attempt(run):
         unfinished = open_unfinished(run)
 
         def motion(attendance: Attendance) -> Recorded:
