@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import platform
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +19,9 @@ from hil.campaign import detached, starting
 from hil.campaign.live_state import read_live
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.campaign.steering import answer_run
-from hil.errors import RecordingError, SpecError
+from hil.errors import DataError, RecordingError, SpecError
 from hil.record.events import read_events
+from hil.record.provenance import STARTED_ID
 from hil.record.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire
@@ -79,6 +82,30 @@ def test_another_process_with_its_number_is_not_it(tmp_path: Path) -> None:
     assert not mine.alive
     assert not replace(mine, ticks=1).alive
     replace(mine, ticks=1).cancel()  # would end this test run
+
+
+@pytest.mark.parametrize("given", ["", "x"])
+def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, given: str) -> None:
+    environment = os.environ | ({STARTED_ID: given} if given else {})
+    with subprocess.Popen([sys.executable, "-c", SLEEP], env=environment) as other:
+        ticks = detached.ticks_of(other.pid)
+        forged = Started("x", str(tmp_path), "s", "", "", other.pid, ticks, 0.0, platform.node())
+        assert forged.alive
+        with pytest.raises(DataError, match="left alone"):
+            forged.cancel()
+        assert forged.alive
+        other.kill()
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_only_a_file_is_a_log(tmp_path: Path, kind: str) -> None:
+    log, secret = tmp_path / "1.log", tmp_path / "secret"
+    secret.write_text("not for you\n")
+    if kind == "link":
+        log.symlink_to(secret)
+    else:
+        os.mkfifo(log)
+    assert detached.last_lines(log) == []
 
 
 def test_only_so_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

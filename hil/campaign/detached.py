@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
 from hil.errors import RecordingError
+from hil.record.provenance import STARTED_ID
 
 LAST_LINES = 10
 LAST_BYTES = 16 * 1024
@@ -22,6 +24,7 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     Args:
         command: Program and arguments; no shell looks at them.
         log: What it prints; made, with its folder. It is not left behind where nothing was started.
+            Its stem names the process, in its environment, see `is_ours`.
 
     Raises:
         RecordingError: The log cannot be written.
@@ -35,7 +38,7 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
                 stdout=printed,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env={key: value for key, value in os.environ.items() if key not in SECRETS},
+                env=_environment() | {STARTED_ID: log.stem},
             )
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -47,10 +50,18 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
 
 
 def last_lines(log: Path) -> list[str]:
-    """The last lines of what a process printed; of a long log only its end is read."""
+    """The last lines of what a process printed; of a long log only its end is read.
+
+    None of a link, a pipe or a device that stands there: only what `begin` makes is a log.
+    """
     try:
-        with log.open("rb") as printed:
-            printed.seek(max(0, os.fstat(printed.fileno()).st_size - LAST_BYTES))
+        # Not to wait for the writer of a pipe.
+        opened = os.open(log, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+        with open(opened, "rb") as printed:
+            about = os.fstat(opened)
+            if not stat.S_ISREG(about.st_mode):
+                return []
+            printed.seek(max(0, about.st_size - LAST_BYTES))
             text = printed.read(LAST_BYTES).decode("utf-8", "replace")
     except OSError:
         return []
@@ -65,3 +76,20 @@ def ticks_of(pid: int) -> int:
         return 0
     state, *fields = about[about.rindex(")") + 2 :].split()
     return 0 if state in "ZX" else int(fields[18])
+
+
+def is_ours(pid: int, name: str) -> bool:
+    """Whether a process is a `python -m hil …` that `begin` has started under a name.
+
+    What a record says is no proof: others may write in its folder. False where we may not look.
+    """
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        given = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return False
+    return words[1:3] == [b"-m", b"hil"] and os.fsencode(f"{STARTED_ID}={name}") in given
+
+
+def _environment() -> dict[str, str]:
+    return {key: value for key, value in os.environ.items() if key not in SECRETS}

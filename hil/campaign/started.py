@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.detached import last_lines, ticks_of
+from hil.campaign.detached import is_ours, last_lines, ticks_of
 from hil.campaign.steering import stop_run
 from hil.errors import DataError, HilError
 from hil.record.files import read_json
@@ -90,14 +90,23 @@ class Started:
 
         Args:
             who: Who asks; recorded. By default whoever started it.
+
+        Raises:
+            DataError: Its process is not one that was started here, whatever its record says.
         """
         for run in self.made if self.alive else ():
             with contextlib.suppress(HilError):  # it does not listen yet, or its motion is over
                 stop_run(run, who=who or self.operator, wait_s=0)
                 return
-        if self.alive:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGTERM)
+        if not self.alive:
+            return
+        if not is_ours(self.pid, self.id) and self.alive:  # it has not ended just now
+            raise DataError(
+                f"process {self.pid} is left alone: it is not what was started as {self.id}",
+                hint=f"look at it: ps -fp {self.pid}",
+            )
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.pid, signal.SIGTERM)
 
     def _is_mine(self, run: Path) -> bool:
         return self._has_written(run / "start.json")

@@ -139,7 +139,7 @@ def _start(
     try:
         write_replacing(folder / f"{name}.json", json_document(asdict(started)))
     except RecordingError:
-        started.cancel()  # nobody would hear of it again
+        process.terminate()  # nobody would hear of it again
         raise
     _forget_old(runs)
     return started

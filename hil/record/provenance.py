@@ -14,6 +14,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+STARTED_ID = "HIL_STARTED_ID"
+"""In the environment of a process that somebody without a console has started: names it."""
+
 _GIT_TIMEOUT_S = 2.0
 _PACKAGE = Path(__file__).resolve().parent.parent
 
