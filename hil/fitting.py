@@ -257,7 +257,7 @@ def parse_payload(text: str) -> Payload:
     if len(numbers) not in (1, 4) or not np.all(np.isfinite(numbers)) or numbers[0] < 0:
         raise SpecError(
             f"the payload {text!r} is neither MASS nor MASS,X,Y,Z",
-            hint="for example: --payload 2.8,0,0,0.05 (kg and m, in the flange frame)",
+            hint="for example: 2.8 or 2.8,0,0,0.05 (kg and m, in the flange frame)",
         )
     x, y, z = numbers[1:] or (0.0, 0.0, 0.0)
     return Payload(numbers[0], (x, y, z))

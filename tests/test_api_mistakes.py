@@ -1,4 +1,4 @@
-"""What a user of the Python API can give wrongly is a `HilError` with a hint, never a bare one."""
+"""What the Python API takes; what is given wrongly is a `HilError` with a hint, no bare one."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 import hil
 from hil.errors import HilError
+from hil.payload import Payload
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
-FEWER = {"fit": "[{estimator: static-wls}]"}
+FEWER = {"fit": "[{estimator: static-wls}]", "loads": "[{mass_kg: 1}]"}
 Given = tuple[Path, Path]
 
 
@@ -48,7 +50,8 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
     "nothing to resume": lambda run, file: hil.resume(run),
     "no data": lambda run, file: hil.dataset(),
     "data that are not there": lambda run, file: hil.dataset("none"),
-    "data in a list": lambda run, file: hil.dataset(wrong([run])),
+    "data in an empty list": lambda run, file: hil.dataset([]),
+    "data in a list of lists": lambda run, file: hil.dataset(wrong([[run]])),
     "a column that is not there": lambda run, file: hil.dataset(run)["nope"],
     "no source": lambda run, file: hil.fit([], estimator="static-wls"),
     "a source that is no path": lambda run, file: hil.fit(wrong(hil), estimator="static-wls"),
@@ -63,9 +66,13 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
     "an argument as a parameter": lambda run, file: hil.fit(
         run, estimator="static-wls", parameters={"out": "x"}
     ),
-    "a load that is a number": lambda run, file: hil.fit(
-        run, estimator="static-wls", payload=wrong(1.5)
+    "a load that is a list": lambda run, file: hil.fit(
+        run, estimator="static-wls", payload=wrong([1.5, 0, 0, 0.1])
     ),
+    "a load that is an answer": lambda run, file: hil.fit(
+        run, estimator="static-wls", payload=True
+    ),
+    "a load below nothing": lambda run, file: hil.rest_poses(model_of(run), payload=Payload(-1.0)),
     "models in a file": lambda run, file: hil.fit(run, estimator="static-wls", out=file),
     "models below a file": lambda run, file: hil.fit(run, estimator="static-wls", out=file / "x"),
     "a page of nothing": lambda run, file: hil.fit(run, estimator="static-wls", page="p.html"),
@@ -98,3 +105,29 @@ def test_the_same_model_twice_is_one_version(given: Given, tmp_path: Path) -> No
     registry, model = hil.registry(tmp_path / "r"), model_of(given[0])
     first, again = (registry.register("ur5", one, {}) for one in (model, str(model)))
     assert first.number == again.number == 1
+
+
+@pytest.mark.parametrize(
+    ("payload", "load"),
+    [
+        (0, Payload()),
+        ("0", Payload()),
+        (1.5, Payload(1.5)),
+        (np.float64(1.5), Payload(1.5)),
+        ("1.5,0,0,0.1", Payload(1.5, (0.0, 0.0, 0.1))),
+        (Payload(1.5, (0.0, 0.0, 0.1), (1e-3,) * 6), Payload(1.5, (0.0, 0.0, 0.1), (1e-3,) * 6)),
+    ],
+)
+def test_a_load_is_a_number_a_text_or_a_payload_and_0_is_nothing_mounted(
+    payload: Any, load: Payload, given: Given, tmp_path: Path
+) -> None:
+    fitted = hil.fit(given[0], estimator="static-wls", payload=payload, out=tmp_path).fitted
+    assert fitted.model.training_ is not None
+    assert fitted.model.training_.payloads == (load,)
+
+
+def test_recordings_come_one_by_one_or_in_a_list(given: Given) -> None:
+    run, _ = given
+    rows = len(hil.dataset(run))
+    for asked in ((run, str(run)), ([run, run],), ((one for one in (run, run)),), ([run], run)):
+        assert len(hil.dataset(*asked)) == 2 * rows

@@ -6,12 +6,18 @@ Whatever else is given is told as a `SpecError` here, where it is known what was
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hil.errors import DataError, SpecError
 
+if TYPE_CHECKING:
+    from hil.payload import Payload
+
 AnyPath = str | Path
+AnyPayload: TypeAlias = "str | float | Payload"
+"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `hil.payload.Payload`."""
 
 
 def path(given: AnyPath) -> Path:
@@ -39,19 +45,39 @@ def paths(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
     return [path(one) for one in given]
 
 
-def sources_of(given: AnyPath | Iterable[AnyPath]) -> list[Path]:
+def sources_of(*given: AnyPath | Iterable[AnyPath]) -> list[Path]:
     """Paths of recordings, one at least.
 
     Raises:
         DataError: There is none.
         SpecError: They are no paths.
     """
-    found = paths(given)
+    found = [one for some in given for one in paths(some)]
     if not found:
         raise DataError(
             "no recording was given", hint="give a run directory or an MCAP file (hil.find_runs)"
         )
     return found
+
+
+def payload_of(given: AnyPayload | None) -> Payload | None:
+    """A load, as `--payload` reads it; that of a mass alone is at the flange's origin.
+
+    Returns:
+        None when nothing was said; of 0, that nothing is mounted.
+
+    Raises:
+        SpecError: It is none.
+    """
+    if given is None:
+        return None
+    from hil.fitting import parse_payload
+    from hil.payload import Payload
+
+    if isinstance(given, Payload):
+        read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))
+        return replace(read, inertia=given.inertia)
+    return parse_payload(f"{given}")
 
 
 def mapping(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.arguments import AnyPath, mapping, path, paths, sources_of
+from hil.api.arguments import AnyPath, AnyPayload, mapping, path, paths, payload_of, sources_of
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def fit(
     *,
     estimator: str,
     robot: str | None = None,
-    payload: str | None = None,
+    payload: AnyPayload | None = None,
     gains: AnyPath | None = None,
     validate: AnyPath | Iterable[AnyPath] = (),
     parameters: dict[str, Any] | None = None,
@@ -36,7 +36,8 @@ def fit(
         sources: Run directories or MCAP files to fit on, or just one.
         estimator: Name in `hil.estimators`.
         robot: Built-in arm or URDF; by default what the data says.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m]; by default what the data says.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload`; 0 for nothing
+            mounted; by default what the data says.
         gains: File with `drive_gains_nm_a`; by default what the data says.
         validate: Held-out sources, or just one.
         parameters: The estimator's own parameters.
@@ -46,7 +47,7 @@ def fit(
             which they take it up again.
         watch: Told every epoch of such a training.
     """
-    from hil.fitting import fit_sources, parse_payload
+    from hil.fitting import fit_sources
     from hil.gains_file import read_gains
 
     held_out, given = paths(validate), mapping(parameters, "parameters", "{'weighted': True}")
@@ -63,7 +64,7 @@ def fit(
         sources_of(sources),
         estimator=estimator,
         robot=robot,
-        payload=parse_payload(payload) if payload is not None else None,
+        payload=payload_of(payload),
         gains=read_gains(path(gains)) if gains else None,
         validate=held_out,
         out=path(out),

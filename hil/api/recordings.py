@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
-from hil.api.arguments import AnyPath, path, sources_of
+from hil.api.arguments import AnyPath, AnyPayload, path, payload_of, sources_of
 from hil.data.dataset import Dataset
 
 
-def dataset(*sources: AnyPath) -> Dataset:
+def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
     """The samples of run directories or MCAP files, with their conditions.
 
     Args:
-        sources: One or more, of one robot and one kind of effort.
+        sources: One or more, or lists of them, of one robot and one kind of effort.
 
     Returns:
         Columns of N rows by name: `t` (N,) [s]; `q` (N, n) [rad], `qd` (N, n) [rad/s], `effort`
@@ -24,7 +25,7 @@ def dataset(*sources: AnyPath) -> Dataset:
     """
     from hil.data.load import load_source
 
-    return Dataset.concatenate([load_source(source) for source in sources_of(sources)])
+    return Dataset.concatenate([load_source(source) for source in sources_of(*sources)])
 
 
 def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def import_recording(
     format_: str | None = None,
     rows: tuple[int, int] | None = None,
     drop_bad_rows: bool = False,
-    payload: str | None = None,
+    payload: AnyPayload | None = None,
 ) -> dict[str, Any]:
     """Turn a recording of another tool into our MCAP.
 
@@ -66,14 +67,14 @@ def import_recording(
         format_: Overrides the map's format.
         rows: First and last row, counted from 1, both included; the map's windows do not apply.
         drop_bad_rows: Leave rows out that make no sense instead of refusing.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that was mounted; by default what the map says.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that was mounted; 0
+            for nothing; by default what the map says.
 
     Raises:
         SpecError: The map or the payload is not valid.
         DataError: The file holds rows that make no sense (with their line numbers).
     """
     from hil.data.importing import import_file
-    from hil.fitting import parse_payload
 
     report = import_file(
         path(file),
@@ -82,6 +83,6 @@ def import_recording(
         format_=format_,
         rows=rows,
         drop_bad_rows=drop_bad_rows,
-        payload=parse_payload(payload) if payload is not None else None,
+        payload=payload_of(payload),
     )
     return report.to_dict()

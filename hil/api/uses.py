@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from hil.api.arguments import AnyPath, path
+from hil.api.arguments import AnyPath, AnyPayload, path, payload_of
 from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def rest_poses(
     *,
     station: AnyPath | None = None,
     robot: str | None = None,
-    payload: str | None = None,
+    payload: AnyPayload | None = None,
     clearance_mm: float | None = None,
     near_deg: Sequence[float] | None = None,
     count: int = 3,
@@ -64,7 +64,7 @@ def rest_poses(
         station: Says what stands around the arm; by default the one experiments here would use,
             or a table at its base.
         robot: Name in the station; by default its only robot that is the model's.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted.
         clearance_mm: Distance that is kept; by default the station's.
         near_deg: Where the arm stands now, or would rather be [°].
         count: How many poses.
@@ -76,14 +76,13 @@ def rest_poses(
         SpecError: The robot is another arm, or an argument cannot be.
         PlanError: No pose is within limits and clear.
     """
-    from hil.fitting import parse_payload
     from hil.rest_report import find_rest_poses
 
     return find_rest_poses(
         path(model),
         station=path(station) if station else None,
         robot=robot,
-        payload=parse_payload(payload) if payload is not None else None,
+        payload=payload_of(payload),
         clearance_mm=clearance_mm,
         near_deg=near_deg,
         count=count,
@@ -98,7 +97,7 @@ def try_out(
     *,
     station: AnyPath | None = None,
     robot: str | None = None,
-    payload: str | None = None,
+    payload: AnyPayload | None = None,
     seed: int = 0,
     friction_share: float = FRICTION_SHARE,
     progress: Callable[[str], object] | None = None,
@@ -111,7 +110,8 @@ def try_out(
         station: Has the simulated arm the model was fitted on; by default the station experiments
             here would use, or a mock of its kind.
         robot: Name in the station; by default its only robot that is the model's.
-        payload: `MASS` or `MASS,X,Y,Z` [kg, m] that is mounted and told to the model.
+        payload: `MASS` or `MASS,X,Y,Z` [kg, m], a number [kg] or a `Payload` that is mounted and
+            told to the model.
         seed: Of the trajectory; counted apart from those of experiments.
         friction_share: Of the dry friction, compensated while a hand leads the arm; below 1.
         progress: Is told what is being run.
@@ -125,7 +125,6 @@ def try_out(
         RecordingError: The folder exists, or cannot be written.
     """
     from hil.deploy.export.exported import require_new, write_folder
-    from hil.fitting import parse_payload
     from hil.identify.model_file import json_bytes
     from hil.report.render import page_html
     from hil.report.trial_page import REPORT_FILE, trial_page
@@ -137,7 +136,7 @@ def try_out(
         path(model),
         station=path(station) if station else None,
         robot=robot,
-        payload=parse_payload(payload) if payload is not None else None,
+        payload=payload_of(payload),
         seed=seed,
         friction_share=friction_share,
         progress=progress or (lambda text: None),
