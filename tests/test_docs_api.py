@@ -11,10 +11,12 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 import hil
 from hil import api
 from hil.campaign.run import RunReport
+from hil.cli.app import app
 from hil.fitting import FitReport, Fitted
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +47,24 @@ def test_every_attribute_of_a_report_has_a_row(report: type) -> None:
 def test_everything_about_a_fitted_model_is_mentioned() -> None:
     for field in dataclasses.fields(Fitted):
         assert f"`fitted.{field.name}`" in PAGE
+
+
+BY_FUNCTION = {
+    "validate": "load", "plan": "plan", "run": "run", "resume": "resume", "runs": "find_runs",
+    "show": "describe_run", "fit": "fit", "evaluate": "evaluate", "payload": "estimate_payload",
+    "study": "study", "figures": "figures", "rest-pose": "rest_poses", "export": "export_model",
+    "try-out": "try_out", "import": "import_recording", "export-data": "export_data",
+    "models": "registry",
+}  # fmt: skip
+"""What does in Python what a verb does; `models compare` has none."""
+
+
+def test_a_verb_without_a_function_is_named_on_top() -> None:
+    top = PAGE.split("Verbs without a function:")[1].split(";")[0]
+    verbs = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    told = set(re.findall(r"`([a-z -]+)`", top))
+    assert told == (verbs - BY_FUNCTION.keys()) | {"models compare"}
+    assert set(BY_FUNCTION.values()) <= set(hil.__all__)
 
 
 def test_the_script_runs_as_it_stands_there(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The Python API: what the command line does, for scripts and notebooks.
+"""The Python API: what the command line does with experiments, recordings and models.
 
 >>> import hil
 >>> experiment = hil.load("spec.yaml", "station.yaml")    # doctest: +SKIP
