@@ -51,7 +51,7 @@ def test_everything_about_a_fitted_model_is_mentioned() -> None:
 
 BY_FUNCTION = {
     "validate": "load", "plan": "plan", "run": "run", "resume": "resume", "runs": "find_runs",
-    "show": "describe_run", "fit": "fit", "evaluate": "evaluate", "payload": "estimate_payload",
+    "fit": "fit", "evaluate": "evaluate", "payload": "estimate_payload",
     "study": "study", "figures": "figures", "rest-pose": "rest_poses", "export": "export_model",
     "try-out": "try_out", "import": "import_recording", "export-data": "export_data",
     "models": "registry",
