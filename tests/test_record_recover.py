@@ -25,6 +25,7 @@ from hil.record.lock import hold_run
 from hil.record.recover import recover_file
 from hil.record.recover_run import recover
 from hil.record.scan import scan
+from hil.report.soundness import torn as torn_in_words
 from hil.typing import StructArray
 
 ROWS = 40
@@ -503,7 +504,7 @@ def test_command_tells_in_words_and_in_json(
     assert document["problems"] == []
     assert document["files"][0]["did"] == "rebuilt"
     again = CliRunner().invoke(app, ["recover", str(run)])
-    assert (again.exit_code, "no torn recording" in again.output) == (0, True)
+    assert (again.exit_code, "no torn or damaged recording" in again.output) == (0, True)
 
 
 def test_refusal_to_read_a_torn_file_names_the_command(torn: Path) -> None:
@@ -546,3 +547,51 @@ def test_a_finished_file_of_which_nothing_is_left_is_a_problem(tmp_path: Path) -
     ((path, error),) = recover(run.path).problems
     assert path == run.part_path(0)
     assert "is not an MCAP file" in error.message
+    assert "take it from a copy" in error.hint
+
+
+def test_a_finished_file_that_is_damaged_in_its_middle_is_recovered_too(
+    tmp_path: Path, whole: tuple[StructArray, bytes]
+) -> None:
+    run = cut_run(tmp_path, whole[1])
+    flip(run.part_path(0), chunk_at(run.part_path(0), 1).offset + 100)
+    (recovery,) = recover(run.path).files
+    assert (recovery.did, recovery.salvage.damaged) == ("rebuilt", 1)
+    assert recovery.torn == run.path / "recording" / "00.mcap.torn"
+    assert len(read_topic(run.part_path(0))) < ROWS
+    assert recover(run.path).files == ()
+
+
+def test_what_a_damaged_finished_file_left_is_deleted_on_demand(
+    tmp_path: Path, whole: tuple[StructArray, bytes]
+) -> None:
+    run = cut_run(tmp_path, whole[1])
+    flip(run.part_path(0), chunk_at(run.part_path(0), 1).offset + 100)
+    recover(run.path)
+    result = recover(run.path, discard=True)
+    assert ([file.did for file in result.files], result.problems) == (["discarded"], ())
+    assert [path.name for path in (run.path / "recording").iterdir()] == ["00.mcap"]
+
+
+def test_a_run_whose_recording_lost_its_beginning_is_told_the_same_by_all(
+    tmp_path: Path, whole: tuple[StructArray, bytes]
+) -> None:
+    run = cut_run(tmp_path, bytes(8) + whole[1][8:])
+    run.part_path(1).write_bytes(whole[1])
+    ((_, error),) = recover(run.path).problems
+    with pytest.raises(DataError) as caught:
+        read_topic(run.part_path(0))
+    assert (caught.value.message, caught.value.hint) == (error.message, error.hint)
+    assert "its beginning is lost" in error.message
+    assert error.hint.endswith("take it from a copy; usable by itself is 01.mcap beside it")
+    (warning,) = torn_in_words(run)
+    assert error.hint in warning
+    assert "hil recover" not in warning
+
+
+def test_a_file_by_itself_without_a_beginning_may_be_of_another_format(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"t,q\n")
+    with pytest.raises(DataError, match="magic bytes") as caught:
+        read_topic(path)
+    assert "hil import" in caught.value.hint

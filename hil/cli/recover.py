@@ -53,7 +53,7 @@ def recover(
         for file in result.files:
             typer.echo("\n".join(file.to_lines()))
         if not (result.files or result.problems):
-            typer.echo(f"{result.source} has no torn recording")
+            typer.echo(f"{result.source} has no torn or damaged recording")
     if (error := result.error) is not None:
         if not json:
             raise error

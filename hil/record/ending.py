@@ -30,6 +30,18 @@ def has_its_end(path: Path) -> bool:
     return begins and tail.startswith(footer) and tail.endswith(MAGIC)
 
 
+def has_its_beginning(path: Path) -> bool:
+    """Whether a file begins as an MCAP file does; without that, nothing of it can be saved.
+
+    True for one that cannot be read: what is wrong then is something else.
+    """
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return True
+
+
 def torn_although_finished(recordings: Iterable[Path]) -> list[Path]:
     """Recordings that have their final name, but not their end: somebody cut them off."""
     finished = (path for path in recordings if not path.name.endswith(PARTIAL_SUFFIX))

@@ -14,6 +14,7 @@ from hil.errors import DataError
 from hil.record.cdr import dtype_of_schema
 from hil.record.chunks import indexed_offsets, read_chunk, walk
 from hil.record.files import require_known_version
+from hil.record.lost import hint_of_lost
 from hil.record.scan import RECORD_HEADER, Torn, scan
 from hil.record.topic import STATE_TOPIC
 from hil.record.writer import FILE_FORMAT_VERSION, FILE_METADATA
@@ -63,7 +64,7 @@ class Recording:
             names = sorted({channel.topic for channel in channels})
             raise DataError(
                 f"{self.path} has no topic {topic}" + (f" ({self.tear})" if self.tear else ""),
-                hint=f"it has {', '.join(names)}" if names else "not one message of it is whole",
+                hint=f"it has {', '.join(names)}" if names else hint_of_lost(self.path),
             )
         return found
 

@@ -19,6 +19,7 @@ from typing import IO
 from hil.errors import DataError, RecordingError
 from hil.record.empty_part import never_got_a_message
 from hil.record.files import fsync_directory, sha256_of
+from hil.record.lost import hint_of_lost
 from hil.record.rebuild import Salvage, rebuild, survey
 from hil.record.recovery import Did, Recovery
 from hil.record.scan import Layout, scan
@@ -176,7 +177,7 @@ def _nothing(source: Path, layout: Layout, salvage: Salvage) -> DataError:
     return DataError(
         f"there is nothing to rescue in {source}: no message in it is whole"
         + (f" ({'; '.join(told)})" if told else ""),
-        hint="it is left as it is; take it from a copy if there is one",
+        hint=hint_of_lost(source),
     )
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, HilError, RecordingError
-from hil.record.ending import torn_although_finished
 from hil.record.lock import hold_run, run_holder
 from hil.record.parts import recordings_in
 from hil.record.recover import recover_file
@@ -84,17 +83,26 @@ def _all_of(
     folder: Path, out: Path | None, discard: bool
 ) -> tuple[list[Recovery], list[tuple[Path, HilError]]]:
     files = sorted(folder.glob(f"*.mcap{PARTIAL_SUFFIX}"))
-    whole = recordings_in(folder) if folder.is_dir() else ()
-    files += [f for f in torn_although_finished(whole) if not _unfinished(f).exists()]
+    # A finished one may have lost its end, or be damaged in its middle: all of it is read.
+    finished = [
+        path
+        for path in (recordings_in(folder) if folder.is_dir() else ())
+        if path not in files and not _unfinished(path).exists()
+    ]
     # What an earlier recovery kept is looked at again only to be deleted.
-    files += sorted(folder.glob(f"*.mcap{TORN_SUFFIX}")) if discard and out is None else []
+    kept = sorted(folder.glob(f"*.mcap{TORN_SUFFIX}")) if discard and out is None else []
     done: list[Recovery] = []
     problems: list[tuple[Path, HilError]] = []
-    for file in files:
+    for file in [*files, *finished, *kept]:
+        if file in kept and not file.exists():
+            continue  # it went with the whole one beside it
         try:
-            done.append(recover_file(file, _inside(out, file), discard=discard, part=True))
+            one = recover_file(file, _inside(out, file), discard=discard, part=True)
         except (DataError, RecordingError) as error:
             problems.append((file, error))
+            continue
+        if one.did != "nothing" or file not in finished:
+            done.append(one)
     return done, problems
 
 

@@ -20,7 +20,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema, Statistics
 
-from hil.errors import DataError
+from hil.record.lost import no_mcap
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
@@ -112,10 +112,7 @@ def scan(file: IO[bytes], path: Path, *, places: bool = True) -> Layout:
     layout = Layout(size=file.seek(0, 2))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
-        raise DataError(
-            f"{path} is not an MCAP file: it does not begin with the MCAP magic bytes",
-            hint="other formats are read by `hil import`",
-        )
+        raise no_mcap(path)
     layout.good_bytes = len(MAGIC)
     try:
         while not layout.complete:

@@ -8,7 +8,8 @@ from hil.data.stays import FOUND_FILE
 from hil.errors import DataError
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
-from hil.record.ending import torn_although_finished
+from hil.record.ending import has_its_beginning, torn_although_finished
+from hil.record.lost import hint_of_lost
 from hil.record.rundir import RunDirectory
 from hil.report.documents import Document, document
 
@@ -39,9 +40,11 @@ def is_known(path: Path, start: Document, problems: list[str]) -> bool:
 
 
 def torn(run: RunDirectory) -> list[str]:
-    """Finished recordings that have lost their end, in words."""
+    """Finished recordings that have lost their end or their beginning, in words."""
     return [
         f"{path.name} is torn although it was finished: hil recover {run.path} makes a whole file "
         "of what is left"
+        if has_its_beginning(path)
+        else f"{path.name} is no MCAP file any more, its beginning is lost: {hint_of_lost(path)}"
         for path in torn_although_finished(run.recordings)
     ]
