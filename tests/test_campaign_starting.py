@@ -21,7 +21,7 @@ from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.campaign.steering import answer_run
 from hil.errors import DataError, RecordingError, SpecError
 from hil.record.events import read_events
-from hil.record.provenance import STARTED_ID
+from hil.record.provenance import STARTED_ID, collect_provenance, started_as
 from hil.record.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire
@@ -106,6 +106,26 @@ def test_only_a_file_is_a_log(tmp_path: Path, kind: str) -> None:
     else:
         os.mkfifo(log)
     assert detached.last_lines(log) == []
+
+
+def test_a_run_is_of_the_process_that_was_started_under_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = Started("17", str(tmp_path), "s", "", "", os.getpid(), 1, 4e9, platform.node())
+    # Its number and host are those of another run: so may numbers be given again.
+    other, run = (tmp_path / "2026-11-23" / "ur5" / name for name in ("0001-a", "0002-b"))
+    for folder in (other, run):
+        folder.mkdir(parents=True)
+    (other / "start.json").write_text(json.dumps(collect_provenance()))
+    assert mine.made == []
+    monkeypatch.setenv(STARTED_ID, "17")
+    (run / "start.json").write_text(json.dumps(collect_provenance()))
+    assert mine.made == [run]  # whatever the clocks say: it was started in the year 2096
+    again = replace(mine, spec=str(other))
+    assert again.made == []
+    (other / "resume-01.json").write_text(json.dumps(started_as()))
+    (other / "resume-02.json").write_text(json.dumps({"started_as": "18"}))
+    assert again.made == [other]
 
 
 def test_only_so_many_are_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
 from hil.record.parts import attempt_of
-from hil.record.provenance import utc_now
+from hil.record.provenance import started_as, utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.robot import Robot, Status
@@ -259,6 +259,7 @@ def _document(
         "operator": attendance.operator,
         "host": socket.gethostname(),
         "pid": os.getpid(),
+        **started_as(),
         "status_before": unfinished.directory.status,
         "complete_before": unfinished.complete.to_dict(),
         "plan_hash": unfinished.plan.hash,

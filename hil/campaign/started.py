@@ -19,13 +19,10 @@ from hil.campaign.detached import is_ours, last_lines, ticks_of
 from hil.campaign.steering import stop_run
 from hil.errors import DataError, HilError
 from hil.record.files import read_json
-from hil.record.numbering import run_folders
-from hil.record.parts import name_of_attempt
-from hil.record.rundir import RunDirectory
+from hil.record.known_runs import known_runs
+from hil.record.lock import run_holder
 
 FOLDER = ".started"
-SLACK_S = 2.0
-"""File systems and clocks may differ so much about when something was [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +65,8 @@ class Started:
     def made(self) -> list[Path]:
         """Its run directories: none while it plans, several for a series."""
         if (again := self.again) is not None:
-            resumed = again / name_of_attempt("resume.json", RunDirectory(again).attempts - 1)
-            return [again] if self._has_written(resumed) else []
-        return [run for run in run_folders(Path(self.runs)) if self._is_mine(run)]
+            return [again] if self._holds(again) or self._went_on_with(again) else []
+        return known_runs(Path(self.runs)).started_as(self.id)
 
     @property
     def again(self) -> Path | None:
@@ -108,17 +104,17 @@ class Started:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGTERM)
 
-    def _is_mine(self, run: Path) -> bool:
-        return self._has_written(run / "start.json")
+    def _holds(self, run: Path) -> bool:
+        """Held before the way back is planned, and thus before anything is written."""
+        holder = run_holder(run)
+        return holder is not None and holder.pid == self.pid and self.alive
 
-    def _has_written(self, document: Path) -> bool:
-        try:
-            if document.stat().st_mtime < self.time - SLACK_S:
-                return False
-            said = read_json(document)
-        except (OSError, DataError):
-            return False
-        return said.get("pid") == self.pid and said.get("host") == self.host
+    def _went_on_with(self, run: Path) -> bool:
+        for resumed in run.glob("resume*.json"):
+            with contextlib.suppress(DataError):
+                if read_json(resumed).get("started_as") == self.id:
+                    return True
+        return False
 
 
 def started_runs(runs: Path) -> list[Started]:

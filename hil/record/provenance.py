@@ -36,12 +36,19 @@ def collect_provenance(spec_folder: Path | None = None) -> dict[str, Any]:
         "operator": operator(),
         "host": platform.node(),
         "pid": os.getpid(),
+        **started_as(),
         "platform": platform.platform(),
         "python": platform.python_version(),
         "packages": package_versions(),
         "git": source_revision(),
         "spec_git": git_state(spec_folder) if spec_folder else None,
     }
+
+
+def started_as() -> dict[str, str]:
+    """The name under which this process was started; empty where a person did that."""
+    name = os.environ.get(STARTED_ID, "")
+    return {"started_as": name} if name else {}
 
 
 def utc_now() -> str:
