@@ -24,7 +24,7 @@ from hil.campaign.steering import answer_run, question_of
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
-from hil.web import live_pages, start_pages, streams
+from hil.web import live_pages, start_pages, streams, wanted
 from hil.web.app import create_app
 from hil.web.listeners import Listeners
 from hil.web.settings import Settings
@@ -192,7 +192,11 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
         slow()
         return SimpleNamespace(id="1")
 
-    monkeypatch.setattr(start_pages, "check_start", slow)
+    async def planned(*_: Any) -> Any:
+        return {"plans": [], "digest": ""}
+
+    monkeypatch.setattr(wanted, "check_start", slow if do == "check" else lambda *_: ())
+    monkeypatch.setattr(start_pages, "plan_apart", planned)
     monkeypatch.setattr(start_pages, "start_run", slow_start)
     csrf = held.settings.csrf
 

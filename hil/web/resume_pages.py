@@ -19,8 +19,8 @@ from hil.web.rendering import settings_of, who_of
 from hil.web.run_files import require_run
 from hil.web.security import form_of
 from hil.web.settings import Settings
-from hil.web.start_pages import require_text
 from hil.web.threads import in_thread
+from hil.web.wanted import require_text
 
 ONCE = Once()
 

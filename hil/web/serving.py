@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import os
 import resource
 import socket
+import threading
 from collections.abc import Callable
 from dataclasses import replace
+from types import FrameType
 
 from hil.errors import RobotConnectionError
 from hil.web.app import create_app
@@ -15,6 +18,9 @@ from hil.web.settings import DEFAULT_PORT, Settings, is_wildcard
 
 PORTS_TRIED = 10
 CLOSED_WITHIN_S = 1
+ENDED_WITHIN_S = 4.0
+ENDED_BY_A_SIGNAL = 130
+"""As the command line says it of every command."""
 MOST_FILES = 65_536
 
 
@@ -64,7 +70,22 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
     )
     _allow_many_files()
     tell(address(settings))
-    uvicorn.Server(config).run(sockets=[listening])
+    server = uvicorn.Server(config)
+    noticed = server.handle_exit
+
+    def end(sig: int, frame: FrameType | None) -> None:
+        _end_in_time()
+        noticed(sig, frame)
+
+    server.handle_exit = end  # type: ignore[method-assign]
+    server.run(sockets=[listening])
+
+
+def _end_in_time() -> None:
+    """Whatever a page still waits for, the process is gone then: it owns nothing."""
+    last = threading.Timer(ENDED_WITHIN_S, os._exit, (ENDED_BY_A_SIGNAL,))
+    last.daemon = True
+    last.start()
 
 
 def address(settings: Settings) -> str:

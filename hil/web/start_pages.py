@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-import unicodedata
+from asyncio import CancelledError
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -14,19 +14,18 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.starting import Started, check_start, start_run, started_runs
+from hil.campaign.starting import Started, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
-from hil.plan.commissioning import commissioning_of
-from hil.web.given_files import require_files_offered
 from hil.web.going import words_of
-from hil.web.offered import file_offered, offered
+from hil.web.offered import offered
 from hil.web.once import Once
 from hil.web.places import address_of
-from hil.web.plan_shown import PICTURES, shown_plan
+from hil.web.planning import Gone, plan_apart
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.security import form_of
 from hil.web.settings import Settings
 from hil.web.threads import PLANS, in_thread
+from hil.web.wanted import Wanted, wanted_in
 
 FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
 """What a form says, and with that what a run is."""
@@ -38,6 +37,11 @@ SHOWN = 5
 
 ONCE = Once()
 
+CHANGED = SpecError(
+    "not started: this is not what was checked: the form, or a file, was changed since",
+    hint="below is what would be done now; Start starts that",
+)
+
 
 def start_page(request: Request) -> Response:
     """The form, empty or with the spec that the address names."""
@@ -46,16 +50,33 @@ def start_page(request: Request) -> Response:
 
 async def begin(request: Request) -> Response:
     """Check what the form says and show the plan, or start it."""
-    given = await form_of(request)
-    if given.get("do") == "start":
-        return await run_in_threadpool(_begin, request, given)
-    if not PLANS.acquire(blocking=False):
-        busy = HilError("two plans are being made at the moment", hint="try again in a moment")
-        return await run_in_threadpool(_form, request, given, error=busy, status=503)
+    given, settings = await form_of(request), settings_of(request)
+
+    async def form(**more: Any) -> Response:
+        return await run_in_threadpool(_form, request, given, **more)
+
+    look = partial(wanted_in, given, settings, who_of(request))
+    changed: dict[str, Any] = {}
     try:
-        return await run_in_threadpool(_begin, request, given)
-    finally:
-        PLANS.release()
+        if given.get("do") == "start":
+            wanted = await run_in_threadpool(look)
+            if given.get("checked", "") in ("", wanted.digest):
+                started = await run_in_threadpool(_start, wanted, given, settings)
+                return RedirectResponse(f"/start/{started}", 303)
+            changed = {"error": CHANGED, "status": 409}
+        if not PLANS.acquire(blocking=False):
+            busy = HilError("two plans are being made at the moment", hint="try again in a moment")
+            return await form(error=busy, status=503)
+        try:
+            wanted = await run_in_threadpool(look)
+            made = await plan_apart(wanted.asked, request.is_disconnected)
+        finally:
+            PLANS.release()
+    except HilError as error:
+        return await form(error=error, status=422)
+    except (Gone, CancelledError):  # by whoever asked, or with the dashboard: nobody reads it
+        return Response(status_code=499)
+    return await form(plans=made["plans"], checked=made["digest"], **changed)
 
 
 def started_page(request: Request) -> Response:
@@ -84,63 +105,12 @@ async def cancel(request: Request) -> Response:
     return RedirectResponse(f"/start/{name}", 303)
 
 
-def _begin(request: Request, given: Mapping[str, str]) -> Response:
-    settings = settings_of(request)
-    try:
-        spec = file_offered(given.get("spec", ""), settings, "experiment", "series")
-        named = given.get("station", "")
-        station = file_offered(named, settings, "station") if named else None
-        overrides = overrides_in(given.get("overrides", ""))
-        require_files_offered(overrides, spec, settings)
-        who = given.get("operator", "").strip()[:80] or who_of(request)
-        require_text(who, "the name of who is at the robot")
-        speed, first = given.get("speed", "").strip(), given.get("first", "").strip()
-        part = commissioning_of(speed, first)
-        if given.get("do") == "start":
-            start = partial(
-                start_run, spec, settings.runs, station=station, operator=who,
-                overrides=overrides, speed=speed, first=first,
-            )  # fmt: skip
-            started = _once(given, settings, lambda: start().id)
-            return RedirectResponse(f"/start/{started}", 303)
-        plans = [shown_plan(each, part) for each in check_start(spec, station, overrides)]
-        for each in plans[PICTURES:]:
-            each["picture"] = ""
-    except HilError as error:
-        return _form(request, given, error=error, status=422)
-    return _form(request, given, plans=plans)
-
-
-def overrides_in(text: str) -> dict[str, str]:
-    """Lines `path=value`; empty ones say nothing.
-
-    Raises:
-        SpecError: A line says something else, or cannot be a text.
-    """
-    require_text(text, "what is laid over the spec", but="\r\n\t")
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    pairs = [line.partition("=") for line in lines]
-    for line, (path, equals, _) in zip(lines, pairs, strict=True):
-        if not (equals and path.strip()):
-            raise SpecError(f"{line!r} changes nothing", hint="a line is: excitation.waypoints=20")
-    return {path.strip(): value.strip() for path, _, value in pairs}
-
-
-def require_text(text: str, what: str, *, but: str = "") -> None:
-    """Refuse control characters: no command line takes a NUL, and no name or value needs one.
-
-    Args:
-        text: What was typed, or sent by a program.
-        what: What it is, for the message.
-        but: Control characters it may have.
-
-    Raises:
-        SpecError: It has others.
-    """
-    found = sorted({c for c in text if unicodedata.category(c) == "Cc" and c not in but})
-    if found:
-        listed = ", ".join(f"U+{ord(c):04X}" for c in found)
-        raise SpecError(f"{what} has control characters ({listed})", hint="type it anew")
+def _start(wanted: Wanted, given: Mapping[str, str], settings: Settings) -> str:
+    start = partial(
+        start_run, wanted.spec, settings.runs, station=wanted.station, operator=wanted.operator,
+        overrides=wanted.overrides, speed=wanted.speed, first=wanted.first,
+    )  # fmt: skip
+    return _once(given, settings, lambda: start().id)
 
 
 def _once(given: Mapping[str, str], settings: Settings, start: Callable[[], str]) -> str:
@@ -156,6 +126,7 @@ def _form(
     *,
     error: HilError | None = None,
     plans: list[dict[str, Any]] | None = None,
+    checked: str = "",
     status: int = 200,
 ) -> Response:
     settings = settings_of(request)
@@ -171,6 +142,7 @@ def _form(
         error=error,
         once=secrets.token_urlsafe(12),
         plans=plans or [],
+        checked=checked,
         started=[_told(one, settings) for one in started_runs(settings.runs)[:SHOWN]],
     )
 

@@ -1,0 +1,66 @@
+"""`python -m hil.web.plan_process`: one plan, made apart from the dashboard, which may end it.
+
+It is asked by one line of JSON and answers with one document. It ends with whoever asked: its input
+is closed then, also where they were killed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+TOO_LARGE = "its arrays do not fit into the memory that a plan may take here"
+
+
+def main() -> None:
+    """Answer what the first line of the input asks."""
+    answers = os.dup(1)
+    os.dup2(2, 1)  # whatever else prints is no part of the answer
+    asked = json.loads(sys.stdin.readline())
+    threading.Thread(target=_end_with_the_asker, daemon=True).start()
+    resource.setrlimit(resource.RLIMIT_DATA, (asked["bytes"],) * 2)
+    with open(answers, "w", encoding="utf-8") as answer:
+        json.dump(_answer(asked), answer)
+
+
+def _end_with_the_asker() -> None:
+    sys.stdin.read()
+    os.killpg(0, signal.SIGKILL)
+
+
+def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
+    from hil.errors import HilError
+
+    try:
+        return _planned(asked)
+    except MemoryError:
+        return {"error": TOO_LARGE, "broken": True}
+    except HilError as error:
+        return {"error": error.message, "hint": error.hint or ""}
+
+
+def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
+    from hil.campaign.starting import check_start
+    from hil.plan.commissioning import commissioning_of
+    from hil.web.checked import digest_of
+    from hil.web.plan_shown import PICTURES, shown_plan
+
+    station = Path(asked["station"]) if asked["station"] else None
+    experiments = check_start(Path(asked["spec"]), station, asked["overrides"])
+    digest = digest_of(experiments, asked["speed"], asked["first"])
+    part = commissioning_of(asked["speed"], asked["first"])
+    plans = [shown_plan(each, part) for each in experiments]
+    for each in plans[PICTURES:]:
+        each["picture"] = ""
+    return {"plans": plans, "digest": digest}
+
+
+if __name__ == "__main__":
+    main()
