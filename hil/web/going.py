@@ -15,9 +15,14 @@ from hil.web.places import address_of, live_runs, name_of
 from hil.web.settings import Settings
 
 
-def going_on(settings: Settings) -> list[dict[str, Any]]:
-    """See `hil.web.live_facts.header_of`, of every live run."""
-    return [_header(run, settings) for run in live_runs(settings)]
+def going_on(settings: Settings, within_s: float = 0.0) -> list[dict[str, Any]]:
+    """See `hil.web.live_facts.header_of`, of every live run.
+
+    Args:
+        settings: What is served.
+        within_s: See `hil.record.known_runs.KnownRuns.live`.
+    """
+    return [_header(run, settings) for run in live_runs(settings, within_s)]
 
 
 def being_planned(settings: Settings) -> list[dict[str, str]]:

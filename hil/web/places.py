@@ -6,8 +6,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from hil.errors import DataError
-from hil.record.lock import is_live
-from hil.record.numbering import run_folders
+from hil.record.known_runs import known_runs
 from hil.web.settings import Settings
 
 
@@ -34,12 +33,15 @@ def run_at(name: str, settings: Settings) -> Path:
     return path
 
 
-def live_runs(settings: Settings) -> list[Path]:
-    """The runs that processes hold at the moment."""
-    if not settings.runs.is_dir():
-        return []
-    live = (run for run in run_folders(settings.runs) if is_live(run))
+def live_runs(settings: Settings, within_s: float = 0.0) -> list[Path]:
+    """The runs that processes hold at the moment.
+
+    Args:
+        settings: What is served.
+        within_s: See `hil.record.known_runs.KnownRuns.live`.
+    """
     root = settings.runs.resolve()
+    live = known_runs(settings.runs).live(within_s)
     return [run for run in live if run.resolve().is_relative_to(root)]
 
 

@@ -31,6 +31,9 @@ LOOK_EVERY_S = 0.25
 BEAT_EVERY_S = 2.0
 """A page that hears nothing for longer says that what it shows is old."""
 
+ENDED_LOOKED_AT_S = 2.0
+"""How often runs that have ended are looked at: somebody may go on with one."""
+
 MOST_RUNS = 16
 """Told of in one stream; of the rest only what every page shows."""
 
@@ -112,7 +115,9 @@ class _LiveRuns:
             if time.monotonic() >= self._until:
                 # Looked for first: one that has just become live is shown twice, not left out.
                 planned = being_planned(self._settings)
-                self._seen = _Going(going_on(self._settings), planned)
+                # One that is about to go on no more has become live.
+                within_s = ENDED_LOOKED_AT_S if planned == self._seen.planned else 0.0
+                self._seen = _Going(going_on(self._settings, within_s), planned)
                 self._until = time.monotonic() + LOOK_EVERY_S
             return self._seen
 

@@ -1,0 +1,82 @@
+"""What goes on, as pages and streams are told: each run once, and at no cost for those that ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from hil.campaign.detached import ticks_of
+from hil.campaign.started import FOLDER, Started
+from hil.record import known_runs
+from hil.record.lock import hold_run
+from hil.web.going import being_planned, going_on
+from hil.web.settings import Settings
+from hil.web.streams import _LiveRuns
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    return Settings(tmp_path / "runs", tmp_path / "registry", port=8350)
+
+
+def ended(settings: Settings, name: str) -> Path:
+    """A run that nobody has touched for a minute."""
+    run = settings.runs / "2026-11-23" / "ur5" / name
+    run.mkdir(parents=True)
+    (run / "start.json").write_text("{}")
+    for folder in (run, run.parent, run.parent.parent, settings.runs):
+        os.utime(folder, (time.time() - 60,) * 2)
+    return run
+
+
+def going_on_with(run: Path, settings: Settings) -> Started:
+    """The record of this process, as if it were about to go on with a run."""
+    said = Started(
+        id="17", runs=str(settings.runs), spec=str(run), station="", operator="anna",
+        pid=os.getpid(), ticks=ticks_of(os.getpid()), time=time.time(), host=platform.node(),
+    )  # fmt: skip
+    (settings.runs / FOLDER).mkdir()
+    (settings.runs / FOLDER / "17.json").write_text(json.dumps(asdict(said)))
+    return said
+
+
+def test_a_stream_looks_into_no_run_that_has_ended(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    live, *_ = (ended(settings, f"{n:04d}-a") for n in range(1, 9))
+    looked_at: list[Path] = []
+    real, changed = known_runs.is_live, known_runs._changed
+    monkeypatch.setattr(known_runs, "is_live", lambda run: looked_at.append(run) or real(run))
+    news = _LiveRuns(settings)
+    with hold_run(live):
+        news.now()
+        asked: list[Path] = []
+        monkeypatch.setattr(known_runs, "_changed", lambda at: asked.append(at) or changed(at))
+        looked_at.clear()
+        news._until = 0.0
+        (told,) = news.now().live or []
+    assert told["address"] == "/runs/2026-11-23/ur5/0001-a"
+    assert looked_at == [live]
+    # Folders of runs, a day and a robot, and the one run that may be live.
+    assert [path.name for path in asked] == ["runs", "2026-11-23", "ur5", "0001-a"]
+
+
+def test_one_that_is_gone_on_with_is_shown_once_and_at_once(settings: Settings) -> None:
+    run = ended(settings, "0001-a")
+    news = _LiveRuns(settings)
+    again = going_on_with(run, settings)
+    assert [one["id"] for one in news.now().planned or []] == ["17"]
+    assert again.made == []
+    with hold_run(run):  # it plans the way back; resume-01.json comes after that
+        news._until = 0.0
+        now = news.now()
+        assert now.planned == being_planned(settings) == []
+        assert [one["address"] for one in now.live or []] == ["/runs/2026-11-23/ur5/0001-a"]
+        assert going_on(settings) == now.live
+        assert again.made == [run.resolve()]  # its page leads to that of the run, which has Stop
