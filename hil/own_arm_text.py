@@ -138,7 +138,8 @@ _HEAD = """# An arm of one's own, from {urdf}; a station names this file as `mod
 #   drive_gain  torque at the joint per motor current; `hil gains` calibrates it
 #   capsules    bodies that are kept apart: everything of a link must be inside its own
 #
-# Then take its word out of `guessed`: until the list is empty no real arm is moved with this file.
+# Then take its word out of `guessed`: until the list is empty no real arm is moved with this file,
+# or only with --waive, which is not taken for q_limits, qd_max, qdd_max and capsules.
 #
 # Friction is nowhere here: the mock draws its own, real arms have theirs, and `hil` identifies it.
 guessed: [{guessed}]

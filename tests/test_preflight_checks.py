@@ -177,13 +177,13 @@ def own_arm(folder: Path, guessed: str) -> Path:
 @pytest.mark.parametrize(
     ("robot", "guessed", "fails"),
     [
-        ({"clock": "wall"}, "[qdd_max, capsules]", True),
-        ({"clock": "wall", "driver": "mock"}, "[qdd_max, capsules]", False),
-        ({"clock": "virtual"}, "[qdd_max, capsules]", False),
+        ({"clock": "wall"}, "[gear_ratio, excite]", True),
+        ({"clock": "wall", "driver": "mock"}, "[gear_ratio, excite]", False),
+        ({"clock": "virtual"}, "[gear_ratio, excite]", False),
         ({"clock": "wall"}, "[]", False),
     ],
 )
-def test_a_real_arm_is_not_moved_on_guesses(
+def test_a_real_arm_is_moved_on_guesses_with_a_reason_alone(
     robot: dict[str, str], guessed: str, fails: bool, tmp_path: Path
 ) -> None:
     path = own_arm(tmp_path, guessed)
@@ -191,8 +191,17 @@ def test_a_real_arm_is_not_moved_on_guesses(
     results = preflight(plan, ScriptedRobot(**robot), context(tmp_path, waivers=("guessed",)))
     (result,) = [result for result in results if result.name == "guessed"]
     assert (result.passed, result.waived) == (not fails, fails)
-    assert ("qdd_max, capsules" in result.message) == (guessed != "[]")
+    assert ("gear_ratio, excite" in result.message) == (guessed != "[]")
     assert str(path) in result.hint or not fails
+
+
+@pytest.mark.parametrize("word", ["q_limits", "qd_max", "qdd_max", "capsules", "qd_max_deg_s"])
+def test_guesses_of_what_interlocks_rest_on_are_not_waived(word: str, tmp_path: Path) -> None:
+    plan = small_plan(robot_model=str(own_arm(tmp_path, f"[gear_ratio, {word}]")))
+    robot, given = ScriptedRobot(clock="wall"), context(tmp_path, waivers=("guessed", "clock"))
+    with pytest.raises(PreflightFailed, match=f"guessed in gear_ratio, {word}") as refused:
+        require_preflight(plan, robot, given)
+    assert refused.value.hint.endswith(f"a waiver is not for {word}")
 
 
 @pytest.mark.parametrize("guessed", ["capsules", "true", "[1]", "{capsules: 1}"])
@@ -310,7 +319,7 @@ def test_the_context_of_a_station_knows_its_surroundings(tmp_path: Path) -> None
 def test_the_reference_has_every_check_in_their_order_and_whether_it_is_waived() -> None:
     page = (Path(__file__).parents[1] / "docs/reference/cli.md").read_text("utf-8")
     table = page.partition("## Checks before motion")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (never|with a reason) \|$", table, re.M)
+    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (never|with a reason)[^|]*\|$", table, re.M)
     assert rows == [
         (name, "never" if name in NEVER_WAIVED else "with a reason") for name in BUILT_IN
     ]

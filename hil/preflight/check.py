@@ -30,6 +30,7 @@ class CheckResult:
         measured, limit: What was found and what would have been fine, in SI units.
         hint: What to do about a failure.
         waived: True when a failure was accepted by name before the run.
+        waivable: False when this failure may not be accepted, whoever says otherwise.
     """
 
     name: str
@@ -39,6 +40,7 @@ class CheckResult:
     limit: Figure = None
     hint: str = ""
     waived: bool = False
+    waivable: bool = True
 
     @property
     def blocks(self) -> bool:

@@ -70,7 +70,7 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
         context: Folder, collision model and waivers.
 
     Returns:
-        One result per check, failed ones that `context.waivers` names marked as waived.
+        One result per check, failed ones that `context.waivers` names and may marked as waived.
 
     Raises:
         SpecError: A waiver names a check that does not exist or cannot be waived.
@@ -80,12 +80,8 @@ def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:
     require_waivable(context.waivers)
     situation = Situation(plan, robot, robot.read()[-1], context)
     results = [_run(name, situation) for name in names]
-    waivable = [
-        replace(result, waived=not result.passed and result.name in context.waivers)
-        for result in results
-    ]
     # Last: a load has been declared by then, which the robot may have read back.
-    return [*waivable, *robot_checks.own_checks(robot)]
+    return [*(_waived(each, context.waivers) for each in results), *robot_checks.own_checks(robot)]
 
 
 def require_preflight(
@@ -123,6 +119,12 @@ def document_of(results: Sequence[CheckResult], context: Context) -> dict[str, A
         "waivers": list(context.waivers),
         "checks": [result.to_dict() for result in results],
     }
+
+
+def _waived(result: CheckResult, waivers: Sequence[str]) -> CheckResult:
+    """The result, its failure accepted where somebody has said so and may."""
+    named = not result.passed and result.name in waivers
+    return replace(result, waived=named and result.waivable)
 
 
 def _run(name: str, situation: Situation) -> CheckResult:
