@@ -77,6 +77,15 @@ def test_a_file_of_the_offered_folder_is_read(desk: TestClient, file: str) -> No
     assert "neither a pose nor the joints' names: of, mine" in text
 
 
+@pytest.mark.parametrize("do", ["check", "start"])
+def test_a_file_that_no_program_has_is_not_read(desk: TestClient, do: str) -> None:
+    with (desk.app.state.settings.specs / "long.csv").open("wb") as file:  # type: ignore[attr-defined]
+        file.truncate(10**10)
+    status, text = asked(desk, do, "excitation.file=long.csv")
+    assert status == 422
+    assert "more than 20 MB" in text
+
+
 def test_prose_may_look_like_a_path(desk: TestClient) -> None:
     status, text = asked(desk, "check", "description=see /etc\nexcitation.waypoints=none")
     assert status == 422

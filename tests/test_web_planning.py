@@ -177,6 +177,50 @@ def test_the_dashboard_ends_while_it_plans(tmp_path: Path, number: int) -> None:
             process.kill()
 
 
+STUCK = """
+import sys, time
+from pathlib import Path
+from starlette.routing import Route
+from hil.web import serving
+from hil.web.app import create_app
+from hil.web.settings import Settings
+
+def stuck(request):
+    print("here", flush=True)
+    time.sleep(60)
+
+def made(settings):
+    app = create_app(settings)
+    app.router.routes.insert(0, Route("/stuck", stuck))
+    return app
+
+serving.create_app = made
+settings = Settings(Path("runs"), Path("registry"))
+serving.serve(settings, serving.listen("127.0.0.1", 0), lambda told: print(told, flush=True))
+"""
+
+
+@pytest.mark.wire
+def test_the_dashboard_ends_though_a_page_never_answers(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", f"import signal\n{HANDLED}\n{STUCK}"],
+        cwd=tmp_path, stdout=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            address = process.stdout.readline().strip()
+            threading.Thread(target=opened, args=(f"{address}stuck",), daemon=True).start()
+            assert process.stdout.readline() == "here\n"
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(10) == 130
+        finally:
+            process.kill()
+
+
+HANDLED = "signal.signal(signal.SIGTERM, signal.default_int_handler)"
+"""As the command line does."""
+
+
 def opened(address: str, form: dict[str, str] | None = None) -> str:
     try:
         with urlopen(address, urlencode(form).encode() if form else None, timeout=30) as answer:

@@ -21,6 +21,9 @@ FILE_KEYS = ("file",)
 PROSE = ("description", "prompt", "name")
 """Keys that nobody opens, whatever stands there."""
 
+MOST_BYTES = 20_000_000
+"""Of a file; as many poses as a program may have fit."""
+
 
 def require_files_offered(overrides: Mapping[str, str], spec: Path, settings: Settings) -> None:
     """Refuse values that name files outside of the offered folder, symbolic links followed.
@@ -34,7 +37,7 @@ def require_files_offered(overrides: Mapping[str, str], spec: Path, settings: Se
         settings: Says what is offered.
 
     Raises:
-        SpecError: A value is no YAML, or names a file elsewhere.
+        SpecError: A value is no YAML, or names a file elsewhere, or a very long one.
     """
     for place, text in overrides.items():
         for path, value in _texts(scalar(text, shown(place)), (*place.split("."),)):
@@ -45,6 +48,12 @@ def require_files_offered(overrides: Mapping[str, str], spec: Path, settings: Se
                     f"{shown('.'.join(path))} names {shown(value)}, which is not in the folder "
                     "that is offered here",
                     hint=f"put the file into {settings.specs}, or write it into the spec there",
+                )
+            if path[-1] in FILE_KEYS and _bytes_of(spec.parent / value) > MOST_BYTES:
+                raise SpecError(
+                    f"{shown('.'.join(path))} names {shown(value)}, which is too long to be read "
+                    f"here: more than {MOST_BYTES // 10**6} MB",
+                    hint="is it the right file? or start it on the command line: `hil run`",
                 )
 
 
@@ -67,3 +76,10 @@ def _is_offered(folder: Path, named: str, settings: Settings) -> bool:
         return (folder / named).resolve().is_relative_to(settings.specs.resolve())
     except (OSError, ValueError, RuntimeError):  # no file system takes it, or a loop of links
         return False
+
+
+def _bytes_of(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:  # whoever reads it says so
+        return 0
