@@ -24,10 +24,11 @@ from hil.campaign.steering import answer_run, question_of
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
-from hil.web import live_pages, start_pages, streams, wanted
+from hil.web import live_pages, resume_pages, start_pages, streams, wanted
 from hil.web.app import create_app
 from hil.web.listeners import Listeners
 from hil.web.settings import Settings
+from hil.web.threads import AT_MOST
 
 HOST = "127.0.0.1:8350"
 LINES = "Mount:\n\t- the 3\u00a0kg disc\r\n\t- four <M6> screws \x1b[2J"
@@ -224,6 +225,39 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
     assert [one["what"] for one in held.dropped()] == ["stop"]
     assert told == [503] * refused
     assert len(busy) == 60 - refused
+
+
+def test_stop_finds_a_thread_while_everybody_goes_on(
+    held: Held, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    over, busy = threading.Event(), []
+
+    def slow(*_: Any, **__: Any) -> Any:
+        busy.append(1)
+        over.wait(5)
+        return SimpleNamespace(id="1")
+
+    monkeypatch.setattr(resume_pages, "go_on_with", slow)
+    csrf = held.settings.csrf
+
+    async def hurry() -> tuple[float, int]:
+        path = f"{held.address}/go-on"
+        sent = [
+            asyncio.create_task(asked(held.app, path, csrf=csrf, once=str(i))) for i in range(60)
+        ]
+        while len(busy) < AT_MOST["starting"]:  # nobody waits for another's start
+            await asyncio.sleep(0.01)
+        begin = time.monotonic()
+        stopped = await asked(held.app, f"{held.address}/stop", csrf=csrf)
+        took = time.monotonic() - begin
+        over.set()
+        await asyncio.gather(*sent)
+        return took, stopped
+
+    took, stopped = asyncio.run(asyncio.wait_for(hurry(), 10))
+    assert stopped == 200
+    assert took < 2.0
+    assert len(busy) == 60
 
 
 def test_the_disk_is_never_waited_for_where_requests_come_in(

@@ -1,4 +1,4 @@
-"""What goes on, as pages and streams are told: each run once, and at no cost for those that ended."""
+"""What goes on, as pages and streams are told: each run once, and nothing is paid for the ended."""
 
 from __future__ import annotations
 

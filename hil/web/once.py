@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Hashable
+from concurrent.futures import Future
 
 KEPT_S = 600.0
 MOST = 1000
@@ -20,21 +21,32 @@ class Once:
 
     def __init__(self, kept_s: float = KEPT_S) -> None:
         self._kept_s = kept_s
-        self._doing = threading.Lock()
-        self._came: dict[Hashable, tuple[float, str]] = {}
+        self._looking = threading.Lock()
+        self._came: dict[Hashable, tuple[float, Future[str]]] = {}
 
     def of(self, sent: Hashable, do: Callable[[], str]) -> str:
         """What `do` returned when this was sent first; what raised is done again.
 
         Args:
             sent: What tells it from everything else that is sent.
-            do: Does it. Nothing else is done meanwhile, so that a second one sees the first.
+            do: Does it. Whoever sends the same meanwhile waits for what comes of it, and nobody
+                else does.
         """
-        with self._doing:
+        mine: Future[str] = Future()
+        with self._looking:
             self._forget()
-            if sent not in self._came:
-                self._came[sent] = (time.monotonic(), do())
-            return self._came[sent][1]
+            _, came = self._came.setdefault(sent, (time.monotonic(), mine))
+        if came is mine:
+            self._do(sent, do, mine)
+        return came.result()
+
+    def _do(self, sent: Hashable, do: Callable[[], str], mine: Future[str]) -> None:
+        try:
+            mine.set_result(do())
+        except BaseException as error:  # also to those that wait
+            with self._looking:
+                self._came.pop(sent, None)
+            mine.set_exception(error)
 
     def _forget(self) -> None:
         until = time.monotonic() - self._kept_s

@@ -57,7 +57,7 @@ async def go_on(request: Request) -> Response:
         sent = (str(run), given.get("once", ""), operator)
         return ONCE.of(sent, lambda: start().id) if given.get("once") else start().id
 
-    return RedirectResponse(f"/start/{await in_thread('asking', begun)}", 303)
+    return RedirectResponse(f"/start/{await in_thread('starting', begun)}", 303)
 
 
 routes = [Route("/runs/{name:path}/go-on", go_on, methods=["POST"])]

@@ -61,7 +61,7 @@ async def begin(request: Request) -> Response:
         if given.get("do") == "start":
             wanted = await run_in_threadpool(look)
             if given.get("checked", "") in ("", wanted.digest):
-                started = await run_in_threadpool(_start, wanted, given, settings)
+                started = await in_thread("starting", _start, wanted, given, settings)
                 return RedirectResponse(f"/start/{started}", 303)
             changed = {"error": CHANGED, "status": 409}
         if not PLANS.acquire(blocking=False):

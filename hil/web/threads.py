@@ -12,9 +12,9 @@ from anyio.lowlevel import RunVar
 P = ParamSpec("P")
 T = TypeVar("T")
 
-Kind = Literal["asking", "telling"]
+Kind = Literal["asking", "starting", "telling"]
 
-AT_MOST: dict[Kind, int] = {"asking": 16, "telling": 8}
+AT_MOST: dict[Kind, int] = {"asking": 16, "starting": 8, "telling": 8}
 """Threads of a kind. Asking may wait for a run that has just begun; pages have those of anyio."""
 
 PLANS = threading.BoundedSemaphore(2)
@@ -27,7 +27,8 @@ async def in_thread(kind: Kind, function: Callable[P, T], *args: P.args, **kwarg
     """Call a function that reads the disk or waits, on a thread of a kind.
 
     Args:
-        kind: `asking` for what is asked of a run, `telling` for what pages are told of.
+        kind: `asking` for what is asked of a run, `starting` for what begins one or goes on with
+            it, `telling` for what pages are told of.
         function: What is called.
         *args: Its arguments.
         **kwargs: Its arguments by name.
