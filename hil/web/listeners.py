@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from starlette.responses import PlainTextResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST = 64
 """Streams of events; a browser has one, and looks for another where it is refused."""
@@ -35,9 +35,23 @@ class Listeners:
             return
         self._open += 1
         try:
-            await self._app(scope, receive, send)
+            await _in_full(self._app, scope, receive, send)
         finally:
             self._open -= 1
+
+
+async def _in_full(app: ASGIApp, scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer to the end: a stream that ends with the dashboard says no last word by itself."""
+    open_yet = False
+
+    async def noted(message: Message) -> None:
+        nonlocal open_yet
+        open_yet = message["type"] == "http.response.start" or message.get("more_body", False)
+        await send(message)
+
+    await app(scope, receive, noted)
+    if open_yet:
+        await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
 def _is_stream(scope: Scope) -> bool:
