@@ -38,7 +38,7 @@ SHOWN = 5
 ONCE = Once()
 
 CHANGED = SpecError(
-    "not started: this is not what was checked: the form, or a file, was changed since",
+    "not started, for it is not what was checked: the form or a file was changed since",
     hint="below is what would be done now; Start starts that",
 )
 
@@ -85,16 +85,13 @@ def started_page(request: Request) -> Response:
     started = _started(request.path_params["id"], settings)
     if made := started.made:
         return RedirectResponse(address_of(made[-1], settings), 303)
-    answer = page(
+    return page(
         request,
         "started.html.j2",
         title="Starting" if started.alive else "Not started",
         started=_told(started, settings),
         last_words=started.last_words,
     )
-    if started.alive:
-        answer.headers["Refresh"] = "1"
-    return answer
 
 
 async def cancel(request: Request) -> Response:
