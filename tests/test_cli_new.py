@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -13,6 +12,7 @@ from typer.testing import CliRunner, Result
 
 import hil
 from hil.arms import load_arm
+from hil.arms import model_sha256
 from hil.arms.description import _parsed
 from hil.cli.app import app
 from hil.errors import DataError, SpecError
@@ -114,10 +114,13 @@ def test_a_run_goes_on_and_is_fitted_only_with_the_arm_it_was_recorded_with() ->
     fewer = {"excitation.trajectories": "3", "warm_up.duration_s": "1", "fit": "[]"}
     fewer |= {"validate": "{}", "accept": "{gaps_percent: {max: 1}}"}
     run = hil.run(hil.load(spec, station, overrides=fewer)).run
-    digest = sha256(arm.read_bytes()).hexdigest()
-    assert json.loads((run / "start.json").read_text())["robot"]["model_sha256"] == digest
+    recorded = json.loads((run / "start.json").read_text())["robot"]["model_sha256"]
+    assert recorded == model_sha256(str(arm))
 
     text = arm.read_text()
+    arm.write_text(text.replace("qdd_max, ", ""))  # looked up, and right as it was
+    _parsed.cache_clear()
+    assert len(hil.dataset(run))
     arm.write_text(text.replace("rate_hz: 250", "rate_hz: 251"))
     _parsed.cache_clear()
     told = f"{arm.resolve()} describes another arm than when {run} was made"
@@ -245,7 +248,7 @@ def test_commands_to_go_on_with_can_be_pasted() -> None:
         (("dwell", "--urdf", str(URDF)), "nothing else takes it"),
         (("dwell", "--name", "a: b"), "--name 'a: b'"),
         (("dwell", "--robot", "x\ny: 1"), "--robot"),
-        (("own-urdf", "--urdf", "missing.urdf"), "missing.urdf: cannot be read"),
+        (("own-urdf", "--urdf", "missing.urdf"), "there is no file missing.urdf in "),
     ],
 )
 def test_what_cannot_be_begun_is_refused(words: tuple[str, ...], message: str) -> None:

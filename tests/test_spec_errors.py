@@ -123,7 +123,7 @@ IN_EXCITATION = [
     ),
     ("file: 3", "6:9: excitation.file: must be text: put it in quotes, '3'"),
     ("file: [a]", "6:9: excitation.file: must be text, not a list"),
-    ("file: nowhere.csv", "6:9: excitation.file: there is no file nowhere.csv"),
+    ("file: nowhere.csv", f"6:9: excitation.file: there is no file nowhere.csv in {Path.cwd()}"),
     ("range_deg: [[0, 1], [0]]", "6:23: excitation.range_deg.1: needs 2 values, but has 1"),
     ("range_deg: [[0, 1, 2]]", "6:15: excitation.range_deg.0: needs 2 values, but has 3"),
     (

@@ -289,7 +289,11 @@ def test_a_station_reports_drivers_models_names_and_walls_at_once(tmp_path: Path
 
     assert "3:17: robots.ur5.driver: there is no driver 'mok'; did you mean 'mock'?" in said
     assert any(line.startswith("3:29: robots.ur5.model: there is no built-in arm") for line in said)
-    assert f"4:35: robots.my arm.model: there is no file {tmp_path}/cell/arm.urdf" in said
+    missing = (
+        f"4:35: robots.my arm.model: there is no file {tmp_path}/cell/arm.urdf; "
+        f"there is no folder {tmp_path}/cell"
+    )
+    assert missing in said
     assert any(line.startswith("4:3: robots.my arm: must begin with a letter") for line in said)
     assert any(line.endswith("use gravity_m_s2") and line.startswith("4:50:") for line in said)
     assert (

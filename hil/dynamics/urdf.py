@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hil.errors import SpecError
+from hil.neighbours import neighbour_of, no_file
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -44,6 +45,9 @@ def read_serial_arm(path: Path) -> ET.Element:
 def _parsed(path: Path) -> ET.Element:
     try:
         root = ET.parse(path).getroot()  # noqa: S314  a file of the user's own bench
+    except FileNotFoundError:
+        hint = f"{neighbour_of(path, ['.urdf', '.xml'])} Or name a built-in arm"
+        raise SpecError(no_file(path), hint=hint) from None
     except OSError as error:
         raise SpecError(
             f"{path}: cannot be read ({error.strerror})",

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from hil import plugins
 from hil.arms import arm_names
 from hil.errors import HilError, PluginError
+from hil.neighbours import no_file_but
 from hil.spec.interlocks import KINDS
 from hil.spec.source import Path, Source, shown
 from hil.suggest import closest, did_you_mean
@@ -73,7 +74,7 @@ def check_pose_file(source: Source, folder: FilePath) -> None:
     path: Path = ("excitation", "file")
     file = source.at(path)
     if isinstance(file, str) and not is_file(folder / file):
-        source.add(path, f"there is no file {_path(folder / file)}")
+        source.add(path, _missing(folder / file))
 
 
 PATHS = (".urdf", ".xml", ".yaml", ".yml")
@@ -103,14 +104,14 @@ def _entries(source: Source, key: str) -> Iterator[tuple[Path, dict[str, Any]]]:
     return (((key, step), entry) for step, entry in steps if isinstance(entry, dict))
 
 
-def _path(path: FilePath) -> str:
-    return shown(str(path), most=300)
+def _missing(path: FilePath) -> str:
+    """Of a file that another file names; what is meant ends as it does."""
+    return no_file_but(path, [path.suffix.casefold()])
 
 
 def _fault_of_model(model: str, folder: FilePath) -> str:
     if is_path(model):
-        missing = not is_file(folder / model)
-        return f"there is no file {_path(folder / model)}" if missing else ""
+        return "" if is_file(folder / model) else _missing(folder / model)
     if model in arm_names():
         return ""
     hint = did_you_mean(model, arm_names())

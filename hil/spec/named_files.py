@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
+from hil.neighbours import no_file_but
 from hil.spec.checks import is_file
 from hil.spec.load import no_such_kind
-from hil.spec.source import Path, Source, shown
-from hil.suggest import closest
+from hil.spec.source import Path, Source
 
 
 def make_absolute(source: Source, place: Path, folder: FilePath) -> None:
@@ -23,17 +23,8 @@ def make_absolute(source: Source, place: Path, folder: FilePath) -> None:
         return
     file = folder / named
     if not is_file(file):
-        source.add(place, f"there is no file {shown(str(file), most=300)}{_guess(file)}")
+        source.add(place, no_file_but(file, (".yaml", ".yml")))
         return
     if wrong := no_such_kind(file, "hil_station" if place[-1] == "station" else "hil"):
         source.add(place, wrong)
     holder[place[-1]] = str(file.resolve())
-
-
-def _guess(file: FilePath) -> str:
-    try:
-        names = [other.name for other in file.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-    except (OSError, ValueError):
-        return ""
-    match = closest(file.name, names)
-    return f"; did you mean {match!r}?" if match else ""

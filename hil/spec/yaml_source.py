@@ -5,13 +5,10 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 
 from hil.errors import SpecError
+from hil.neighbours import neighbour_of
 from hil.spec.source import Problem, Source, refuse, shown
 from hil.spec.yaml_nodes import MOST_BYTES
 from hil.spec.yaml_values import parse_text, place_after
-from hil.suggest import closest
-
-MOST_NAMED = 8
-"""Files of a folder that a hint names."""
 
 
 def read_source(path: str | FilePath, kind: str = "") -> Source:
@@ -29,7 +26,9 @@ def read_source(path: str | FilePath, kind: str = "") -> Source:
         with file.open("rb") as stream:
             raw = stream.read(MOST_BYTES + 1)
     except FileNotFoundError:
-        raise SpecError(f"{path}: there is no such file", hint=_neighbours(file, kind)) from None
+        where = "" if file.is_absolute() else f" in {FilePath.cwd()}"
+        told = f"{path}: there is no such file{where}"
+        raise SpecError(told, hint=_neighbours(file, kind)) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise SpecError(
@@ -64,18 +63,7 @@ def _decoded(raw: bytes, name: str) -> str:
 
 
 def _neighbours(file: FilePath, kind: str) -> str:
-    if not file.parent.is_dir():
-        return f"there is no folder {shown(str(file.parent), most=300)}"
-    try:
-        beside = [p for p in file.parent.iterdir() if p.suffix in (".yaml", ".yml")]
-        names = [p.name for p in beside if not kind or _is(p, kind)]
-    except (OSError, ValueError):
-        names = []
-    if match := closest(file.name, names):
-        return f"did you mean {file.parent / match}?"
-    if 0 < len(names) <= MOST_NAMED:
-        return f"there is {', '.join(sorted(names))}"
-    return "is the path right, seen from this folder?"
+    return neighbour_of(file, (".yaml", ".yml"), lambda p: not kind or _is(p, kind))
 
 
 def _is(file: FilePath, kind: str) -> bool:

@@ -20,6 +20,7 @@ from hil.data.importing.raw import Raw
 from hil.data.importing.recording import segments_of, write_recording
 from hil.data.importing.text import read_text
 from hil.errors import DataError, RecordingError, SpecError
+from hil.neighbours import neighbour_of, no_file
 from hil.payload import Payload
 from hil.suggest import did_you_mean
 
@@ -98,7 +99,7 @@ def import_file(
     layout = _with_format(layout, format_)
     layout = layout if payload is None else layout.with_payload(payload)
     if not path.exists():
-        raise DataError(f"{path} does not exist", hint="is the path right, seen from this folder?")
+        raise DataError(no_file(path), hint=neighbour_of(path, [path.suffix.casefold()]))
     _require_place(out)
     whole = READERS[layout.format](path, layout)
     numbered = np.arange(1, len(whole) + 1)
