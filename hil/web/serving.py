@@ -44,7 +44,8 @@ def listen(host: str, port: int | None) -> socket.socket:
     assert problem is not None
     where = f"{host}:{port}" if port is not None else f"{host}, ports {ports[0]} to {ports[-1]}"
     raise RobotConnectionError(
-        f"cannot listen on {where}: {problem.strerror or problem}",
+        # Python adds `(while attempting to bind on address …)`, which is said already.
+        f"cannot listen on {where}: {str(problem.strerror or problem).partition(' (while ')[0]}",
         hint="give another port: hil serve --port 8400 (0 takes any)",
     ) from problem
 
