@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import platform
 import signal
@@ -213,31 +214,56 @@ def test_what_is_being_planned_comes_and_goes_in_the_header_of_every_page(
 ) -> None:
     folder, address, _ = bench
     page.goto(f"{address}models")
+    with being_planned(folder, "1", "2"):
+        until(page, "document.querySelector('#live .planned .how')", 5)
+        told = " ".join(text_of(page, "#live .planned").split())
+        name = "asks_for_a_rather_long_while.yaml"
+        assert told == f"{name} is being planned Cancel {name}"
+        page.set_viewport_size({"width": 390, "height": 800})
+        box = page.locator("#live .planned").first.bounding_box()
+        assert box["width"] > 340, "one below the other on a phone"
+        assert box["height"] < 80
+        page.focus("#live .planned button")
+    until(page, "!document.querySelector('#live .planned')", 5)
+    assert page.evaluate("document.activeElement.id") == "main"
+
+
+def test_the_keyboard_stays_at_cancel_while_a_run_is_planned(page: Any, bench: Bench) -> None:
+    folder, address, _ = bench
+    with being_planned(folder, "17") as planning:
+        log = folder / "runs" / ".started" / "17.log"
+        log.write_text("reads the spec\n")
+        page.goto(f"{address}start/17")
+        page.evaluate("window.same = true")
+        page.focus("main button.stop")
+        log.write_text("reads the spec\nplans\n")
+        until(page, "document.getElementById('printed').textContent.includes('plans')", 5)
+        assert page.evaluate("window.same && document.activeElement.matches('main button.stop')")
+        planning.kill()
+        planning.wait()
+        page.wait_for_selector("text=did not begin", timeout=5000)
+        assert page.locator("main button.stop").count() == 0
+        assert "plans" in page.inner_text("#printed")
+
+
+@contextlib.contextmanager
+def being_planned(folder: Path, *ids: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Records of a process that seems to plan, under some names; it and they are gone after it."""
+    records = [folder / "runs" / ".started" / f"{one}.json" for one in ids]
+    records[0].parent.mkdir(parents=True, exist_ok=True)
     with subprocess.Popen(["sleep", "60"]) as planning:
         said = Started(
             id="", runs="", spec="asks_for_a_rather_long_while.yaml", station="", operator="anna",
             pid=planning.pid, ticks=ticks_of(planning.pid), time=time.time(), host=platform.node(),
         )  # fmt: skip
-        (folder / "runs" / ".started").mkdir(parents=True, exist_ok=True)
-        records = [folder / "runs" / ".started" / f"{i}.json" for i in (1, 2)]
         for record in records:
             record.write_text(json.dumps(asdict(said)))
         try:
-            until(page, "document.querySelector('#live .planned .how')", 5)
-            told = " ".join(text_of(page, "#live .planned").split())
-            name = "asks_for_a_rather_long_while.yaml"
-            assert told == f"{name} is being planned Cancel {name}"
-            page.set_viewport_size({"width": 390, "height": 800})
-            box = page.locator("#live .planned").first.bounding_box()
-            assert box["width"] > 340, "one below the other on a phone"
-            assert box["height"] < 80
-            page.focus("#live .planned button")
+            yield planning
         finally:
             planning.kill()
-    until(page, "!document.querySelector('#live .planned')", 5)
-    assert page.evaluate("document.activeElement.id") == "main"
-    for record in records:
-        record.unlink()
+            for record in records:
+                record.unlink()
 
 
 def test_too_many_pages_are_told_apart_from_a_dashboard_that_is_gone(

@@ -81,11 +81,17 @@ function showOverview(runs) {
   });
 }
 
-// Parts of the page made again by the server; what holds the focus is left for later.
-async function refresh(...ids) {
+// This page made again by the server: its document, and its address, which may be another by now.
+async function again() {
   const answer = await fetch(location.href, { headers: { Accept: "text/html" } }).catch(() => null);
-  if (!answer?.ok) return;
-  const fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+  const text = answer?.ok && (await answer.text().catch(() => ""));
+  return text ? { fresh: new DOMParser().parseFromString(text, "text/html"), moved: answer.redirected && answer.url } : {};
+}
+
+// Parts of the page made again; what holds the focus is left for later.
+async function refresh(...ids) {
+  const { fresh } = await again();
+  if (!fresh) return;
   for (const id of ids) {
     const [here, there] = [byId(id), fresh.getElementById(id)];
     if (!there || here.contains(document.activeElement)) continue;
@@ -173,6 +179,26 @@ function showNow(run, now) {
   if (now.over) for (const button of run.querySelectorAll("button")) button.setAttribute("aria-disabled", "true");
 }
 
+// --- what was started and is no run yet ------------------------------------------------------
+
+const LOOK_MS = 1000;
+let nextLook = 0;
+
+// In place, so that the keyboard stays at Cancel, until there is a run or the process has ended.
+async function lookAtStart() {
+  clearTimeout(nextLook);
+  const { fresh, moved } = await again();
+  if (moved) return void location.replace(moved);
+  if (fresh && !fresh.querySelector("[data-starting]")) return void location.reload();
+  for (const id of fresh ? ["how", "printed"] : []) setText(byId(id), fresh.getElementById(id).textContent);
+  byId("printed").hidden = !byId("printed").textContent;
+  clearTimeout(nextLook);
+  nextLook = setTimeout(lookAtStart, LOOK_MS);
+}
+
+const starting = document.querySelector("[data-starting]");
+if (starting) nextLook = setTimeout(lookAtStart, LOOK_MS);
+
 // --- listening ------------------------------------------------------------------------------
 
 const run = byId("run");
@@ -183,6 +209,7 @@ function wanted() {
 }
 
 function take(kind, news) {
+  if (starting && kind === "planned") lookAtStart();
   if (kind === "live") {
     showHeader(news);
     showOverview(news);
