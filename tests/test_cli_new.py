@@ -11,8 +11,7 @@ import yaml
 from typer.testing import CliRunner, Result
 
 import hil
-from hil.arms import load_arm
-from hil.arms import model_sha256
+from hil.arms import load_arm, model_sha256
 from hil.arms.description import _parsed
 from hil.cli.app import app
 from hil.errors import DataError, SpecError

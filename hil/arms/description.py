@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from hil.arms.content import description_sha256
 from hil.errors import SpecError
 from hil.typing import FloatArray
 
@@ -60,7 +61,9 @@ class ArmDescription:
         joints_per_motor: (n, n) joint angles per angle of the motors behind their gears; not the
             unit matrix where a motor also moves a neighbour of its joint.
         guessed: What of it nobody knows: such numbers are good enough for a mock alone.
-        sha256: Of the file that describes an arm of one's own; empty for a built-in arm.
+        sha256: Of what an arm of one's own is described as (`hil.arms.content`); empty for a
+            built-in arm.
+        file_sha256: Of the bytes of that file.
     """
 
     name: str
@@ -86,6 +89,7 @@ class ArmDescription:
     joints_per_motor: FloatArray
     guessed: tuple[str, ...] = ()
     sha256: str = ""
+    file_sha256: str = ""
 
     @property
     def n_joints(self) -> int:
@@ -141,13 +145,14 @@ def _of_file(path: Path) -> ArmDescription:
     hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
     try:
         raw = path.read_bytes()
-        arm = arm_from_dict(str(path), yaml.safe_load(raw.decode("utf-8")))
-        return replace(arm, sha256=sha256(raw).hexdigest())
+        document = yaml.safe_load(raw.decode("utf-8"))
+        arm, digest = arm_from_dict(str(path), document), description_sha256(document)
+        return replace(arm, sha256=digest, file_sha256=sha256(raw).hexdigest())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
     except KeyError as error:
         raise SpecError(f"{path}: the arm lacks {error.args[0]!r}", hint=hint) from None
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SpecError(f"{path}: describes no arm: {error}", hint=hint) from None
 
 

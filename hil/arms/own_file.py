@@ -7,25 +7,33 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from hil.arms.content import urdf_sha256
 from hil.arms.description import arm_names, is_description, load_arm
 from hil.errors import DataError, SpecError
 
 
 def model_sha256(model: str) -> str:
-    """SHA-256 of the file that a robot's `model` names, as this process has read it.
+    """SHA-256 of what the file that a robot's `model` names says, as this process has read it.
 
     Returns:
-        Hexadecimal; empty for a built-in arm.
+        Hexadecimal, see `hil.arms.content`; empty for a built-in arm.
 
     Raises:
         SpecError: The file cannot be used.
     """
+    return _digests(model)[0]
+
+
+def _digests(model: str) -> tuple[str, str]:
+    """Of what the file says, and of its bytes, which runs and models had at first."""
     if model in arm_names():
-        return ""
+        return "", ""
     if is_description(model):
-        return load_arm(model).sha256
+        arm = load_arm(model)
+        return arm.sha256, arm.file_sha256
     try:
-        return sha256(Path(model).read_bytes()).hexdigest()
+        content = Path(model).read_bytes()
+        return urdf_sha256(content), sha256(content).hexdigest()
     except OSError as error:
         raise SpecError(
             f"{model}: cannot be read: {error.strerror}", hint="see whether it exists"
@@ -35,7 +43,7 @@ def model_sha256(model: str) -> str:
 def require_same_arm(
     robot: Mapping[str, Any], source: Path, otherwise: str, *, gone: bool = False
 ) -> None:
-    """Refuse what was made with an arm whose file was changed since.
+    """Refuse what was made with an arm whose file says something else since.
 
     Args:
         robot: What a run's start document says about the robot, or a model's about its arm; one
@@ -45,20 +53,20 @@ def require_same_arm(
         gone: A file that cannot be read passes as well: nobody can mistake it for the arm.
 
     Raises:
-        DataError: The file is gone, or is not what it was.
+        DataError: The file is gone, or does not say what it said.
     """
     recorded, model = robot.get("model_sha256"), str(robot.get("model", ""))
     if not recorded:
         return
     try:
-        found = model_sha256(model)
+        found = _digests(model)
     except SpecError as error:
         if gone:
             return
         raise DataError(error.message, hint=f"put {model} back, or {otherwise}") from None
-    if found != recorded:
+    if recorded not in found:
         raise DataError(
             f"{model} describes another arm than when {source} was made: its SHA-256 is now "
-            f"{found[:12]}…, and was {str(recorded)[:12]}…",
+            f"{found[0][:12]}…, and was {str(recorded)[:12]}…",
             hint=f"put the original file back, or {otherwise}",
         )

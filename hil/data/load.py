@@ -64,8 +64,8 @@ def load_source(
         path: Run directory or MCAP file.
         kinds: Only series of these kinds; all that measured something by default. Leaving out the
             moves of a long dwell program saves most of the time.
-        any_arm: Take it as well when the file that describes its arm was changed since: whoever
-            says so names an arm, or needs none.
+        any_arm: Take it as well when its arm's file says something else by now: whoever says so
+            names an arm, or needs none.
 
     Raises:
         DataError: The source is missing, damaged, from a newer hil, or does not say whose samples

@@ -1,6 +1,6 @@
 """The robot model inside a model folder: how it was made, and a copy of its URDF if it has one.
 
-Of an arm that a file of one's own describes, it has that file's SHA-256.
+Of an arm that a file of one's own describes, it has the SHA-256 of what that file says.
 """
 
 from __future__ import annotations

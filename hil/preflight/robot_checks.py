@@ -117,10 +117,8 @@ def guessed(situation: Situation) -> CheckResult:
     """Nothing about the arm is guessed, unless no real arm is moved: plans go up to its limits."""
     model, robot = situation.plan.robot_model, situation.robot
     guesses = load_arm(model).guessed if is_described(model) else ()
-    words, kept = (
-        ", ".join(guesses),
-        [word for word in guesses if word.casefold().startswith(NO_GUESSES)],
-    )
+    kept = [word for word in guesses if word.casefold().startswith(NO_GUESSES)]
+    words = ", ".join(guesses)
     never = f"; a waiver is not for {', '.join(kept)}" if kept else ""
     mocked = robot.capabilities.clock == "virtual" or robot.identity.driver == "mock"
     told = f"the description of the arm is guessed in {words}" if words else "nothing is guessed"
