@@ -46,6 +46,13 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
     "a plan of a path": lambda run, file: hil.plan(wrong(SPEC)),
     "a run of a path": lambda run, file: hil.run(wrong(SPEC)),
     "a waiver without a reason": lambda run, file: hil.run(hil.load(SPEC), waivers=wrong(["disk"])),
+    "a waiver with an empty reason": lambda run, file: hil.run(
+        hil.load(SPEC), runs=file.parent / "waived", waivers={"disk": " "}
+    ),
+    "a reason that is no text": lambda run, file: hil.resume(run, waivers=wrong({"disk": True})),
+    "no pose": lambda run, file: hil.rest_poses(model_of(run), count=0),
+    "half a pose": lambda run, file: hil.rest_poses(model_of(run), count=wrong(0.5)),
+    "a seed below nothing": lambda run, file: hil.rest_poses(model_of(run), seed=-1),
     "runs in a file": lambda run, file: hil.run(hil.load(SPEC), runs=file),
     "nothing to resume": lambda run, file: hil.resume(run),
     "no data": lambda run, file: hil.dataset(),
@@ -86,6 +93,9 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
     ),
     "a name without models": lambda run, file: hil.registry(file.parent / "r").aliases("nobody"),
     "a registered run": lambda run, file: hil.registry(file.parent / "r").register("x", file, {}),
+    "facts that are none": lambda run, file: hil.registry(file.parent / "r").register(
+        "x", model_of(run), wrong("facts")
+    ),
     "a schedule that is not there": lambda run, file: hil.reidentify("none.yaml"),
     "a spec as a schedule": lambda run, file: hil.reidentify(SPEC),
 }
@@ -99,6 +109,12 @@ def test_a_mistake_is_told_with_what_to_do(
     with pytest.raises(HilError) as told:
         MISTAKES[mistake](*given)
     assert told.value.hint
+
+
+def test_a_model_is_registered_with_what_it_and_its_run_tell(given: Given, tmp_path: Path) -> None:
+    run, _ = given
+    facts = hil.registry(tmp_path / "r").register("ur5", model_of(run)).facts
+    assert (facts["estimator"], facts["run"]["folder"]) == ("static-wls", str(run))
 
 
 def test_the_same_model_twice_is_one_version(given: Given, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -93,6 +94,40 @@ def mapping(given: Mapping[str, Any] | None, what: str, example: str) -> dict[st
             f"{what} is {given!r:.80}, not values by name", hint=f"for example: {example}"
         )
     return dict(given)
+
+
+def waivers_of(given: Mapping[str, str] | None) -> dict[str, str]:
+    """Why which check's failure is accepted; a waiver without a reason is none.
+
+    Raises:
+        SpecError: They are no reasons by check.
+    """
+    example = "{'disk': 'another disk comes on Monday'}"
+    waivers = mapping(given, "waivers", example)
+    for check, reason in waivers.items():
+        if not (isinstance(reason, str) and reason.strip()):
+            raise SpecError(
+                f"the waiver of {check!r} gives no reason", hint=f"for example: waivers={example}"
+            )
+    return {check: reason.strip() for check, reason in waivers.items()}
+
+
+def whole(given: int, what: str, least: int) -> int:
+    """A whole number.
+
+    Raises:
+        SpecError: It is none, or too small.
+    """
+    try:
+        number = index(given)
+    except TypeError:
+        number = least - 1
+    if number < least:
+        raise SpecError(
+            f"{what} is {given!r:.80}, not a whole number from {least} on",
+            hint=f"for example: {what}={max(least, 3)}",
+        )
+    return number
 
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.arguments import AnyPath, mapping, path
+from hil.api.arguments import AnyPath, mapping, path, waivers_of
 from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
@@ -17,9 +17,6 @@ from hil.plan.plan import Plan
 
 if TYPE_CHECKING:
     from hil.study.result import StudyResult
-
-
-WAIVERS = "{'disk': 'another disk comes on Monday'}"
 
 
 def load(
@@ -119,7 +116,7 @@ def run(
         runs=path(runs),
         operator=operator,
         observers=observers,
-        waivers=mapping(waivers, "waivers", WAIVERS),
+        waivers=waivers_of(waivers),
         desk=desk,
     )
 
@@ -151,7 +148,7 @@ def resume(
     """
     return resume_experiment(
         path(run), operator=operator, observers=observers, desk=desk,
-        waivers=mapping(waivers, "waivers", WAIVERS),
+        waivers=waivers_of(waivers),
     )  # fmt: skip
 
 

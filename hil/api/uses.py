@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from hil.api.arguments import AnyPath, AnyPayload, path, payload_of
+from hil.api.arguments import AnyPath, AnyPayload, path, payload_of, whole
 from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ def rest_poses(
         payload=payload_of(payload),
         clearance_mm=clearance_mm,
         near_deg=near_deg,
-        count=count,
-        seed=seed,
+        count=whole(count, "count", 1),
+        seed=whole(seed, "seed", 0),
         unchecked=unchecked,
     )
 
@@ -137,7 +137,7 @@ def try_out(
         station=path(station) if station else None,
         robot=robot,
         payload=payload_of(payload),
-        seed=seed,
+        seed=whole(seed, "seed", 0),
         friction_share=friction_share,
         progress=progress or (lambda text: None),
     )

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RegistryError
+from hil.errors import RegistryError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes, load_model_file, write_whole
 from hil.record.provenance import operator, utc_now
+from hil.registry.facts import facts_of
 from hil.registry.lock import writing
 from hil.registry.log import Entry, Event, append, read_log
 from hil.registry.pointers import leave_pointer
@@ -165,23 +166,30 @@ class Registry:
         return load_model_file(version.folder)
 
     def register(
-        self, name: str, model: str | Path, facts: Mapping[str, Any], *, challenger: bool = False
+        self,
+        name: str,
+        model: str | Path,
+        facts: Mapping[str, Any] | None = None,
+        *,
+        challenger: bool = False,
     ) -> ModelVersion:
         """Add a model folder as a version; the same model twice is one version.
 
         Args:
             name: Such as the robot's in its station.
             model: Folder; read once, so that it may change or go afterwards.
-            facts: What is known of it, see `hil.registry.facts`.
+            facts: What is known of it; by default what `hil.registry.facts.facts_of` tells.
             challenger: Make it the one to be compared with the champion.
 
         Raises:
             RegistryError: The name cannot be, or the registry cannot be written.
             DataError: The folder holds no model that can be read.
+            SpecError: The facts are none.
         """
         require_name(name)
         model = Path(model)
         load_model_file(model)
+        known_of = _facts(model, facts)
         files = {p.name: p.read_bytes() for p in sorted(model.iterdir()) if p.is_file()}
         files.pop(VERSION_FILE, None)
         home = self.root / name
@@ -191,12 +199,12 @@ class Registry:
             known = [read_version(home, number) for number in numbers_in(home)]
             found = next((one for one in known if one.digest == digest), None)
             # Before the version: what it came from must not go in between.
-            leave_pointer(self.root, _sources(model, facts))
+            leave_pointer(self.root, _sources(model, known_of))
             if found is None:
                 number = max(numbers_in(home), default=0) + 1
                 named = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
                 at, by, where = utc_now(), operator(), folder_of(home, number)
-                found = ModelVersion(name, number, where, digest, at, by, dict(facts), named)
+                found = ModelVersion(name, number, where, digest, at, by, known_of, named)
                 write_version(home, found, files)
                 self._adopt(home)
             # A champion cannot challenge itself.
@@ -304,6 +312,18 @@ class Registry:
     ) -> Aliases:
         append(home, Entry(event, number, utc_now(), operator(), reason, evidence or {}))
         return _view(home)
+
+
+def _facts(model: Path, facts: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What was told, or what the model's folder and its run tell."""
+    if facts is None:
+        return facts_of(model)
+    if not isinstance(facts, Mapping):
+        raise SpecError(
+            f"facts are {facts!r:.80}, not values by name",
+            hint="leave them out: the model and its run tell them",
+        )
+    return dict(facts)
 
 
 def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
