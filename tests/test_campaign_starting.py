@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -27,6 +28,13 @@ from hil.record.rundir import RunDirectory
 pytestmark = pytest.mark.wire
 
 SLEEP = "import time; time.sleep(60)"
+HOLDS = """
+import sys, time
+from pathlib import Path
+from hil.campaign.control_files import hold_attempt
+with hold_attempt(Path(sys.argv[1])):
+    time.sleep(60)
+"""
 
 
 def test_a_started_run_waits_for_its_answer_and_is_known_by_its_process(tmp_path: Path) -> None:
@@ -95,6 +103,21 @@ def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, giv
             forged.cancel()
         assert forged.alive
         other.kill()
+
+
+def test_a_run_that_hangs_before_it_listens_is_cancelled_by_a_signal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.campaign.started.is_ours", lambda pid, name: pid == hanging.pid)
+    run = tmp_path.resolve() / "run"
+    run.mkdir()
+    with subprocess.Popen([sys.executable, "-c", HOLDS, str(run)]) as hanging:
+        until(lambda: (run / ".control").is_dir())
+        ticks, node = detached.ticks_of(hanging.pid), platform.node()
+        started = Started("x", str(tmp_path), str(run), "", "", hanging.pid, ticks, 0.0, node)
+        assert started.made == [run]
+        started.cancel("anna")
+        assert hanging.wait(10) == -signal.SIGTERM
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe"])

@@ -72,6 +72,7 @@ class Control:
             (self._run / FOLDER).mkdir(exist_ok=True)
         if self._prompt is not None:
             self._prompt.listen(self._run)
+        self._look()  # the arm must not begin to move while a stop waits
         self._thread.start()
 
     def close(self) -> None:
@@ -98,13 +99,16 @@ class Control:
 
     def _listen(self) -> None:
         while not self._over.wait(EVERY_S):
-            for path in waiting(self._run):
-                try:
-                    self._take(path)
-                except OSError:
-                    continue  # it is still there, or somebody withdrew it
-                except Exception as error:  # whatever one request did, the next may be a stop
-                    self._note(what="unknown", problem=repr(error))
+            self._look()
+
+    def _look(self) -> None:
+        for path in waiting(self._run):
+            try:
+                self._take(path)
+            except OSError:
+                continue  # it is still there, or somebody withdrew it
+            except Exception as error:  # whatever one request did, the next may be a stop
+                self._note(what="unknown", problem=repr(error))
 
     def _take(self, path: Path) -> None:
         request = take(path)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.detached import is_ours, last_lines, ticks_of
+from hil.campaign.live_state import read_live
 from hil.campaign.steering import stop_run
 from hil.errors import DataError, HilError
 from hil.record.files import read_json
@@ -91,7 +92,9 @@ class Started:
             DataError: Its process is not one that was started here, whatever its record says.
         """
         for run in self.made if self.alive else ():
-            with contextlib.suppress(HilError):  # it does not listen yet, or its motion is over
+            if not read_live(run):
+                continue  # it plans or connects, which may hang: nobody would take the request
+            with contextlib.suppress(HilError):  # its motion is over
                 stop_run(run, who=who or self.operator, wait_s=0)
                 return
         if not self.alive:
