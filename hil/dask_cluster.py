@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from hil.errors import FitError, PluginError, SpecError
+from hil import plugins
+from hil.errors import FitError, SpecError
 
 ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://[^\s:/]+:\d{1,5}")
 """Of a scheduler, as `dask scheduler` prints it."""
@@ -65,7 +66,7 @@ class DaskCluster(Executor):
         try:
             from distributed import Client
         except ImportError as error:
-            raise PluginError("Dask is not installed", hint='pip install "hil[fleet]"') from error
+            raise plugins.not_installed("a Dask cluster", ["distributed"], "fleet") from error
         self.address = address
         try:
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)

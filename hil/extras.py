@@ -31,5 +31,4 @@ def missing(made: Iterable[Named]) -> Iterator[tuple[str, str]]:
         extras: dict[str, str] = dict(getattr(wanted, "extras", dict)())
         for extra, purpose in extras.items():
             if absent := plugins.absent_modules(extra):
-                modules = " and ".join(absent)
-                yield f"{name} needs {modules}, which is not installed, {purpose}", extra
+                yield f"{plugins.lacking(name, absent)}, {purpose}", extra

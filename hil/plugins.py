@@ -6,7 +6,7 @@ What is broken is an error when it is named, and a line in `describe_all` otherw
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points, packages_distributions
 from importlib.util import find_spec
@@ -94,6 +94,9 @@ def load_point(point: EntryPoint) -> Any:
     # A plug-in that calls sys.exit while it is imported must not end the whole program.
     except (Exception, SystemExit) as error:
         kind = _kind(point.group)
+        missing = str(error.name) if isinstance(error, ModuleNotFoundError) else ""
+        if extra := EXTRA_OF_MODULE.get(missing):
+            raise not_installed(f"the {kind} {point.name!r}", [missing], extra) from error
         message = f"the {kind} {point.name!r} ({point.value}) does not load: {_cause(error)}"
         raise PluginError(message, hint=_remedy(error, point)) from error
 
@@ -121,6 +124,29 @@ def absent_modules(extra: str) -> tuple[str, ...]:
     """Top-level modules that an extra of this distribution brings and that are not installed."""
     brought = (module for module, of in EXTRA_OF_MODULE.items() if of == extra)
     return tuple(module for module in brought if find_spec(module) is None)
+
+
+def not_installed(
+    who: str, modules: Iterable[str], *extras: str, purpose: str = "", otherwise: str = ""
+) -> PluginError:
+    """What every missing extra is told with.
+
+    Args:
+        who: Needs the modules.
+        modules: Those that are missing; one at least.
+        extras: Of this distribution, that bring them.
+        purpose: What they are for, such as `to train`.
+        otherwise: What else can be done.
+    """
+    hint = f'pip install "hil[{",".join(extras)}]"' + (f", or {otherwise}" if otherwise else "")
+    return PluginError(lacking(who, modules) + (f", {purpose}" if purpose else ""), hint=hint)
+
+
+def lacking(who: str, modules: Iterable[str]) -> str:
+    """`the dashboard needs starlette and uvicorn, which are not installed`."""
+    *most, last = modules
+    told = f"{', '.join(most)} and {last}" if most else last
+    return f"{who} needs {told}, which {'are' if most else 'is'} not installed"
 
 
 def describe_all(*, try_loading: bool = True) -> tuple[PluginInfo, ...]:

@@ -235,6 +235,6 @@ def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
         onnx_export, "find_spec", lambda name: None if name == "onnxruntime" else name
     )
-    with pytest.raises(PluginError, match="needs onnxruntime, not installed") as refused:
+    with pytest.raises(PluginError, match="needs onnxruntime, which is not installed") as refused:
         export_onnx(fitted("rigid-wls"), tmp_path / "model.onnx")
     assert refused.value.hint == 'pip install "hil[onnx]"'

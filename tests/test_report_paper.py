@@ -151,7 +151,7 @@ def test_without_matplotlib_the_error_says_what_to_install(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(PluginError, match="need matplotlib") as caught:
+    with pytest.raises(PluginError, match="needs matplotlib, which is not installed") as caught:
         write_papers(run, tmp_path)
     assert caught.value.hint == 'pip install "hil[paper]"'
 

@@ -64,13 +64,9 @@ def serve(
 ) -> None:
     """Serve the dashboard: live runs with Stop, prompts, catalogue, models, schedules."""
     from hil import plugins
-    from hil.errors import PluginError
 
     if missing := plugins.absent_modules("web"):
-        raise PluginError(
-            f"the dashboard needs {' and '.join(missing)}, which is not installed",
-            hint='pip install "hil[web]"',
-        )
+        raise plugins.not_installed("the dashboard", missing, "web")
     from hil.web.serving import listen
     from hil.web.serving import serve as serve_there
     from hil.web.settings import Settings, is_loopback

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from hil import plugins
 from hil.dynamics import BaseParameters
-from hil.errors import FitError, PluginError
+from hil.errors import FitError
 from hil.identify.compress import upper_triangle
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.reference_coordinates import ReferenceCoordinates
@@ -172,8 +173,6 @@ def _cvxpy() -> Any:
         import clarabel  # noqa: F401
         import cvxpy
     except ImportError as error:
-        raise PluginError(
-            f"physically consistent fits need the package {error.name}",
-            hint='pip install "hil[identify]"',
-        ) from error
+        absent = [str(error.name)]
+        raise plugins.not_installed("a physically consistent fit", absent, "identify") from error
     return cvxpy

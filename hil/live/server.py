@@ -19,6 +19,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from hil import plugins
 from hil.engine.bounded import bounded
 from hil.errors import HilError, PluginError
 from hil.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
@@ -194,6 +195,8 @@ def is_loopback(host: str) -> bool:
 def _sdk() -> Any:
     try:
         return import_module("foxglove")
+    except ModuleNotFoundError as error:
+        raise plugins.not_installed("the live view", ["foxglove"], "live") from error
     except ImportError as error:
         raise PluginError(
             f"the live view needs foxglove-sdk: {error}", hint='pip install "hil[live]"'

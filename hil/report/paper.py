@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
+from hil import plugins
 from hil.errors import DataError, PluginError, RecordingError, SpecError
 from hil.record.files import write_replacing
 from hil.report.page_figures import PagePlots, figures_of
@@ -206,6 +207,9 @@ def _require(given: Sequence[str], known: Sequence[str], what: str) -> None:
 def _require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401 - drawing imports it again
+    except ModuleNotFoundError as error:
+        missing = str(error.name).partition(".")[0]
+        raise plugins.not_installed("a figure for papers", [missing], "paper") from error
     except ImportError as error:
         raise PluginError(
             f"figures for papers need matplotlib, which cannot be imported: {error}",

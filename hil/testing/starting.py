@@ -28,9 +28,7 @@ def require_extras(what: str, *extras: str) -> None:
     """
     missing = [module for extra in extras for module in plugins.absent_modules(extra)]
     if missing:
-        raise PluginError(
-            f"{what} needs {' and '.join(missing)}", hint=f'pip install "hil[{",".join(extras)}]"'
-        )
+        raise plugins.not_installed(what, missing, *extras)
 
 
 @contextlib.contextmanager

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError, PluginError
+from hil import plugins
+from hil.errors import HilError
 from hil.robot import Capabilities, Identity, Limits, Payload, Segment
 from hil.typing import FloatArray, StructArray
 from hil_mock_robot.arm import Arm
@@ -298,6 +299,4 @@ class _Telling:
 def _require_extra() -> None:
     missing = [name for name in ("mujoco", "numba") if find_spec(name) is None]
     if missing:
-        raise PluginError(
-            f"the mock robot needs {' and '.join(missing)}", hint='pip install "hil[mock]"'
-        )
+        raise plugins.not_installed("the mock robot", missing, "mock")

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from hil import plugins
 from hil.errors import PluginError
 
 HINT = 'pip install "hil[mock]"'
@@ -26,7 +27,7 @@ def require_libraries() -> None:
     """
     missing = [name for name in ("mujoco", "numba") if find_spec(name) is None]
     if missing:
-        raise PluginError(f"the mock robot needs {' and '.join(missing)}", hint=HINT)
+        raise plugins.not_installed("the mock robot", missing, "mock")
 
 
 require_libraries()

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hil import plugins
 from hil.data.exporting.table import Table
-from hil.errors import PluginError, RecordingError
+from hil.errors import RecordingError
 from hil.record.files import fsync_directory, json_line
 
 _ROWS = 20_000
@@ -53,9 +54,8 @@ def parquet_file(out: Path, table: Table) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise PluginError(
-            "Parquet needs pyarrow, which is not installed",
-            hint='pip install "hil[parquet]", or export to .csv or .npz',
+        raise plugins.not_installed(
+            "Parquet", ["pyarrow"], "parquet", otherwise="export to .csv or .npz"
         ) from None
     columns = [(name, unit, pa.array(values)) for name, unit, values in table.flat()]
     fields = [

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from hil import plugins
 from hil.data.importing.import_map import ImportMap
 from hil.data.importing.raw import Raw
-from hil.errors import DataError, PluginError
+from hil.errors import DataError
 from hil.suggest import did_you_mean
 from hil.typing import FloatArray, IntArray
 
@@ -60,9 +61,7 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
-        raise PluginError(
-            "reading ROS 2 bags needs the package rosbags", hint='pip install "hil[bags]"'
-        ) from error
+        raise plugins.not_installed("reading ROS 2 bags", ["rosbags"], "bags") from error
     bag = path.parent if path.suffix in (".db3", ".mcap") and _is_bag(path.parent) else path
     try:
         with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:

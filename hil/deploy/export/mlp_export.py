@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from hil import plugins
 from hil.deploy.export.agreement import FAULT, scale_of
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
 from hil.deploy.export.golden import AGREES, RATE_HZ, SAMPLES, motion
 from hil.deploy.export.mlp_nets import OPERATORS, Chain, Layer, chain_of
-from hil.errors import FitError, PluginError
+from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.typing import FloatArray
 
@@ -45,10 +46,7 @@ def export_onnx_mlp(model: RobotEstimator, out: Path) -> Exported:
     require_new(out)
     chain = chain_of(model)
     if missing := [name for name in LIBRARIES if find_spec(name) is None]:
-        raise PluginError(
-            f"{missing[0]} is not installed, so ONNX cannot be written and checked",
-            hint='pip install "hil[onnx]"',
-        )
+        raise plugins.not_installed("--to onnx", missing, "onnx")
     told = _told(model, chain)
     content = _onnx_file(chain, model.robot_.n, told)
     checked = _checked(content, chain, motion(model.robot_, SAMPLES, RATE_HZ)[0])

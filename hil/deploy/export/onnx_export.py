@@ -10,11 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil import plugins
 from hil.deploy.export.agreement import Step, require_agreement
 from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.torch_export import example_inputs, told_of
-from hil.errors import PluginError
 from hil.identify.base import RobotEstimator
 from hil.typing import FloatArray
 
@@ -61,9 +61,7 @@ def require_onnx() -> None:
         PluginError: The extra `onnx` is missing, or part of it.
     """
     if missing := [name for name in NEEDED if find_spec(name) is None]:
-        raise PluginError(
-            f"--to onnx needs {', '.join(missing)}, not installed", hint='pip install "hil[onnx]"'
-        )
+        raise plugins.not_installed("--to onnx", missing, "onnx")
 
 
 def graph(traced: TorchModel) -> bytes:

@@ -10,10 +10,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil import plugins
 from hil.deploy.export.agreement import Step, require_agreement
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
 from hil.deploy.export.golden import golden_of
-from hil.errors import FitError, PluginError
+from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.typing import FloatArray
 
@@ -38,9 +39,7 @@ def export_torch(model: RobotEstimator, out: Path) -> Exported:
     """
     require_new(out)
     if find_spec("torch") is None:
-        raise PluginError(
-            "--to torch needs torch, which is not installed", hint='pip install "hil[learn]"'
-        )
+        raise plugins.not_installed("--to torch", ["torch"], "learn")
     from hil.deploy.export.torch_model import module_of
 
     traced = module_of(model)

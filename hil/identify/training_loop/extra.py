@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from hil.errors import PluginError
+from hil import plugins
 
 LEARN = {"learn": "to train its network"}
 """`RobotEstimator.extras` of whatever calls `require_torch` in a fit."""
@@ -17,6 +17,4 @@ def require_torch() -> None:
         PluginError: The extra `learn` is missing.
     """
     if find_spec("torch") is None:
-        raise PluginError(
-            "this network needs torch, which is not installed", hint='pip install "hil[learn]"'
-        )
+        raise plugins.not_installed("this network", ["torch"], "learn")
