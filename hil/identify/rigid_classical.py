@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
@@ -16,6 +17,7 @@ from hil.identify.clustered import interval
 from hil.identify.condition_report import condition_report
 from hil.identify.correlation import correlated_samples
 from hil.identify.essential import essential_parameters
+from hil.identify.friction_curve import FrictionCurve
 from hil.identify.jointwise import Solution
 from hil.identify.parameters import choice, flag
 from hil.identify.rigid_linear import RigidLinear
@@ -86,6 +88,14 @@ class RigidClassical(RigidLinear):
     def interval(self, level: float = 0.95) -> FloatArray:
         """(p, 2) ends between which a coefficient lies with probability `level`."""
         return interval(self.coefficients_, self.std_error_, self.degrees_, level)
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]; its standard error NaN unless `certain`."""
+        curve = super().friction_curve(qd)
+        if curve is None or self.certain:
+            return curve
+        # Bounds, penalties and exponents move coefficients by more than least squares tells.
+        return replace(curve, std_error=np.full_like(curve.torque, np.nan))
 
     def fitted_arrays(self) -> dict[str, FloatArray]:
         """Those of every linear model, with the whole covariance."""
