@@ -49,7 +49,9 @@ MISTAKES: dict[str, Callable[[Path, Path], object]] = {
     "a waiver with an empty reason": lambda run, file: hil.run(
         hil.load(SPEC), runs=file.parent / "waived", waivers={"disk": " "}
     ),
-    "a reason that is no text": lambda run, file: hil.resume(run, waivers=wrong({"disk": True})),
+    "a reason that is no text": lambda run, file: hil.run(
+        hil.load(SPEC), runs=file.parent / "waived", waivers=wrong({"disk": True})
+    ),
     "no pose": lambda run, file: hil.rest_poses(model_of(run), count=0),
     "half a pose": lambda run, file: hil.rest_poses(model_of(run), count=wrong(0.5)),
     "a seed below nothing": lambda run, file: hil.rest_poses(model_of(run), seed=-1),

@@ -195,6 +195,25 @@ def test_compare_arms_tells_a_worn_joint_and_nothing_of_the_same_arm(tmp_path: P
     assert "shoulder_lift_joint.coulomb" in text
 
 
+@pytest.mark.parametrize(
+    ("estimator", "parameters"),
+    [
+        ("rigid-wls", {}), ("rigid-lmi", {}), ("rigid-irls", {}), ("rigid-diffnea", {}),
+        ("rigid-linear", {}), ("rigid-linear", {"method": "ols"}),
+        ("rigid-linear", {"method": "ridge"}), ("rigid-linear", {"method": "tls"}),
+        ("rigid-hysteresis", {}),
+    ],
+)  # fmt: skip
+def test_which_fits_have_standard_errors_is_known_before(
+    estimator: str, parameters: dict[str, Any], bare_arm: tuple[Path, Path], tmp_path: Path
+) -> None:
+    run, document = bare_arm[0].parents[1], tmp_path / "parameters.json"
+    fitted = hil.fit(run, estimator=estimator, parameters=parameters, out=tmp_path).fitted
+    hil.export_model(fitted.folder, document, to="json")
+    told = [one["std"] for one in json.loads(document.read_text("utf-8"))["parameters"]]
+    assert script("compare_arms").tells_errors(estimator, parameters) == any(told)
+
+
 def test_an_arm_is_not_compared_with_itself(tmp_path: Path) -> None:
     result = ended("compare_arms", "one", "one", "--out", tmp_path)
     assert result.exit_code == 2
@@ -229,13 +248,25 @@ def test_an_arm_that_the_station_lacks_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "code", "said"),
     [
-        (["one", "two", "--spec", "no-fit.yaml"], 2, "no-fit.yaml fits 0 models"),
+        (["one", "two", "--spec", "no-fit.yaml"], 2, "no-fit.yaml does not fit one model"),
+        (
+            ["one", "two", "--spec", "unsure.yaml"],
+            2,
+            "unsure.yaml does not fit one model with",
+        ),
         (["one", "two", "--station", "none.yaml"], 2, "none.yaml: there is no such file"),
         (["one", "three"], 2, "no robot 'three'"),
         (["one", "two", "--spec", "latin.yaml"], 2, "latin.yaml"),
         (["one", "two", "--out", "lab.yaml/out"], 7, "lab.yaml/out"),
     ],
-    ids=["no fit", "no station", "no such arm", "not UTF-8", "no folder can be made"],
+    ids=[
+        "no fit",
+        "no standard errors",
+        "no station",
+        "no such arm",
+        "not UTF-8",
+        "no folder can be made",
+    ],
 )
 def test_wrong_input_of_a_comparison_is_told_before_anything_moves(
     given: list[str], code: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -246,6 +277,8 @@ def test_wrong_input_of_a_comparison_is_told_before_anything_moves(
     Path("program.yaml").write_text(json.dumps(program), "utf-8")
     unjudged = {"fit": [], "validate": {}, "accept": {"gaps_percent": {"max": 1}}}
     Path("no-fit.yaml").write_text(json.dumps(program | unjudged), "utf-8")
+    unsure = {"fit": [{"estimator": "rigid-hysteresis"}]}
+    Path("unsure.yaml").write_text(json.dumps(program | unsure), "utf-8")
     Path("latin.yaml").write_bytes(b"hil: 1\nname: \xe4")
     monkeypatch.setattr("hil.api.run", lambda *given, **options: pytest.fail("it moves"))
     usual = ["--station", "lab.yaml", "--spec", "program.yaml"]

@@ -26,7 +26,8 @@ from hil.identify import load_model_file
 from hil.notebook import card, number
 
 SURE = 0.99
-WITH = "run trajectories, and fit with `rigid-wls`"
+TELLING = ("rigid-wls", "rigid-linear", "rigid-lmi", "rigid-irls", "rigid-diffnea")
+FIT = f"run trajectories, and fit one of {', '.join(TELLING)} (by ols or wls)"
 HEAD = (
     "<!doctype html><html lang='en'><meta charset='utf-8'><title>{}</title>"
     "<style>:root{{color-scheme:light dark}}</style>"
@@ -47,12 +48,15 @@ class Arm:
 def program(name: str, spec: Path, station: Path) -> hil.Experiment:
     """What one arm is to do; the spec's robot is replaced."""
     found = hil.load(spec, station, overrides={"robot": json.dumps(name)})
-    if len(found.spec.fit) != 1:
-        raise SpecError(
-            f"{spec} fits {len(found.spec.fit)} models, and one is compared",
-            hint="give it one, such as `fit: [{estimator: rigid-wls}]`",
-        )
+    fits = found.spec.fit
+    if len(fits) != 1 or not all(tells_errors(one.estimator, one.parameters) for one in fits):
+        raise SpecError(f"{spec} does not fit one model with standard errors", hint=FIT)
     return found
+
+
+def tells_errors(estimator: str, parameters: dict[str, Any]) -> bool:
+    """Whether it fits friction in motion, and parameters that are exported with standard errors."""
+    return estimator in TELLING and parameters.get("method", "wls") in ("ols", "wls")
 
 
 def measure(name: str, experiment: hil.Experiment, out: Path) -> Arm:
@@ -66,7 +70,7 @@ def measure(name: str, experiment: hil.Experiment, out: Path) -> Arm:
     model, data = load_model_file(report.models[0]), hil.dataset(report.run).of_kind("trajectory")
     friction = model.predict(data).components.get("friction") if len(data) else None
     if friction is None:
-        raise DataError(f"{report.run}: no friction in motion is known", hint=WITH)
+        raise DataError(f"{report.run}: no friction in motion is known", hint=FIT)
     torque = friction * model.torque_scale_
     rms = np.sqrt(np.nanmean(torque**2, axis=0)).tolist()
     parameters = json.loads(document.read_text("utf-8"))["parameters"]
@@ -85,7 +89,7 @@ def compared(a: Arm, b: Arm) -> list[Row]:
         for std in [math.hypot(p["std"], q["std"])]
     ]
     if not rows:
-        raise DataError("no parameter of both arms has a standard error", hint=WITH)
+        raise DataError("no parameter of both arms has a standard error", hint=FIT)
     return sorted(rows, key=lambda row: -abs(row[5]))
 
 
