@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from synthetic_motion import moving, nominal
+from synthetic_motion import dwelling, moving, nominal
 
+from hil.data.prediction import Prediction
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_irls import RigidIrls
 from hil.identify.rigid_methods import RigidLeastSquares
+from hil.identify.static import StaticWls
 from hil.report import friction_plots
+from hil.report.friction_seen import at_rest, in_motion
 from hil.report.predictions import Shown, shown
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
@@ -42,3 +45,39 @@ def test_no_band_where_the_standard_errors_of_least_squares_are_not_the_methods(
     motion = shown(model, moving(4, noise_a=0.05)).friction.in_motion
     names = [trace["name"] for trace in friction_plots.moving(motion, 0, "N·m")["data"]]
     assert ("± 2 standard errors, at most" in names) == holds
+
+
+def test_friction_that_only_the_network_knows_is_not_taken_away(wls: RigidWls) -> None:
+    data = moving(4)
+    physics = wls.predict(data)
+    missed = 0.4 * physics.components["friction"]
+    data = data.with_columns(effort=data["effort"] + missed)
+    parts = {**physics.components, "residual": missed}
+    network = Prediction(physics.effort + missed, physics.std, physics.valid, parts)
+    drawn, alone = (in_motion(wls, data, each, data["qd"]) for each in (network, physics))
+    truth = 1.4 * physics.components["friction"] * wls.torque_scale_
+    assert drawn.measured == pytest.approx(truth, abs=0.3)
+    assert drawn.measured == pytest.approx(alone.measured)
+    assert drawn.predicted == pytest.approx(truth)
+    assert alone.law is not None
+    assert drawn.law is None
+    said = "What the model's network adds"
+    assert [said in friction_plots._lead(each) for each in (drawn, alone)] == [True, False]
+
+
+def test_at_rest_neither() -> None:
+    data = dwelling(20, seed=9, both=True, stiction_nm=2.0)
+    model = StaticWls().fit(dwelling(60, both=True, stiction_nm=2.0), nominal())
+    physics = model.predict(data)
+    approach = np.array([each.approach for each in data.conditions])[data.series_index()]
+    missed = 2.0 * approach[:, None] / model.torque_scale_
+    effort = physics.effort + missed
+    parts = {**physics.components, "residual": missed}
+    rest = at_rest(model, data, Prediction(effort, physics.std, physics.valid, parts))
+    assert rest.measured == pytest.approx(
+        np.array(rest.approach)[:, None] * np.full(6, 2.0), abs=0.2
+    )
+    assert rest.predicted is None
+    parts["friction"] = np.zeros_like(missed)
+    rest = at_rest(model, data, Prediction(effort, physics.std, physics.valid, parts))
+    assert np.abs(rest.predicted) == pytest.approx(2.0)

@@ -143,6 +143,11 @@ def _lead(seen: InMotion) -> str:
         "Points are the measured effort of the held-out trajectories less what the model takes "
         "for gravity, inertia and load: friction, and what the model errs by. "
     )
+    if seen.learned:
+        told += (
+            "What the model's network adds to its physics counts as friction on both sides, though "
+            "it may be something else that the physics misses. "
+        )
     if seen.law is None:
         return told + (
             "The model's friction depends on more than velocity (the way travelled, the load): "

@@ -12,8 +12,9 @@ from hil.data.prediction import Model, Prediction
 from hil.report.fit_facts import HONEST
 from hil.typing import FloatArray, IntArray
 
-PART = "friction"
-"""Of a prediction."""
+PART, LEARNED = "friction", "residual"
+"""Of a prediction. What a network adds to the physics is friction that the physics misses, or what
+else it misses: taken away from the measured effort, it would hide just that friction."""
 
 NEAR_ZERO = 0.05
 """Up to this speed [rad/s] curves are drawn finely: friction turns there."""
@@ -26,7 +27,8 @@ class AtRest:
     Attributes:
         q: (D, n) where [rad].
         measured: (D, n) mean effort less the model's gravity, offset and load.
-        predicted: (D, n) friction of the model; None where it knows none at rest.
+        predicted: (D, n) friction of the model, with what its network adds; None where it knows
+            none at rest.
         approach, pose: (D,) +1, −1 or 0; pose numbers.
     """
 
@@ -59,14 +61,16 @@ class InMotion:
     Attributes:
         qd: (N, n) [rad/s].
         measured: (N, n) effort less the model's gravity, inertia and load.
-        predicted: (N, n) friction of the model.
-        law: The same as a curve; None where it depends on more than velocity.
+        predicted: (N, n) friction of the model, with what its network adds.
+        law: The same as a curve; None where the model gives none.
+        learned: Whether a network adds something.
     """
 
     qd: FloatArray
     measured: FloatArray
     predicted: FloatArray
     law: Law | None
+    learned: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +103,12 @@ def at_rest(model: Model, data: Dataset, prediction: Prediction) -> AtRest | Non
     if not approach.any() or getattr(model, "protocol", HONEST) != HONEST:
         return None
     scale, _ = scale_of(model)
-    told = prediction.components.get(PART)
-    rest = prediction.effort if told is None else prediction.effort - told
+    told = _told(prediction)
+    knows = PART in prediction.components
     return AtRest(
         q=series_means(data, data["q"]),
-        measured=series_means(data, data["effort"] - rest) * scale,
-        predicted=None if told is None else series_means(data, told) * scale,
+        measured=series_means(data, data["effort"] - prediction.effort + told) * scale,
+        predicted=series_means(data, told) * scale if knows else None,
         approach=approach,
         pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
     )
@@ -114,16 +118,28 @@ def in_motion(
     model: Model, data: Dataset, prediction: Prediction, qd: FloatArray
 ) -> InMotion | None:
     """Friction along trajectories; None when the model does not tell it, or is for arms at rest."""
-    told = prediction.components.get(PART)
-    if told is None or getattr(model, "protocol", HONEST) != HONEST:
+    friction = prediction.components.get(PART)
+    if friction is None or getattr(model, "protocol", HONEST) != HONEST:
         return None
+    told = _told(prediction)
     known = prediction.valid & np.isfinite(told)
-    if not (known & (np.abs(told) > 0)).any():
+    if not (known & (np.abs(friction) > 0)).any():
         return None
+    learned = bool(np.any(known & (told != friction)))
     scale, _ = scale_of(model)
     measured = data["effort"] - prediction.effort + told
     predicted = np.where(known, told * scale, np.nan)
-    return InMotion(qd, np.where(known, measured * scale, np.nan), predicted, _law(model, qd))
+    law = None if learned else _law(model, qd)
+    return InMotion(qd, np.where(known, measured * scale, np.nan), predicted, law, learned)
+
+
+def _told(prediction: Prediction) -> FloatArray:
+    """(N, n) what may be friction, in the unit of the effort; 0 where the model tells none."""
+    parts = [
+        prediction.components[name] for name in (PART, LEARNED) if name in prediction.components
+    ]
+    told: FloatArray = np.sum([np.zeros_like(prediction.effort), *parts], axis=0)
+    return told
 
 
 def _law(model: Model, qd: FloatArray) -> Law | None:
