@@ -109,8 +109,9 @@ def test_a_run_that_hangs_before_it_listens_is_cancelled_by_a_signal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.campaign.started.is_ours", lambda pid, name: pid == hanging.pid)
-    run = tmp_path.resolve() / "run"
-    run.mkdir()
+    directory = RunDirectory.create(tmp_path.resolve(), "ur5", "held")
+    directory.write_start({"uid": "u"})
+    run = directory.path
     with subprocess.Popen([sys.executable, "-c", HOLDS, str(run)]) as hanging:
         until(lambda: (run / ".control").is_dir())
         ticks, node = detached.ticks_of(hanging.pid), platform.node()
