@@ -81,3 +81,31 @@ def test_at_rest_neither() -> None:
     parts["friction"] = np.zeros_like(missed)
     rest = at_rest(model, data, Prediction(effort, physics.std, physics.valid, parts))
     assert np.abs(rest.predicted) == pytest.approx(2.0)
+
+
+def test_dwells_a_model_does_not_hold_for_are_left_out() -> None:
+    data = dwelling(20, seed=9, both=True, stiction_nm=2.0)
+    model = StaticWls().fit(dwelling(60, both=True, stiction_nm=2.0), nominal())
+    physics, number = model.predict(data), data.series_index()
+    approach = np.array([each.approach for each in data.conditions])
+    # The second joint holds in every other dwell, the third nowhere.
+    valid = np.ones_like(physics.valid)
+    valid[number % 4 < 2, 1] = valid[:, 2] = False
+    # In half the rows of the others, not: they do not count.
+    valid[np.arange(len(data)) % 2 == 0] = False
+    known = np.where(valid, 2.0 * approach[number, None] / model.torque_scale_, 0.0)
+    parts = {**physics.components, "friction": known}
+    told = Prediction(physics.effort + known, physics.std, valid, parts)
+    rest = at_rest(model, data, told)
+    held = np.arange(len(approach)) % 4 >= 2
+    assert np.array_equal(np.isfinite(rest.predicted[:, 1]), held)
+    assert np.array_equal(np.isfinite(rest.measured[:, 1]), held)
+    assert rest.predicted[held, 1] == pytest.approx(2.0 * approach[held])
+    assert rest.measured[:, 0] == pytest.approx(2.0 * approach, abs=0.2)
+    marks = friction_plots.resting(rest, 1, "N·m")["data"]
+    assert all(np.isfinite(trace["y"]).all() and len(trace["y"]) for trace in marks)
+    assert friction_plots._sides(rest, 1, "N·m").count("(model 2.00)") == 1
+    assert friction_plots._sides(rest, 1, "N·m").count("(model -2.00)") == 1
+    assert friction_plots._sides(rest, 2, "N·m") == "mean unknown"
+    nowhere = Prediction(told.effort, told.std, np.zeros_like(valid), parts)
+    assert at_rest(model, data, nowhere) is None

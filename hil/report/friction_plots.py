@@ -49,7 +49,8 @@ def rest_plots(fit: FitFacts, friction: Friction) -> list[Plots]:
         legend += (("friction of the model", colours.PREDICTED, "◇"),)
     lead = (
         "The measured effort of each dwell less what the model holds for gravity, offset and "
-        "load: friction, and what the model errs by. How far the two directions are apart is "
+        "load: friction, and what the model errs by; dwells the model does not hold for are left "
+        "out. How far the two directions are apart is "
         "twice the friction that holds the joint."
     )
     return [Plots(AT_REST, lead, panels, legend)]
@@ -88,13 +89,14 @@ def resting(seen: AtRest, j: int, unit: str) -> Figure:
     """Friction of one joint at rest over its angle, both directions told apart."""
     angle, traces = seen.q[:, j] * DEGREES, []
     for sign, name, colour, symbol in SIDES:
-        rows = np.flatnonzero(seen.approach == sign)
+        rows = np.flatnonzero((seen.approach == sign) & np.isfinite(seen.measured[:, j]))
         if len(rows):
             x, y, name = angle[rows], seen.measured[rows, j], f"{name}, less gravity"
             size, text = 6 if len(angle) < 100 else 4, [f"pose {p}" for p in seen.pose[rows]]
             traces.append(markers(x, y, name, colour, symbol=symbol, size=size, text=text))
     if seen.predicted is not None:
-        x, y = angle[seen.approach != 0], seen.predicted[seen.approach != 0, j]
+        drawn = (seen.approach != 0) & np.isfinite(seen.predicted[:, j])
+        x, y = angle[drawn], seen.predicted[drawn, j]
         name, colour = "friction of the model", colours.PREDICTED
         traces.append(markers(x, y, name, colour, symbol="diamond-open", size=5))
     return {"data": traces, "layout": axes("joint angle [°]", f"friction [{unit}]")}
@@ -164,13 +166,13 @@ def _lead(seen: InMotion) -> str:
 def _sides(seen: AtRest, j: int, unit: str) -> str:
     told = []
     for sign, name, _, _ in SIDES:
-        rows = seen.approach == sign
+        rows = (seen.approach == sign) & np.isfinite(seen.measured[:, j])
         if rows.any():
             text = f"{name} {number(float(seen.measured[rows, j].mean()))} {unit}"
             if seen.predicted is not None:
                 text += f" (model {number(float(seen.predicted[rows, j].mean()))})"
             told.append(text)
-    return f"mean {', '.join(told)}"
+    return f"mean {', '.join(told) or 'unknown'}"
 
 
 def _ends(seen: InMotion, j: int, unit: str) -> str:

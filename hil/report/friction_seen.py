@@ -10,7 +10,7 @@ from hil.data.dataset import Dataset
 from hil.data.dwells import series_means
 from hil.data.prediction import Model, Prediction
 from hil.report.fit_facts import HONEST
-from hil.typing import FloatArray, IntArray
+from hil.typing import BoolArray, FloatArray, IntArray
 
 PART, LEARNED = "friction", "residual"
 """Of a prediction. What a network adds to the physics is friction that the physics misses, or what
@@ -22,7 +22,7 @@ NEAR_ZERO = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AtRest:
-    """Friction of held-out dwells.
+    """Friction of held-out dwells: means over the rows the model is valid in, NaN without any.
 
     Attributes:
         q: (D, n) where [rad].
@@ -98,20 +98,32 @@ def scale_of(model: Model) -> tuple[FloatArray, str]:
 
 
 def at_rest(model: Model, data: Dataset, prediction: Prediction) -> AtRest | None:
-    """Friction of dwells; None when no approach is known, or the target was among the inputs."""
+    """Friction of dwells; None when no approach is known, or the target was among the inputs.
+
+    None, too, where the model is valid nowhere.
+    """
     approach = np.array([c.approach for c in data.conditions], dtype=np.int64)
     if not approach.any() or getattr(model, "protocol", HONEST) != HONEST:
+        return None
+    if not prediction.valid.any():
         return None
     scale, _ = scale_of(model)
     told = _told(prediction)
     knows = PART in prediction.components
     return AtRest(
         q=series_means(data, data["q"]),
-        measured=series_means(data, data["effort"] - prediction.effort + told) * scale,
-        predicted=series_means(data, told) * scale if knows else None,
+        measured=_means(data, data["effort"] - prediction.effort + told, prediction.valid) * scale,
+        predicted=_means(data, told, prediction.valid) * scale if knows else None,
         approach=approach,
         pose=np.array([c.pose for c in data.conditions], dtype=np.int64),
     )
+
+
+def _means(data: Dataset, values: FloatArray, valid: BoolArray) -> FloatArray:
+    """(D, n) mean of values (N, n) over the valid rows of each dwell; NaN without any."""
+    share = series_means(data, valid.astype(np.float64))
+    sums = series_means(data, np.where(valid, values, 0.0))
+    return np.divide(sums, share, out=np.full_like(sums, np.nan), where=share > 0)
 
 
 def in_motion(
