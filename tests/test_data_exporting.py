@@ -203,3 +203,15 @@ def test_the_command_and_the_api_say_what_was_written(run: Path, tmp_path: Path)
     assert {key: json.loads(again.stdout)[key] for key in keys} == {
         key: document[key] for key in keys
     }
+
+
+def test_notes_of_the_command_are_wrapped_on_a_terminal(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.cli.output.out_width", lambda: 30)
+    told_by_api = {"samples": 1, "series": 1, "files": ["a.csv"], "notes": ["word " * 12]}
+    monkeypatch.setattr(api, "export_data", lambda *_: told_by_api)
+    told = CliRunner().invoke(app, ["export-data", str(run), "-o", str(tmp_path / "a.csv")]).stdout
+    notes = told.split("  note: ")[1].splitlines()
+    assert len(notes) > 1
+    assert max(map(len, notes)) <= 30

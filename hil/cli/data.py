@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hil.cli.output import JsonFlag, RunsOption, print_json
+from hil.cli.output import JsonFlag, RunsOption, print_json, say
 from hil.errors import DataError
 
 
@@ -58,7 +58,7 @@ def import_(
         return
     typer.echo(f"{out}: {report['samples']} samples, {report['dropped']} rows dropped")
     for note in report["notes"]:
-        typer.echo(f"  {note}")
+        say(f"  {note}")
 
 
 def export_data(
@@ -88,7 +88,7 @@ def export_data(
     for file in told["files"][1:]:
         typer.echo(f"  {file}")
     for note in told["notes"]:
-        typer.echo(f"  note: {note}")
+        say(f"  note: {note}")
 
 
 def _window(text: str) -> tuple[int, int] | None:
