@@ -29,6 +29,10 @@ pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 PAGES = 10
 """More than the six connections that a browser keeps to a host."""
 
+WITHIN_S = 20.0
+"""For what comes some time: computers are busy. What is promised has a bound of its own."""
+
+OLD_WITHIN_S = 10.0
 BANNER = "document.getElementById('old').textContent"
 SAMPLES = "Number(document.querySelector('[data-text=samples]').textContent.replace(/[^0-9]/g, ''))"
 QUESTION = ".question button[value=yes]"
@@ -56,7 +60,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str,
 @pytest.fixture
 def page(browser: Any, bench: Bench) -> Iterator[Any]:
     context = browser.new_context()
-    context.set_default_timeout(5000)
+    context.set_default_timeout(20_000)
     yield context.new_page()
     bench[2].send_signal(signal.SIGCONT)
     context.close()
@@ -88,18 +92,20 @@ def test_ten_pages_of_a_run_are_kept_up_to_date_and_stop_acts_in_the_last(
     with live_run(bench[0] / "runs") as (run, _):
         pages = [page, *(page.context.new_page() for _ in range(PAGES - 1))]
         for one in pages:
-            one.goto(address_of(run, bench), timeout=5000)
+            one.goto(address_of(run, bench))
         shown = pages[-1].evaluate(SAMPLES)
         for one in pages:
             assert one.evaluate("document.visibilityState") == "visible"
-            until(one, f"{SAMPLES} > {shown}", 5)
+            until(one, f"{SAMPLES} > {shown}", WITHIN_S)
         pages[0].close()  # it held the stream for all
         begun = time.monotonic()
         pages[-1].click(".stopping button.stop")
-        wait(lambda: outcome(run), 5)
+        wait(lambda: outcome(run), WITHIN_S)
         assert time.monotonic() - begun < 2.0
         for one in pages[1:]:
-            until(one, "document.getElementById('standing').textContent.includes('stopped')", 6)
+            until(
+                one, "document.getElementById('standing').textContent.includes('stopped')", WITHIN_S
+            )
 
 
 def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(page: Any, bench: Bench) -> None:
@@ -109,10 +115,10 @@ def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(page: Any, bench: 
         page.wait_for_timeout(500)
         assert page.evaluate(BANNER) == ""
         process.send_signal(signal.SIGSTOP)
-        until(page, f"{BANNER}.startsWith('No news from the dashboard for ')", 7)
+        until(page, f"{BANNER}.startsWith('No news from the dashboard for ')", OLD_WITHIN_S)
         assert page.evaluate("document.body.classList.contains('old')")
         process.send_signal(signal.SIGCONT)
-        until(page, f"{BANNER} === ''", 7)
+        until(page, f"{BANNER} === ''", WITHIN_S)
 
         process.send_signal(signal.SIGSTOP)
         # Of a page that is being left the driver tells nothing; its console it does.
@@ -122,9 +128,9 @@ def test_a_hung_dashboard_is_said_and_stop_is_asked_for_again(page: Any, bench: 
             assert text_of(page, ".stopping .said") == "stopping …"
         assert "“Stop” may not have been taken: no answer" in refused.value.text
         assert "robot’s own button" in refused.value.text
-        with page.expect_navigation(timeout=10_000):  # asked once more, as without scripts
+        with page.expect_navigation(timeout=20_000):  # asked once more, as without scripts
             process.send_signal(signal.SIGCONT)
-        wait(lambda: outcome(run) == "stopped", 5)
+        wait(lambda: outcome(run) == "stopped", WITHIN_S)
 
 
 def test_a_refusal_is_said_at_the_button_and_a_refused_stream_is_asked_for_again(
@@ -133,18 +139,18 @@ def test_a_refusal_is_said_at_the_button_and_a_refused_stream_is_asked_for_again
     with live_run(bench[0] / "runs") as (run, _):
         page.route("**/events*", partial(refuse, 500))
         page.goto(address_of(run, bench))
-        until(page, f"{BANNER} !== ''", 2)
+        until(page, f"{BANNER} !== ''", WITHIN_S)
         page.unroute("**/events*")
-        until(page, f"{BANNER} === ''", 5)
+        until(page, f"{BANNER} === ''", WITHIN_S)
         for status in (401, 403, 500):
             page.route("**/stop", partial(refuse, status))
             page.click("main button.stop")
             refused = f"was NOT taken: {status}"
             told = "document.querySelector('main .stop ~ .refused').textContent"
-            until(page, f"{told}.includes('{refused}')", 3)
+            until(page, f"{told}.includes('{refused}')", WITHIN_S)
             page.unroute("**/stop")
         page.click("main button.stop")
-        wait(lambda: outcome(run) == "stopped", 5)
+        wait(lambda: outcome(run) == "stopped", WITHIN_S)
 
 
 def test_a_hung_run_is_told_apart_in_the_header_and_on_the_overview(
@@ -156,11 +162,11 @@ def test_a_hung_run_is_told_apart_in_the_header_and_on_the_overview(
         assert page.locator(".silent").count() == 0
         process.send_signal(signal.SIGSTOP)
         for where in (".stopping", ".card"):
-            page.wait_for_selector(f"{where} .silent", timeout=9000)
+            page.wait_for_selector(f"{where} .silent", timeout=20_000)
             assert "no news for " in page.inner_text(f"{where} .silent")
         assert page.evaluate(BANNER) == ""  # the dashboard itself is well
         process.send_signal(signal.SIGCONT)
-        until(page, "!document.querySelector('.silent')", 3)
+        until(page, "!document.querySelector('.silent')", WITHIN_S)
 
 
 def test_a_question_takes_no_answer_before_anybody_can_have_read_it(
@@ -170,19 +176,30 @@ def test_a_question_takes_no_answer_before_anybody_can_have_read_it(
     page.on("request", lambda one: posted.append(one.url) if one.method == "POST" else None)
     press = f"document.querySelector('{QUESTION}').click()"
     with live_run(bench[0] / "runs", "Mount the weight", "twice") as (run, _):
+        # By the page's own clock: the driver may be late.
+        page.add_init_script(
+            "addEventListener('DOMContentLoaded', () => setTimeout(() => {"
+            f" window.free = {FREE}; {press}; }}, 300))"
+        )
         page.goto(address_of(run, bench))
-        page.evaluate(press)
-        until(page, FREE, 2)
+        until(page, "'free' in window", WITHIN_S)
+        assert page.evaluate("window.free") is False
+        until(page, FREE, WITHIN_S)
         page.focus(QUESTION)
         page.evaluate(f"{press}; {press}; {press}")
         first = page.evaluate("document.querySelector('[name=asked]').value")
         changed = f"document.querySelector('[name=asked]').value !== '{first}'"
-        until(page, f"{changed} && ({press}, true)", 5)
+        page.evaluate(
+            f"() => {{ const looking = setInterval(() => {{ if (!({changed})) return;"
+            f" clearInterval(looking); setTimeout(() => {{ {press}; window.late = true; }}, 300);"
+            " }, 5); }"
+        )
+        until(page, "window.late", WITHIN_S)
         assert page.evaluate("document.activeElement.matches('button[value=yes]')")
-        until(page, FREE, 2)
+        until(page, FREE, WITHIN_S)
         assert len(posted) == 1
         page.evaluate(press)
-        page.wait_for_selector(".question", state="hidden", timeout=5000)
+        page.wait_for_selector(".question", state="hidden")
         assert len(posted) == 2
 
 
@@ -194,15 +211,15 @@ def test_pause_and_resume_follow_the_run_and_the_keyboard_stays_where_it_is(
 
     with live_run(bench[0] / "runs") as (run, _):
         page.goto(address_of(run, bench))
-        until(page, f"{free('pause')} && !({free('resume')})", 5)
+        until(page, f"{free('pause')} && !({free('resume')})", WITHIN_S)
         page.focus("[data-can=pause]")
         page.keyboard.press("Enter")
-        until(page, f"!({free('pause')}) && {free('resume')}", 5)
+        until(page, f"!({free('pause')}) && {free('resume')}", WITHIN_S)
         assert page.evaluate("document.activeElement.dataset.can") == "pause"
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.dataset.can") == "resume"
         page.keyboard.press("Enter")
-        until(page, f"{free('pause')} && !({free('resume')})", 5)
+        until(page, f"{free('pause')} && !({free('resume')})", WITHIN_S)
         assert page.evaluate("document.activeElement.dataset.can") == "resume"
         page.keyboard.press("Enter")  # nothing is asked
         page.wait_for_timeout(200)
@@ -215,7 +232,7 @@ def test_what_is_being_planned_comes_and_goes_in_the_header_of_every_page(
     folder, address, _ = bench
     page.goto(f"{address}models")
     with being_planned(folder, "1", "2"):
-        until(page, "document.querySelector('#live .planned .how')", 5)
+        until(page, "document.querySelector('#live .planned .how')", WITHIN_S)
         told = " ".join(text_of(page, "#live .planned").split())
         name = "asks_for_a_rather_long_while.yaml"
         assert told == f"{name} is being planned Cancel {name}"
@@ -224,7 +241,7 @@ def test_what_is_being_planned_comes_and_goes_in_the_header_of_every_page(
         assert box["width"] > 340, "one below the other on a phone"
         assert box["height"] < 80
         page.focus("#live .planned button")
-    until(page, "!document.querySelector('#live .planned')", 5)
+    until(page, "!document.querySelector('#live .planned')", WITHIN_S)
     assert page.evaluate("document.activeElement.id") == "main"
 
 
@@ -237,11 +254,11 @@ def test_the_keyboard_stays_at_cancel_while_a_run_is_planned(page: Any, bench: B
         page.evaluate("window.same = true")
         page.focus("main button.stop")
         log.write_text("reads the spec\nplans\n")
-        until(page, "document.getElementById('printed').textContent.includes('plans')", 5)
+        until(page, "document.getElementById('printed').textContent.includes('plans')", WITHIN_S)
         assert page.evaluate("window.same && document.activeElement.matches('main button.stop')")
         planning.kill()
         planning.wait()
-        page.wait_for_selector("text=did not begin", timeout=5000)
+        page.wait_for_selector("text=did not begin")
         assert page.locator("main button.stop").count() == 0
         assert "plans" in page.inner_text("#printed")
 
@@ -271,9 +288,9 @@ def test_too_many_pages_are_told_apart_from_a_dashboard_that_is_gone(
 ) -> None:
     page.route("**/events*", partial(refuse, 503))
     page.goto(bench[1])
-    until(page, f"{BANNER}.startsWith('Too many browsers listen')", 4)
+    until(page, f"{BANNER}.startsWith('Too many browsers listen')", WITHIN_S)
     page.unroute("**/events*")
-    until(page, f"{BANNER} === ''", 6)
+    until(page, f"{BANNER} === ''", WITHIN_S)
     page.route("**/events*", lambda route: route.abort())
     page.reload()
-    until(page, f"{BANNER}.startsWith('No news from the dashboard')", 4)
+    until(page, f"{BANNER}.startsWith('No news from the dashboard')", WITHIN_S)
