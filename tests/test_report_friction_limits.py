@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_motion import dwelling, moving, nominal
 
+from hil.data.dataset import PREPARED, Dataset
 from hil.data.prediction import Prediction
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_irls import RigidIrls
@@ -13,7 +16,7 @@ from hil.identify.rigid_methods import RigidLeastSquares
 from hil.identify.static import StaticWls
 from hil.report import friction_plots
 from hil.report.friction_seen import at_rest, in_motion
-from hil.report.predictions import Shown, shown
+from hil.report.predictions import Shown, shown, velocity
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
 
@@ -109,3 +112,43 @@ def test_dwells_a_model_does_not_hold_for_are_left_out() -> None:
     assert friction_plots._sides(rest, 2, "N·m") == "mean unknown"
     nowhere = Prediction(told.effort, told.std, np.zeros_like(valid), parts)
     assert at_rest(model, data, nowhere) is None
+
+
+def without(data: Dataset, *names: str) -> Dataset:
+    return replace(data, columns={k: v for k, v in data.columns.items() if k not in names})
+
+
+@pytest.mark.parametrize("prepared", [True, False])
+def test_without_a_recorded_velocity_axes_do_not_run_across_the_borders_of_series(
+    wls: RigidWls, prepared: bool
+) -> None:
+    data = moving(4, 5)
+    k = data.offsets[1]
+    t = data["t"].copy()
+    t[k:] += t[k - 1] + 1e-4 - t[k]  # the second file begins right after the first
+    bare = without(data.with_columns(t=t), "qd", *(() if prepared else PREPARED))
+    assert velocity(wls, bare) == pytest.approx(data["qd"], abs=1e-9 if prepared else 0.05)
+    motion = shown(wls, bare).friction.in_motion
+    assert motion.law.qd[0] == pytest.approx(data["qd"].min(axis=0), abs=0.05)
+    assert motion.law.qd[-1] == pytest.approx(data["qd"].max(axis=0), abs=0.05)
+
+
+def test_of_a_model_without_filters_it_is_the_slope_of_each_series() -> None:
+    data = without(moving(4, 5), "qd", *PREPARED)
+    t = data["t"].copy()
+    t[data.offsets[1] + 5] = t[data.offsets[1] + 4]  # the second cannot be differentiated
+    found = velocity(StaticWls(), data.with_columns(t=t))
+    assert found[: data.offsets[1]] == pytest.approx(moving(4)["qd"], abs=0.05)
+    assert np.isnan(found[data.offsets[1] :]).all()
+
+
+def test_the_line_goes_no_further_than_the_rows_a_model_holds_for(wls: RigidWls) -> None:
+    data = moving(4)
+    told, slow = wls.predict(data), np.abs(data["qd"]) < 0.2
+    slow[:, 2] = False
+    valid = Prediction(told.effort, told.std, slow, told.components)
+    motion = in_motion(wls, data, valid, data["qd"])
+    assert np.nanmax(np.abs(motion.law.qd)) <= 0.2
+    assert np.isnan(motion.law.qd[:, 2]).all()
+    assert np.isfinite(motion.law.torque[:, [0, 1, 3, 4, 5]]).all()
+    assert "model unknown" in friction_plots._ends(motion, 2, "N·m")

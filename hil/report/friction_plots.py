@@ -183,6 +183,6 @@ def _ends(seen: InMotion, j: int, unit: str) -> str:
     rms = float(np.sqrt(np.mean(off**2))) if len(off) else float("nan")
     ends = [
         f"{number(float(drawn['y'][i]))} {unit} at {number(float(drawn['x'][i]))} °/s"
-        for i in ((0, -1) if len(drawn["x"]) else ())
+        for i in ((0, -1) if np.isfinite(drawn["x"]).any() else ())
     ]
     return f"model {' and '.join(ends) or 'unknown'}; residual RMS {number(rms)} {unit}"

@@ -141,7 +141,7 @@ def in_motion(
     scale, _ = scale_of(model)
     measured = data["effort"] - prediction.effort + told
     predicted = np.where(known, told * scale, np.nan)
-    law = None if learned else _law(model, qd)
+    law = None if learned else _law(model, np.where(known, qd, np.nan))
     return InMotion(qd, np.where(known, measured * scale, np.nan), predicted, law, learned)
 
 
@@ -159,7 +159,10 @@ def _law(model: Model, qd: FloatArray) -> Law | None:
 
     if not isinstance(model, HasFrictionCurve):
         return None
-    low, high = np.nanmin(qd, axis=0), np.nanmax(qd, axis=0)
+    good = np.isfinite(qd)
+    low = np.min(qd, axis=0, where=good, initial=np.inf)
+    high = np.max(qd, axis=0, where=good, initial=-np.inf)
+    low, high = (np.where(good.any(axis=0), edge, np.nan) for edge in (low, high))
     places = np.linspace(low, high, 161)
     near = np.linspace(-NEAR_ZERO, NEAR_ZERO, 41)[:, None] + np.zeros(qd.shape[1])
     places = np.sort(np.vstack([places, np.clip(near, low, high)]), axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import series_means
+from hil.data.filters import FilterSettings, derivative, is_prepared, prepare
 from hil.data.prediction import Model, Prediction
 from hil.errors import DataError
 from hil.report.documents import as_names
@@ -119,7 +121,7 @@ def shown(model: Model, data: Dataset) -> Shown:
         friction = replace(friction, at_rest=at_rest(model, held, prediction))
     if moved.conditions:
         prediction = model.predict(moved)
-        motions = _motions(moved, prediction)
+        motions = _motions(moved, prediction, velocity(model, moved))
         friction = replace(friction, in_motion=in_motion(model, moved, prediction, motions.qd))
     return Shown(dwells, motions, friction)
 
@@ -136,10 +138,25 @@ def _dwells(data: Dataset, prediction: Prediction) -> Dwells:
     )
 
 
-def _motions(data: Dataset, prediction: Prediction) -> Motions:
+def velocity(model: Model, data: Dataset) -> FloatArray:
+    """(N, n) as recorded, else what the model saw; NaN for series without either [rad/s]."""
+    if "qd" in data.columns:
+        return data["qd"]
+    if is_prepared(data):
+        return data["qd_f"]
+    filters = getattr(model, "filters_", None) or getattr(model, "filters", None)
+    if isinstance(filters, FilterSettings):
+        return prepare(data, filters)["qd_f"]
+    qd = np.full_like(data["q"], np.nan)
+    for _, rows in data.slices():
+        with suppress(DataError):
+            qd[rows] = derivative(data["q"][rows], data["t"][rows])
+    return qd
+
+
+def _motions(data: Dataset, prediction: Prediction, qd: FloatArray) -> Motions:
     predicted = np.where(prediction.valid, prediction.effort, np.nan)
     measured = data["effort"]
-    qd = data["qd"] if "qd" in data.columns else np.gradient(data["q"], data["t"], axis=0)
     spans = list(data.slices())
     errors = [_relative_error(measured[rows], predicted[rows], measured) for _, rows in spans]
     worst, rows = spans[int(np.argmax(errors))]
