@@ -11,10 +11,11 @@ from synthetic_motion import dwelling, moving, nominal
 from hil.data.dataset import PREPARED, Dataset
 from hil.data.prediction import Prediction
 from hil.identify.rigid import RigidWls
+from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_irls import RigidIrls
 from hil.identify.rigid_methods import RigidLeastSquares
 from hil.identify.static import StaticWls
-from hil.report import friction_plots
+from hil.report import friction_plots, friction_words
 from hil.report.friction_seen import at_rest, in_motion
 from hil.report.predictions import Shown, shown, velocity
 
@@ -65,7 +66,7 @@ def test_friction_that_only_the_network_knows_is_not_taken_away(wls: RigidWls) -
     assert alone.law is not None
     assert drawn.law is None
     said = "What the model's network adds"
-    assert [said in friction_plots._lead(each) for each in (drawn, alone)] == [True, False]
+    assert [said in friction_words.lead(each) for each in (drawn, alone)] == [True, False]
 
 
 def test_at_rest_neither() -> None:
@@ -107,9 +108,9 @@ def test_dwells_a_model_does_not_hold_for_are_left_out() -> None:
     assert rest.measured[:, 0] == pytest.approx(2.0 * approach, abs=0.2)
     marks = friction_plots.resting(rest, 1, "N·m")["data"]
     assert all(np.isfinite(trace["y"]).all() and len(trace["y"]) for trace in marks)
-    assert friction_plots._sides(rest, 1, "N·m").count("(model 2.00)") == 1
-    assert friction_plots._sides(rest, 1, "N·m").count("(model -2.00)") == 1
-    assert friction_plots._sides(rest, 2, "N·m") == "mean unknown"
+    assert friction_words.sides(rest, 1, "N·m").count("(model 2.00)") == 1
+    assert friction_words.sides(rest, 1, "N·m").count("(model -2.00)") == 1
+    assert friction_words.sides(rest, 2, "N·m") == "mean unknown"
     nowhere = Prediction(told.effort, told.std, np.zeros_like(valid), parts)
     assert at_rest(model, data, nowhere) is None
 
@@ -152,3 +153,27 @@ def test_the_line_goes_no_further_than_the_rows_a_model_holds_for(wls: RigidWls)
     assert np.isnan(motion.law.qd[:, 2]).all()
     assert np.isfinite(motion.law.torque[:, [0, 1, 3, 4, 5]]).all()
     assert "model unknown" in friction_plots._ends(motion, 2, "N·m")
+
+
+def test_what_is_said_of_the_line_is_of_the_terms_it_has(seen: Shown) -> None:
+    coulomb = friction_words.lead(seen.friction.in_motion)
+    assert "half its step at zero is Coulomb friction" in coulomb
+    assert "the middle of the step is the offset" in coulomb
+    assert "static friction" not in coulomb
+    bent = RigidDiffnea().fit(moving(1, 2, 3, noise_a=0.05), nominal())
+    stribeck = friction_words.lead(shown(bent, moving(4)).friction.in_motion)
+    assert "half its step at zero is static friction" in stribeck
+    assert "is Coulomb friction" not in stribeck
+    law = replace(seen.friction.in_motion.law, terms=("coulomb",))
+    bare = friction_words.lead(replace(seen.friction.in_motion, law=law))
+    assert "offset" not in bare
+    assert "viscous" not in bare
+
+
+def test_a_band_is_told_of_where_one_is_drawn(seen: Shown) -> None:
+    motion = seen.friction.in_motion
+    unsure = replace(motion.law, std_error=np.full_like(motion.law.torque, np.nan))
+    for law, drawn in ((motion.law, True), (unsure, False)):
+        told = friction_words.lead(replace(motion, law=law))
+        assert ("the band is at most that wide" in told) == drawn
+        assert ("no band is drawn" in told) != drawn

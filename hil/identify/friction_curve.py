@@ -10,7 +10,8 @@ import numpy as np
 
 from hil.typing import BoolArray, FloatArray
 
-VISCOUS = "viscous"
+STATIC, VISCOUS, OFFSET = "static", "viscous", "offset"
+"""Terms that pages tell apart; where there is a `static` one, friction begins with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,11 +23,13 @@ class FrictionCurve:
         dry: The same without the viscous part: Coulomb, Stribeck and offset.
         std_error: Standard error of `torque`, at most: those of the coefficients added up, for
             models keep no correlation between them; NaN where they are not known.
+        terms: Names of what it is the sum of.
     """
 
     torque: FloatArray
     dry: FloatArray
     std_error: FloatArray
+    terms: tuple[str, ...]
 
 
 @runtime_checkable
@@ -51,4 +54,4 @@ def curve_of(
     parts = columns * values
     dry: BoolArray = np.array([term != VISCOUS for term in terms])
     bound = np.sum(np.abs(columns) * errors, axis=-1)
-    return FrictionCurve(parts.sum(axis=-1), parts[..., dry].sum(axis=-1), bound)
+    return FrictionCurve(parts.sum(axis=-1), parts[..., dry].sum(axis=-1), bound, tuple(terms))

@@ -10,6 +10,7 @@ from hil.report.decimate import binned, thinned
 from hil.report.figures import CLOUD, Figure
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import AtRest, Friction, InMotion, Law
+from hil.report.friction_words import SIDES, lead, sides
 from hil.report.traces import Trace, axes, line, markers
 from hil.report.words import joint_title, number
 from hil.typing import FloatArray
@@ -21,10 +22,6 @@ ERRORS = 2.0
 """Half a band, in standard errors."""
 
 AT_REST, IN_MOTION = "Held-out dwells: friction at rest", "Friction over velocity"
-SIDES = (
-    (1, "from below", colours.UP, "triangle-up"),
-    (-1, "from above", colours.DOWN, "triangle-down"),
-)
 MEASURED = ("measured, less the rest of the model", colours.MEASURED, "•")
 
 
@@ -37,7 +34,7 @@ def rest_plots(fit: FitFacts, friction: Friction) -> list[Plots]:
         Panel(
             joint_title(j, name),
             resting(seen, j, friction.unit),
-            f"{AT_REST}, {name}: {_sides(seen, j, friction.unit)}",
+            f"{AT_REST}, {name}: {sides(seen, j, friction.unit)}",
         )
         for j, name in enumerate(fit.joint_names)
     )
@@ -47,13 +44,12 @@ def rest_plots(fit: FitFacts, friction: Friction) -> list[Plots]:
     )
     if seen.predicted is not None:
         legend += (("friction of the model", colours.PREDICTED, "◇"),)
-    lead = (
+    about = (
         "The measured effort of each dwell less what the model holds for gravity, offset and "
         "load: friction, and what the model errs by; dwells the model does not hold for are left "
-        "out. How far the two directions are apart is "
-        "twice the friction that holds the joint."
+        "out. How far the two directions are apart is twice the friction that holds the joint."
     )
-    return [Plots(AT_REST, lead, panels, legend)]
+    return [Plots(AT_REST, about, panels, legend)]
 
 
 def velocity_plots(fit: FitFacts, friction: Friction) -> list[Plots]:
@@ -82,7 +78,7 @@ def velocity_plots(fit: FitFacts, friction: Friction) -> list[Plots]:
         )
         if each[0] in drawn
     )
-    return [Plots(IN_MOTION, _lead(seen), panels, legend)]
+    return [Plots(IN_MOTION, lead(seen), panels, legend)]
 
 
 def resting(seen: AtRest, j: int, unit: str) -> Figure:
@@ -138,41 +134,6 @@ def _mean(qd: FloatArray, predicted: FloatArray) -> list[Trace]:
         for edge in (mean + spread, mean - spread)
     ]
     return [*edges, line(centre, mean, "friction of the model, mean", orange, width=2.2)]
-
-
-def _lead(seen: InMotion) -> str:
-    told = (
-        "Points are the measured effort of the held-out trajectories less what the model takes "
-        "for gravity, inertia and load: friction, and what the model errs by. "
-    )
-    if seen.learned:
-        told += (
-            "What the model's network adds to its physics counts as friction on both sides, though "
-            "it may be something else that the physics misses. "
-        )
-    if seen.law is None:
-        return told + (
-            "The model's friction depends on more than velocity (the way travelled, the load): "
-            "the line is its mean at that velocity, over these trajectories."
-        )
-    return told + (
-        "The line is the model's friction, no further than these trajectories go: half its step "
-        "at zero is Coulomb friction, the middle of the step the offset, and what lies beyond the "
-        "dashed line viscous friction. The standard errors of its parts are added up, as if all "
-        "erred to the same side: the band is at most that wide."
-    )
-
-
-def _sides(seen: AtRest, j: int, unit: str) -> str:
-    told = []
-    for sign, name, _, _ in SIDES:
-        rows = (seen.approach == sign) & np.isfinite(seen.measured[:, j])
-        if rows.any():
-            text = f"{name} {number(float(seen.measured[rows, j].mean()))} {unit}"
-            if seen.predicted is not None:
-                text += f" (model {number(float(seen.predicted[rows, j].mean()))})"
-            told.append(text)
-    return f"mean {', '.join(told) or 'unknown'}"
 
 
 def _ends(seen: InMotion, j: int, unit: str) -> str:

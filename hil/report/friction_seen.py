@@ -45,13 +45,14 @@ class Law:
 
     Attributes:
         qd: Velocities of each joint, rising [rad/s].
-        torque, dry, std_error: See `hil.identify.friction_curve`.
+        torque, dry, std_error, terms: See `hil.identify.friction_curve`.
     """
 
     qd: FloatArray
     torque: FloatArray
     dry: FloatArray
     std_error: FloatArray
+    terms: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,4 +168,6 @@ def _law(model: Model, qd: FloatArray) -> Law | None:
     near = np.linspace(-NEAR_ZERO, NEAR_ZERO, 41)[:, None] + np.zeros(qd.shape[1])
     places = np.sort(np.vstack([places, np.clip(near, low, high)]), axis=0)
     curve = model.friction_curve(places)
-    return None if curve is None else Law(places, curve.torque, curve.dry, curve.std_error)
+    if curve is None:
+        return None
+    return Law(places, curve.torque, curve.dry, curve.std_error, curve.terms)
