@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from hil.arms.content import description_sha256
 from hil.errors import SpecError
+from hil.quick_yaml import look_into
 from hil.typing import FloatArray
 
 
@@ -128,7 +128,7 @@ def _parsed(name: str) -> ArmDescription:
         arm = _of_file(Path(name))
     elif name in arm_names():
         text = files("hil.arms").joinpath(f"{name}.yaml").read_text("utf-8")
-        arm = arm_from_dict(name, yaml.safe_load(text))
+        arm = arm_from_dict(name, look_into(text))
     else:
         raise SpecError(
             f"there is no built-in arm {name!r}",
@@ -145,11 +145,12 @@ def _of_file(path: Path) -> ArmDescription:
     hint = "`hil new own-urdf` writes one from a URDF; hil/arms/ur5.yaml is one, too"
     try:
         raw = path.read_bytes()
-        document = yaml.safe_load(raw.decode("utf-8"))
+        document = look_into(raw.decode("utf-8"))
+    except (OSError, ValueError) as error:
+        raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
+    try:
         arm, digest = arm_from_dict(str(path), document), description_sha256(document)
         return replace(arm, sha256=digest, file_sha256=sha256(raw).hexdigest())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SpecError(f"{path}: cannot be read as an arm: {error}", hint=hint) from None
     except KeyError as error:
         raise SpecError(f"{path}: the arm lacks {error.args[0]!r}", hint=hint) from None
     except (TypeError, ValueError, AttributeError, OverflowError) as error:

@@ -11,6 +11,7 @@ import yaml
 
 from hil.campaign.experiment import Experiment, find_station
 from hil.errors import SpecError
+from hil.quick_yaml import bounded
 from hil.spec.load import resolve_robot, spec_from_text
 from hil.spec.station import Station
 from hil.suggest import closest
@@ -55,9 +56,10 @@ def spec_for(text: str, name: str, robot: str) -> str:
         SpecError: It names no robot whose place could be taken.
     """
     try:
+        bounded(text)
         document = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError:
-        document = None
+    except (ValueError, yaml.YAMLError) as error:
+        raise SpecError(f"{name}: {error}", hint="`hil validate` says more") from None
     entries = document.value if isinstance(document, yaml.MappingNode) else ()
     for key, value in entries:
         if key.value == "robot" and isinstance(value, yaml.ScalarNode):

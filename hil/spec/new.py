@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 
 from hil.errors import SpecError
+from hil.quick_yaml import look_into
 from hil.spec.commented import commented
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import validated
@@ -101,9 +102,9 @@ def as_scalar(text: str) -> str:
     """A text as YAML of one line: plain where every reader takes it for that text, else quoted."""
     try:
         line = {"k": text}
-        if yaml.safe_load(f"k: {text}") == line == parse(f"k: {text}", "").data:
+        if look_into(f"k: {text}") == line == parse(f"k: {text}", "").data:
             return text
-    except (yaml.YAMLError, SpecError):
+    except (ValueError, SpecError):
         pass
     return quoted(text)
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic
 
-import yaml
-
 from hil.errors import SpecError
+from hil.quick_yaml import look_into
 from hil_mock_robot.schedule import F
 
 LONGEST_S = 1e9
@@ -73,8 +72,8 @@ class FaultList(Generic[F]):
             SpecError: It cannot be read, or a fault in it cannot be.
         """
         try:
-            given = yaml.safe_load(path.read_text("utf-8"))
-        except (OSError, UnicodeError, yaml.YAMLError) as error:
+            given = look_into(path.read_text("utf-8"))
+        except (OSError, ValueError) as error:
             hint = "give a YAML file with a list of faults"
             raise SpecError(f"{path}: {error}", hint=hint) from error
         if isinstance(given, Mapping) and set(given) == {"faults"}:
