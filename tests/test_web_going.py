@@ -35,13 +35,13 @@ def ended(settings: Settings, name: str) -> Path:
     return run
 
 
-def going_on_with(run: Path, settings: Settings) -> Started:
-    """The record of this process, as if it were about to go on with a run."""
+def started_here(what: Path, settings: Settings) -> Started:
+    """The record of this process, as if it were about to run a spec or to go on with a run."""
     said = Started(
-        id="17", runs=str(settings.runs), spec=str(run), station="", operator="anna",
+        id="17", runs=str(settings.runs), spec=str(what), station="", operator="anna",
         pid=os.getpid(), ticks=ticks_of(os.getpid()), time=time.time(), host=platform.node(),
     )  # fmt: skip
-    (settings.runs / FOLDER).mkdir()
+    (settings.runs / FOLDER).mkdir(parents=True)
     (settings.runs / FOLDER / "17.json").write_text(json.dumps(asdict(said)))
     return said
 
@@ -70,7 +70,7 @@ def test_a_stream_looks_into_no_run_that_has_ended(
 def test_one_that_is_gone_on_with_is_shown_once_and_at_once(settings: Settings) -> None:
     run = ended(settings, "0001-a")
     news = _LiveRuns(settings)
-    again = going_on_with(run, settings)
+    again = started_here(run, settings)
     assert [one["id"] for one in news.now().planned or []] == ["17"]
     assert again.made == []
     with hold_run(run):  # it plans the way back; resume-01.json comes after that
@@ -80,3 +80,39 @@ def test_one_that_is_gone_on_with_is_shown_once_and_at_once(settings: Settings) 
         assert [one["address"] for one in now.live or []] == ["/runs/2026-11-23/ur5/0001-a"]
         assert going_on(settings) == now.live
         assert again.made == [run.resolve()]  # its page leads to that of the run, which has Stop
+
+
+def made_by_it(settings: Settings, name: str) -> Path:
+    run = ended(settings, name)
+    (run / "start.json").write_text('{"started_as": "17"}')
+    return run
+
+
+def test_a_process_that_only_closes_after_its_run_plans_nothing(settings: Settings) -> None:
+    started_here(settings.runs.parent / "a.yaml", settings)
+    assert [one["text"] for one in being_planned(settings)] == ["is being planned"]
+    made_by_it(settings, "0001-a")
+    assert being_planned(settings) == []
+
+
+def test_nor_does_one_that_only_closes_after_it_went_on_with_a_run(settings: Settings) -> None:
+    run = ended(settings, "0001-a")
+    started_here(run, settings)
+    assert [one["text"] for one in being_planned(settings)] == ["is about to go on"]
+    (run / "resume-01.json").write_text('{"started_as": "17"}')
+    assert being_planned(settings) == []
+
+
+def test_a_series_between_two_runs_can_be_cancelled(settings: Settings, tmp_path: Path) -> None:
+    spec, *experiments = (tmp_path / name for name in ("two.yaml", "a.yaml", "b.yaml"))
+    for each in experiments:
+        each.touch()
+    spec.write_text("hil_series: 1\nname: two\nseries: [{spec: a.yaml}, {spec: b.yaml}]\n")
+    started_here(spec, settings)
+    first = made_by_it(settings, "0001-a")
+    assert being_planned(settings) == []  # stopped: it does not go on
+    (first / "verdict.json").write_text("{}")
+    assert [one["text"] for one in being_planned(settings)] == ["is about to begin its next run"]
+    last = made_by_it(settings, "0002-b")
+    (last / "verdict.json").write_text("{}")
+    assert being_planned(settings) == []

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.starting import Started, started_runs
+from hil.errors import HilError
 from hil.record.lock import is_live
+from hil.spec.series import load_series_spec
 from hil.web.live_facts import header_of
 from hil.web.places import address_of, live_runs, name_of
 from hil.web.settings import Settings
@@ -44,11 +46,26 @@ def being_planned(settings: Settings) -> list[dict[str, str]]:
 
 def words_of(planned: Started) -> str:
     """What it does before it is a live run."""
-    return "is about to go on" if planned.again else "is being planned"
+    if planned.again:
+        return "is about to go on"
+    return "is about to begin its next run" if planned.made else "is being planned"
 
 
 def _is_planned(started: Started) -> bool:
-    return started.alive and not any(is_live(run) for run in started.made)
+    """Whether a run is to come of it: of a process that only closes none does."""
+    if not started.alive:
+        return False
+    made = started.made
+    return not made or (not any(is_live(run) for run in made) and _is_between(started, made))
+
+
+def _is_between(started: Started, made: list[Path]) -> bool:
+    """Whether it is a series with experiments left, which goes on after runs that were judged."""
+    try:
+        count = len(load_series_spec(started.spec).series)
+    except HilError:  # an experiment, or changed since
+        return False
+    return len(made) < count and all((run / "verdict.json").is_file() for run in made)
 
 
 def _header(run: Path, settings: Settings) -> dict[str, Any]:
