@@ -189,3 +189,12 @@ def test_a_terminal_gets_means_by_load_and_model() -> None:
     table = _means(Table("table-load-errors", "RMSE", ("load", "J1", "mean"), rows))
     assert table.columns == ("load, model", "unaware", "declared")
     assert table.rows == (("3 kg, beside, rigid-wls", 5.0, 1.0),)
+
+
+def test_a_single_column_wider_than_the_terminal_is_wrapped(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    narrow(monkeypatch, 20)
+    print_table(["run"], [["a/" + "b" * 30], ["words of more than twenty"], ["c"]])
+    told = ["run", "a/" + "b" * 30, "words of more than", "  twenty", "c"]
+    assert capsys.readouterr().out.splitlines() == told

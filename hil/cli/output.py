@@ -63,6 +63,8 @@ def _table_lines(
     wide = [len(column[0]) for column in padded]
     if width is None or sum(wide) + APART * (len(wide) - 1) <= width:
         return lines_of(padded, None)
+    if len(wide) == 1:
+        return (fold(name, width) for (name,) in table)
     before = sum(wide[:-1]) + APART * (len(wide) - 1)
     words = [word for row in table for word in row[-1].split()]
     if width - before >= max([LEAST_PROSE, *map(len, words)]):
