@@ -177,3 +177,9 @@ def test_a_band_is_told_of_where_one_is_drawn(seen: Shown) -> None:
         told = friction_words.lead(replace(motion, law=law))
         assert ("the band is at most that wide" in told) == drawn
         assert ("no band is drawn" in told) != drawn
+
+
+def test_friction_that_is_not_told_as_a_curve_is_not_said_to_depend_on_more(seen: Shown) -> None:
+    told = friction_words.lead(replace(seen.friction.in_motion, law=None))
+    assert "depends" not in told
+    assert "the mean of the model's friction at each velocity" in told

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.typing import BoolArray, FloatArray
 
-STATIC, VISCOUS, OFFSET = "static", "viscous", "offset"
+COULOMB, STATIC, VISCOUS, OFFSET = "coulomb", "static", "viscous", "offset"
 """Terms that pages tell apart; where there is a `static` one, friction begins with it."""
 
 

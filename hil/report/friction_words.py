@@ -28,8 +28,8 @@ def lead(seen: InMotion) -> str:
         )
     if seen.law is None:
         return told + (
-            "The model's friction depends on more than velocity (the way travelled, the load): "
-            "the line is its mean at that velocity, over these trajectories."
+            "The line is the mean of the model's friction at each velocity over these "
+            "trajectories, the dotted ones a standard deviation to either side."
         )
     return told + _meaning(seen.law)
 

@@ -13,7 +13,9 @@ from hil.data.prediction import Prediction, Stream
 from hil.errors import DataError
 from hil.identify.base import RobotEstimator, payload_torque, prepared
 from hil.identify.checks import require_sizes
+from hil.identify.friction_curve import COULOMB, OFFSET, STATIC, VISCOUS, FrictionCurve
 from hil.identify.lagrangian.choices import Design
+from hil.identify.lagrangian.direction import smooth_sign
 from hil.identify.lagrangian.task import MOTION, directions
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.extra import require_torch
@@ -82,6 +84,26 @@ class LagrangianModel(RobotEstimator):
                 hint="give a row per pose and a number per joint",
             )
         return mass_matrix(self._network(), q)
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """Friction at velocities (N, n) [rad/s]; None of Dahl's state, and of learned friction."""
+        from hil.identify.lagrangian.predict import steady_friction
+
+        kind = self.design_.kind
+        if self.length_ is not None or kind not in ("coulomb", "stribeck"):
+            return None
+        width = 0.0 if self.design_.friction.sign == "hard" else self.sign_width
+        direction, found = smooth_sign(qd, width), self.intrinsic_
+        torque = steady_friction(self._network(), qd, direction)
+        if kind == "coulomb":
+            terms: tuple[str, ...] = (COULOMB, VISCOUS)
+            viscous = found["f_v"] * qd
+        else:
+            terms = (COULOMB, STATIC, VISCOUS)
+            viscous = direction * found["f_v"] * np.abs(qd) ** found["alpha"]
+        if OFFSET in found:
+            terms = (*terms, OFFSET)
+        return FrictionCurve(torque, torque - viscous, np.full_like(torque, np.nan), terms)
 
     def _predict(self, data: Dataset, direction: FloatArray) -> Prediction:
         from hil.identify.lagrangian.predict import torques

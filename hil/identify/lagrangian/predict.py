@@ -38,6 +38,13 @@ def torques(module: NetworkModel, *motion: FloatArray) -> dict[str, FloatArray]:
     return found
 
 
+def steady_friction(module: NetworkModel, qd: FloatArray, direction: FloatArray) -> FloatArray:
+    """(N, n) friction [N·m] that asks for no position, at velocities and directions (N, n)."""
+    with torch.inference_mode():
+        parts = [_tensor(module, values) for values in (np.zeros_like(qd), qd, direction)]
+        return np.asarray(module.friction(*parts).double().numpy())
+
+
 def mass_matrix(module: NetworkModel, q: FloatArray) -> FloatArray:
     """M(q) (N, n, n) [kg·m²] at positions (N, n)."""
     with torch.inference_mode(), reproducible(torch.device("cpu"), 1):

@@ -12,6 +12,7 @@ from hil.data.prediction import Prediction, Stream
 from hil.errors import FitError
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.conformal import SpeedBands
+from hil.identify.friction_curve import FrictionCurve, HasFrictionCurve
 from hil.identify.lm.settings import whole
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.selection import Selection
@@ -67,6 +68,12 @@ class CorrectedModel(RobotEstimator):
         effort = base.effort + added
         # What is missing in one row is missing in the memory of those after it.
         return Prediction(effort, std, base.valid & np.isfinite(effort), parts)
+
+    def friction_curve(self, qd: FloatArray) -> FrictionCurve | None:
+        """That of the physics, if it has one and no joint kept its network."""
+        if np.any(self.correction_.kept) or not isinstance(self.base_, HasFrictionCurve):
+            return None
+        return self.base_.friction_curve(qd)
 
     def stream(self, payload: Payload | None = None) -> Stream:
         """A predictor for one sample at a time; nothing is filtered.
