@@ -69,3 +69,20 @@ def test_silent_drives_do_not_keep_a_fault_from_being_told() -> None:
             trouble.raise_it()
         assert time.monotonic() - began < 0.5
         assert "6041h" not in caught.value.message
+
+
+def test_a_fault_told_by_an_emcy_alone_is_asked_for_once_all_axes_were_told_to_stop() -> None:
+    """It comes before the process data that show it, so that no row says which axis it is."""
+    with drives(2) as line:
+        line.nodes[1].registers[key(0x6041)] = 0x0218
+        line.nodes[1].registers[key(0x603F)] = 0x8611
+        line.nodes[0].registers[key(0x603F)] = 0x8130  # its last error, long gone
+        trouble = trouble_of(line, "joint_2 (node 2): following error (8611h)")
+        line.sent.clear()
+        trouble.look(ROWS)
+        with pytest.raises(RobotFault, match=r"\(603Fh: joint_2 \(node 2\) [^;]*8611h\)\)\n"):
+            trouble.raise_it()
+        asked = [
+            int.from_bytes(data[1:3], "little") for can_id, data in line.sent if can_id > 0x600
+        ]
+        assert asked == [0x6040, 0x6040, 0x6041, 0x6041, 0x603F]

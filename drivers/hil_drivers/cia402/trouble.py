@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 from hil.errors import RobotFault, RobotTimeout
 from hil.robot import Status
 from hil.typing import StructArray
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.emergencies import error_text
+from hil_drivers.cia402.judging import FAULTY
 from hil_drivers.cia402.parting import stop_by_objects
 from hil_drivers.cia402.samples import Samples
 from hil_drivers.cia402.session import Session
-from hil_drivers.cia402.states import told_by
+from hil_drivers.cia402.states import state_of, told_by
 
 WORDS_S = 0.5
 """How long it may take until the core has heard all there is to say of a fault [s]."""
@@ -98,10 +100,22 @@ class Trouble:
     def _asked(self) -> str:
         """What drives say of themselves by SDO: an EMCY may have been lost, or all process data."""
         acyclic, silent = self._session.acyclic, self._samples.silent
-        codes = acyclic.at_once.read(od.ERROR_CODE, self._samples.faulty, ASKED_S)
+        codes = acyclic.at_once.read(od.ERROR_CODE, self._faulty(), ASKED_S)
         words = acyclic.at_once.read(od.STATUSWORD, silent, ASKED_S)
         told = {
             "603Fh": [f"{acyclic.name_of(a)} {error_text(code)}" for a, code in codes.items()],
             "6041h": [f"{acyclic.name_of(a)} {told_by(word)}" for a, word in words.items()],
         }
         return "".join(f" ({entry}: {'; '.join(said)})" for entry, said in told.items() if said)
+
+    def _faulty(self) -> Sequence[int]:
+        """Axes in fault, by the newest row; by what they say where it was an EMCY that told of one.
+
+        A drive sends that before the process data that show the fault, and rows are read later.
+        """
+        if faulty := self._samples.faulty:
+            return faulty
+        silent = self._samples.silent
+        others = [axis for axis in range(len(self._session.options.nodes)) if axis not in silent]
+        words = self._session.acyclic.at_once.read(od.STATUSWORD, others, ASKED_S)
+        return [axis for axis, word in words.items() if state_of(word) in FAULTY]
