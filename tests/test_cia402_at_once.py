@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from cia402_drives import drives
-from own_time import OwnTime
+from in_time import InTime, measured_again
 
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.left_faults import faults_left
@@ -66,13 +66,14 @@ def test_an_answer_that_nobody_waited_for_does_not_disturb_who_asks_next() -> No
         assert len(line.sent) == 1
 
 
+@measured_again
 def test_a_silent_drive_is_asked_for_its_temperature_without_waiting() -> None:
     with drives(2) as line:
         silence(line, 0, 1)
         thermometer = Thermometer(line.master.at_once, 0x2110, 2)
-        own = OwnTime()
+        own = InTime()
         thermometer.look()
-        assert own.passed_s < 0.05
+        own.require(0.05)
         assert [i for i, _ in requests(line, 0x2110)] == [0x601]
 
 

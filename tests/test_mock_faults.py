@@ -4,8 +4,8 @@ import threading
 
 import numpy as np
 import pytest
+from in_time import InTime, measured_again
 from mock_motions import ASIDE, UPRIGHT, move, play
-from own_time import OwnTime
 
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.robot import Payload, Status
@@ -179,6 +179,7 @@ def test_a_refusal_by_time_refuses_the_next_segment():
     mock.prepare(move())
 
 
+@measured_again
 def test_a_hanging_read_can_be_stopped_and_ends_when_the_robot_is_closed():
     mock = robot_with({"kind": "hang", "segment": 0, "after_s": 0.2})
     moving(mock, 24)
@@ -194,12 +195,13 @@ def test_a_hanging_read_can_be_stopped_and_ends_when_the_robot_is_closed():
     hung.start()
     hung.join(0.1)
     assert hung.is_alive()
-    own = OwnTime()
+    own = InTime()
     mock.stop()
     mock.close()
-    assert own.passed_s < 0.1
+    took = own.taken()
     hung.join(10.0)
     assert "not connected" in seen[0].message
+    took.require(0.1)
 
 
 def test_a_faulty_controller_refuses_a_payload():

@@ -9,8 +9,8 @@ import time
 
 import numpy as np
 import pytest
+from in_time import InTime, measured_again
 from mock_motions import ASIDE, UPRIGHT, move, play
-from own_time import OwnTime
 
 from hil.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
 from hil.robot import Robot, Status
@@ -188,15 +188,16 @@ def test_silence_is_a_time_out_and_the_watchdog_stops_the_arm(make):
     assert watchdog["speed_rad_s"] > 0.3
 
 
+@measured_again
 def test_a_time_out_comes_after_the_time_it_was_given(make):
     mock = make({"kind": "silence", "at_s": 0.02})
     with pytest.raises(RobotTimeout):
         rows_for(mock, 1.0, timeout_s=0.05)
-    asked = OwnTime()
+    asked = InTime()
     with pytest.raises(RobotTimeout, match=r"within 0\.2 s"):
         mock.read(timeout_s=0.2)
     assert time.monotonic() - asked.at >= 0.2
-    assert asked.passed_s < 0.4
+    asked.require(0.4)
 
 
 def test_a_moving_arm_that_nobody_reads_is_stopped_and_says_so_afterwards(make):
@@ -257,16 +258,18 @@ def test_frozen_rows_come_on_while_the_arm_moves(make):
     assert events(mock, "stop")[0]["device_time"] > rows["device_time"][-1] + 0.2
 
 
+@measured_again
 def test_stop_gets_through_while_another_thread_waits_for_rows(make):
     mock = make({"kind": "silence", "at_s": 0.05})
     ended, waiting = reading_to_the_end(mock, 0.6)
     time.sleep(0.3)
     assert waiting.is_alive()
-    asked = OwnTime()
+    asked = InTime()
     mock.stop()
-    assert asked.passed_s < 0.05
+    took = asked.taken()
     waiting.join()
     assert isinstance(ended[0], RobotTimeout)
+    took.require(0.05)
 
 
 class Enough(Exception):

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from in_time import InTime, measured_again
 from kinematic_robot import KinematicRobot
 from other_process import other_process
-from own_time import OwnTime
 
 from hil.errors import RobotConnectionError, SpecError
 from hil.robot import Capabilities, HasResource
@@ -205,6 +205,7 @@ def test_a_folder_that_cannot_be_made_says_so(
 
 
 @pytest.mark.wire
+@measured_again
 def test_kill_9_frees_the_robot_at_once() -> None:
     with other_process(holding()) as process:
         with pytest.raises(RobotConnectionError, match=f"pid {process.pid}") as caught:
@@ -212,9 +213,9 @@ def test_kill_9_frees_the_robot_at_once() -> None:
         assert "0042-dwell" in caught.value.message
         process.send_signal(signal.SIGKILL)
         process.wait()
-        own = OwnTime()
+        own = InTime()
         with leased(RealRobot(), **UR5):
-            assert own.passed_s < 0.1
+            own.require(0.1)
 
 
 @pytest.mark.wire

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_time import OwnTime
+from in_time import InTime, measured_again
 from ur_mock import mock_ur
 
 from hil.errors import (
@@ -223,17 +223,16 @@ MOTIONS = {"move": lambda r: move(r, 0.4), "trajectory": lambda r: trajectory(r,
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
+@measured_again
 def test_a_stop_is_on_the_wire_within_a_tenth_of_a_second(kind, tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, MOTIONS[kind](robot))
-        asked = OwnTime(robot._motion.pid, running.process.pid)
+        asked = InTime(robot._motion.pid, running.process.pid)
         robot.stop()
-        took, late_s = asked.passed_s, asked.hindered_s
+        took = asked.taken()
         settle(robot)
         journal = running.journal()
         stop = first(journal, "stop", after=asked.at)
-        assert took < STOP_S
-        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         assert stop["by"] == {"move": "stopj", "trajectory": "servo_stop"}[kind]
         assert not [
             e for e in journal if e["event"] == "start" and e["monotonic_s"] > stop["monotonic_s"]
@@ -241,25 +240,28 @@ def test_a_stop_is_on_the_wire_within_a_tenth_of_a_second(kind, tmp_path):
         rest = wait_for(running, "rest", after=asked.at)
         ramp_s = 0.5 / SPEED_OF_STOP[kind]
         assert rest["device_time"] - stop["device_time"] < ramp_s + SEEN_S
+        took.require(STOP_S)
+        took.require(STOP_S, stop["monotonic_s"] - asked.at)
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
+@measured_again
 def test_a_motion_process_that_is_killed_does_not_keep_the_arm_from_being_stopped(kind, tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, MOTIONS[kind](robot))
         os.kill(robot._motion.pid, signal.SIGKILL)
-        asked = OwnTime(running.process.pid)
+        asked = InTime(running.process.pid)
         robot.stop()
-        took, late_s = asked.passed_s, asked.hindered_s
-        assert took < STOP_S
+        took = asked.taken()
         stop = wait_for(running, "stop", after=asked.at)
         assert (stop["by"], stop["via"]) == ("hil_stop", "script")
-        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         error, _ = until_it_raises(robot)
         assert isinstance(error, RobotConnectionError)
         settle(robot)
         robot.connect()
         follow(robot, move(robot, 0.1))
+        took.require(STOP_S)
+        took.require(STOP_S, stop["monotonic_s"] - asked.at)
 
 
 def hang(pid):
@@ -275,14 +277,15 @@ def hang(pid):
     raise AssertionError("it goes on")
 
 
+@measured_again
 def test_a_motion_process_that_hangs_does_not_either(tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running) as robot:
         begin(robot, move(robot, 0.4))
         hang(robot._motion.pid)
         try:
-            asked = OwnTime(running.process.pid)
+            asked = InTime(running.process.pid)
             robot.stop()
-            assert asked.passed_s < STOP_S
+            took = asked.taken()
             stop = wait_for(running, "stop", after=asked.at)
             assert stop["by"] == "hil_stop"
         finally:
@@ -292,6 +295,8 @@ def test_a_motion_process_that_hangs_does_not_either(tmp_path):
             robot.prepare(move(robot, 0.1))
         robot.connect()
         follow(robot, move(robot, 0.1))
+        took.require(STOP_S)
+        took.require(STOP_S, stop["monotonic_s"] - asked.at)
 
 
 FAST_RAD_S = 2.9
@@ -313,22 +318,23 @@ def turn(robot, kind, way=4.0):
 
 
 @pytest.mark.parametrize("kind", FAST)
+@measured_again
 def test_a_stop_out_of_full_speed_is_over_before_the_watchdog_bites(kind, tmp_path):
     usual = {"watchdog_hz": Options("").watchdog_hz}
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running, **usual) as robot:
         begin(robot, FAST[kind](robot))
         while max(map(abs, running.side("state")["qd_target"])) < 0.98 * FAST_RAD_S:
             robot.read()
-        asked = OwnTime(robot._motion.pid, running.process.pid)
+        asked = InTime(robot._motion.pid, running.process.pid)
         robot.stop()
-        late_s = asked.hindered_s
+        took = asked.taken()
         settle(robot)
         time.sleep(1.0)
         said = [e["event"] for e in running.journal() if e["monotonic_s"] > asked.at]
         assert not {"watchdog", "program_stopped"} & set(said), said
         stop = first(running.journal(), "stop", after=asked.at)
-        assert stop["monotonic_s"] - asked.at < STOP_S + late_s
         follow(robot, move(robot, 0.1))
+        took.require(STOP_S, stop["monotonic_s"] - asked.at)
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
@@ -436,20 +442,22 @@ BUSY_S = 0.3
         for j, fault in enumerate(KNOWN_S)
     ],
 )
+@measured_again
 def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kind, fault, tmp_path):
     with mock_ur(journal=tmp_path / "journal") as running, robot_on(running, late_s=0.3) as robot:
         begin(robot, MOTIONS[kind](robot))
+        began = time.monotonic()
         running.side("fault", kind=fault)
         error, _ = until_it_raises(robot)
-        asked = OwnTime(running.process.pid)
+        asked = InTime(running.process.pid)
         with contextlib.suppress(RobotConnectionError):
             robot.stop()
-        assert asked.passed_s < STOP_S
+        took = asked.taken()
         assert isinstance(error, HilError)
         time.sleep(3.0)
         running.side("clear")
         journal = running.journal()
-        after = journal[journal.index(first(journal, "fault", kind=fault)) :]
+        after = journal[journal.index(first(journal, "fault", began, kind=fault)) :]
         stops = [e for e in after if e["event"] in ("stop", "watchdog", "program_stopped")]
         assert stops, [e["event"] for e in journal]
         # By the controller's clock, which a busy computer holds up with all that it counts.
@@ -459,6 +467,7 @@ def test_a_lost_connection_stops_the_arm_and_no_motion_is_commanded_any_more(kin
         assert max(map(abs, state["qd_target"])) < 1e-6
         robot.connect()
         follow(robot, move(robot, 0.05))
+        took.require(STOP_S)
 
 
 def test_a_load_the_controller_does_not_take_is_seen():
