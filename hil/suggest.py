@@ -11,12 +11,23 @@ LETTERS_A_SLIP = 4
 """A slip is believed for so many letters: one in `csv`, none that makes `spec` of `speed`."""
 
 MOST_SLIPS = 3
+_NUMBER = re.compile(r"[0-9]+")
 
 LEAST_SHARE = 0.5
 """Of a name's letters: `velocity` is meant to be `max_velocity_deg_s`, `s` is not."""
 
 STEM = 2 / 3
 """Of the longer word's letters, where both begin so: `validation` is meant to be `validate`."""
+
+OPPOSITES = {
+    frozenset(pair.split())
+    for pair in (
+        "min max", "on off", "on no", "enable disable", "enabled disabled", "lower upper",
+        "above below", "before after", "start stop", "open close", "left right", "true false",
+    )
+}  # fmt: skip
+NOT = ("un", "non", "no", "dis")
+"""What makes the opposite of a word, before it or as a word of its own."""
 
 LONGEST_WORD = 64
 """Longer words are no typing slips, and comparing them would take noticeable time."""
@@ -26,7 +37,8 @@ def closest(word: str, options: Iterable[str]) -> str | None:
     """The option that `word` is a slip of, or a part of, else None.
 
     Ignored are case and `-` against `_`. A slip is a letter too many, missing or another, or two
-    neighbours swapped.
+    neighbours swapped. Whoever gives whole words of an option means that one. Another number and
+    the opposite are no slips: `ur5-003` is another arm than `ur5-001`.
     """
     if not 0 < len(word) <= LONGEST_WORD:
         return None
@@ -34,11 +46,10 @@ def closest(word: str, options: Iterable[str]) -> str | None:
     found: list[tuple[int, float, str]] = []
     for option in options:
         known = _fold(option)
-        slips = _slips(typed, known)
-        if slips is None and not _is_part(typed, known) and not _has_stem(typed, known):
-            continue
-        unlike = 1 - SequenceMatcher(None, typed, known).ratio()
-        found.append((MOST_SLIPS + 1 if slips is None else slips, unlike, option))
+        rank = _rank(typed, known)
+        if rank is not None:
+            unlike = 1 - SequenceMatcher(None, typed, known).ratio()
+            found.append((rank, unlike, option))
     return min(found)[2] if found else None
 
 
@@ -50,8 +61,42 @@ def did_you_mean(word: str, options: Iterable[str]) -> str:
     return f"there is {', '.join(known)}" if known else "there is none"
 
 
+def _rank(typed: str, known: str) -> int | None:
+    """How far an option is from what was typed, 0 being the same; None where it is another."""
+    if typed == known:
+        return 0
+    if _is_opposite(typed, known) or _has_another_number(typed, known):
+        return None
+    part, slips = _is_part(typed, known), _slips(typed, known)
+    if part and set(_words(typed)) <= set(_words(known)):
+        return 1
+    if slips is not None:
+        return 1 + slips
+    return MOST_SLIPS + 2 if part or _has_stem(typed, known) else None
+
+
+def _is_opposite(typed: str, known: str) -> bool:
+    one, other = set(_words(typed)), set(_words(known))
+    apart = [(a, b) for a in one - other for b in other - one]
+    return bool((one ^ other) & set(NOT)) or any(
+        {a, b} in OPPOSITES or any(a == no + b or b == no + a for no in NOT) for a, b in apart
+    )
+
+
+def _has_another_number(typed: str, known: str) -> bool:
+    return _NUMBER.sub("#", typed) == _NUMBER.sub("#", known) and _numbers_differ(typed, known)
+
+
+def _numbers_differ(typed: str, known: str) -> bool:
+    """Whether both have as many numbers, and others."""
+    one, other = ([n.lstrip("0") for n in _NUMBER.findall(text)] for text in (typed, known))
+    return len(one) == len(other) and one != other
+
+
 def _slips(typed: str, known: str) -> int | None:
     """How many slips apart two words are, None where that is too many for their length."""
+    if _numbers_differ(typed, known):
+        return None
     length = max(len(typed), len(known))
     most = min(max(length // LETTERS_A_SLIP, 1), MOST_SLIPS)
     if typed != known and (min(len(typed), len(known)) < 2 or abs(len(typed) - len(known)) > most):

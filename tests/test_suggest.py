@@ -38,6 +38,14 @@ VERBS = ("csv", "npz", "parquet", "spec", "station", "series", "schedule")
         ("el7211", "el72xx", ("generic", "el72xx")),
         ("trajectory", "trajectories", ("trajectories", "waypoints")),
         ("file", "file", KEYS),
+        (
+            "max_velocity",
+            "max_velocity_deg_s",
+            ("max_velocty", "max_velocity_deg_s"),
+        ),  # whole words
+        ("joint_07", "joint_7", ("joint_1", "joint_7")),
+        ("ur5-01-lfet", "ur5-01-left", ("ur5-01-right", "ur5-01-left", "ur5-02-left")),
+        ("unwieghted", "unweighted", ("weighted", "unweighted")),
     ],
 )
 def test_a_slip_is_understood(typed: str, meant: str, options: tuple[str, ...]) -> None:
@@ -59,6 +67,15 @@ def test_a_slip_is_understood(typed: str, meant: str, options: tuple[str, ...]) 
         ("", KEYS),
         ("tolerance", ("reference", "clearance_m")),
         ("robots", ("root", "report")),
+        ("ur5-003", ("ur5-001", "ur5-002")),  # another arm
+        ("ur4", ("ur3", "ur5", "ur10")),
+        ("0002-dwel", ("0001-dwell", "0003-dwell")),
+        ("max_velocity", ("min_velocity",)),  # opposites
+        ("no", ("on", "off")),
+        ("--no-wait", ("--wait",)),
+        ("unweighted", ("weighted",)),
+        ("disabled", ("enabled",)),
+        ("lower_limit_position", ("upper_limit_position",)),
         ("a" * (LONGEST_WORD + 1), ("a" * LONGEST_WORD,)),
     ],
 )
