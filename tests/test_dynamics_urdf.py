@@ -134,6 +134,12 @@ def changed(old: str, new: str) -> str:
         (changed('"elbow_joint"', '"wrist_1_joint"'), "two joints are called 'wrist_1_joint'"),
         (changed('parent link="base_link"', 'parent link="link_6"'), "hang apart"),
         (changed("<axis", '<mimic joint="elbow_joint"/><axis'), "mimics another"),
+        (changed(' velocity="', ' speed="'), "has a <limit> without `velocity`"),
+        (changed(' velocity="', ' velocity="-'), "has a negative velocity limit"),
+        (changed(' effort="', ' effort="-'), "has a negative effort limit"),
+        (changed('<joint name="elbow_joint"', "<joint"), "a joint has no name"),
+        (changed('mass value="3.7', 'mass weight="3.7'), "link 'link_1': its <mass> lacks value"),
+        (changed(' ixy="', ' xy="'), "link 'link_1': its <inertia> lacks ixy"),
         (RING, "not one tree"),
     ],
 )

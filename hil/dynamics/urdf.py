@@ -68,6 +68,7 @@ def _problems(root: ET.Element) -> Iterator[str]:
     for kind, elements in (("link", links), ("joint", joints)):
         names = Counter(str(element.get("name")) for element in elements)
         yield from (f"two {kind}s are called {name!r}" for name, n in names.items() if n > 1)
+        yield from (f"a {kind} has no name" for element in elements if not element.get("name"))
     for joint in joints:
         yield from (f"joint {joint.get('name')!r} {what}" for what in _joint_problems(joint))
     for element in (*links, *joints):
@@ -87,6 +88,12 @@ def _joint_problems(joint: ET.Element) -> Iterator[str]:
             yield "has no <limit>"
         elif not _first(limit, "lower") <= _first(limit, "upper"):
             yield "has a lower limit above its upper one"
+    if kind in MOVING and limit is not None:
+        for word in ("effort", "velocity"):
+            if limit.get(word) is None:
+                yield f"has a <limit> without `{word}`"
+            elif _first(limit, word) < 0:
+                yield f"has a negative {word} limit"
     if joint.find("mimic") is not None:
         yield "mimics another"
     axis = joint.find("axis")
@@ -98,6 +105,12 @@ def _number_problems(element: ET.Element) -> Iterator[str]:
     """Of a link only its inertia counts: meshes and colours are not read."""
     name = f"{element.tag} {element.get('name')!r}"
     part = element.find("inertial") if element.tag == "link" else element
+    if part is not None and element.tag == "link":
+        for tag in ("mass", "inertia"):
+            said = part.find(tag)
+            lacks = [word for word in NUMBERS[tag] if said is None or said.get(word) is None]
+            if lacks:
+                yield f"{name}: its <{tag}> lacks {', '.join(lacks)}"
     for child in () if part is None else part:
         for attribute in NUMBERS.get(child.tag, ()):
             text = child.get(attribute)
