@@ -16,6 +16,7 @@ from hil.dynamics.collision import CollisionModel
 from hil.dynamics.described import Described, described
 from hil.dynamics.environment import Environment
 from hil.errors import SpecError
+from hil.own_arm_limits import require_ranges, without_odd_speeds
 from hil.own_arm_text import arm_text, silent
 from hil.spec.new import Draft, render
 from hil.typing import FloatArray
@@ -43,6 +44,8 @@ def own_arm_drafts(
         SpecError: The URDF cannot be used, or the arm has no pose that is clear.
     """
     found = described(urdf)
+    require_ranges(urdf, found)
+    found, odd = without_odd_speeds(found)
     station, arm = (spec.with_name(f"{spec.stem}-{part}.yaml") for part in ("station", "arm"))
     text = arm_text(urdf.name, found)
     start = _start(urdf, arm_from_dict(robot, yaml.safe_load(text)))
@@ -56,7 +59,7 @@ def own_arm_drafts(
         Draft(station, render("own-urdf.station", words)),
         Draft(arm, text),
     ]
-    return drafts, _notes(found, arm)
+    return drafts, odd + _notes(found, arm)
 
 
 def _notes(found: Described, arm: Path) -> list[str]:

@@ -59,7 +59,7 @@ def _joint(found: Described, j: int) -> str:
     low, high = _limits(found.q_min[j], found.q_max[j])
     speed = np.degrees(found.qd_max[j]) or SPEED_DEG_S
     effort = found.effort_max[j] or EFFORT_NM
-    narrow = max(low + MARGIN_DEG, -RANGE_DEG), min(high - MARGIN_DEG, RANGE_DEG)
+    narrow = _excited(low, high)
     said = {
         "q_min_deg": low, "q_max_deg": high, "qd_max_deg_s": speed,
         "effort_max_nm": effort,
@@ -87,6 +87,14 @@ def _limits(low: float, high: float) -> tuple[float, float]:
         float(np.degrees(low)) if np.isfinite(low) else -360.0,
         float(np.degrees(high)) if np.isfinite(high) else 360.0,
     )
+
+
+def _excited(low: float, high: float) -> tuple[float, float]:
+    """Degrees; inside the limits, and not far from zero where they let it be near."""
+    margin = min(MARGIN_DEG, (high - low) / 4)
+    low, high = low + margin, high - margin
+    near = max(low, -RANGE_DEG), min(high, RANGE_DEG)
+    return near if near[0] < near[1] else (low, high)
 
 
 def _row(values: dict[str, float]) -> str:

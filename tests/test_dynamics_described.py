@@ -82,6 +82,7 @@ def test_what_the_urdf_leaves_out_is_told_and_marked(tmp_path: Path) -> None:
         ('xyz="0 0 0.3" rpy', 'xyz="0.1 0 0.3" rpy', r"through \(0.1, 0, 0.3\)"),
         ('<joint name="A6" type="revolute">', '<joint name="A6" type="prismatic">', "slides"),
         ('<mass value="7"/>', '<mass value="0"/>', "boom weighs nothing"),
+        ('ixx="0.14"', 'ixx="-0.14"', "boom has an inertia that no body has"),
     ],
 )
 def test_an_arm_that_cannot_be_described_is_refused(
@@ -89,6 +90,53 @@ def test_an_arm_that_cannot_be_described_is_refused(
 ) -> None:
     with pytest.raises(SpecError, match=message):
         described(changed(tmp_path, old, new))
+
+
+ELBOW = '<limit lower="-2.2" upper="2.2" effort="120" velocity="3"/>'
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ('lower="0" upper="0" effort="1" velocity="1"', r"joint 'A3' has no range \(0 to 0\)"),
+        ('effort="1" velocity="1"', r"joint 'A3' has no range \(0 to 0\)"),
+        (
+            'lower="-150" upper="150" effort="1" velocity="115"',
+            "joint 'A3' turns from -150 to 150 rad, 48 turns; are its limits in degrees",
+        ),
+    ],
+)
+def test_limits_of_no_arm_are_refused(tmp_path: Path, limit: str, message: str) -> None:
+    with pytest.raises(SpecError, match=message) as caught:
+        own_arm_drafts(
+            changed(tmp_path, ELBOW, f"<limit {limit}/>"), tmp_path / "o.yaml", robot="o", name="o"
+        )
+    assert "continuous" in caught.value.hint
+
+
+def test_a_speed_that_no_joint_has_is_told_and_guessed(tmp_path: Path) -> None:
+    urdf = changed(tmp_path, ELBOW, ELBOW.replace('"3"', '"115"'))
+    (*_, draft), notes = own_arm_drafts(urdf, tmp_path / "own.yaml", robot="own", name="own")
+    assert notes[0] == (
+        "speed limits that no arm has (are they degrees per second?): A3 115 rad/s: not taken"
+    )
+    assert "the URDF has no speed limit for A3, A4, A5: guessed" in notes
+    draft.path.write_text(draft.text)
+    arm = load_arm(str(draft.path))
+    assert "qd_max" in arm.guessed
+    assert np.degrees(arm.qd_max[2]) == pytest.approx(90)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.05, 0.05), (2.3, 3.5), (-6, 6)])
+def test_programs_move_inside_the_limits_however_narrow(
+    tmp_path: Path, low: float, high: float
+) -> None:
+    limits = ELBOW.replace("-2.2", str(low)).replace('"2.2"', f'"{high}"')
+    urdf = changed(tmp_path, ELBOW, limits)
+    (*_, draft), _ = own_arm_drafts(urdf, tmp_path / "own.yaml", robot="own", name="own")
+    draft.path.write_text(draft.text)
+    arm = load_arm(str(draft.path))
+    assert low < arm.excite_min[2] < arm.excite_max[2] < high
 
 
 @pytest.mark.parametrize(

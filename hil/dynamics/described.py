@@ -126,6 +126,13 @@ def _require_bodies(path: Path, found: Described) -> None:
             f"{path}: {', '.join(empty)} weighs nothing, and nothing can be simulated so",
             hint="give every link an <inertial>, if only an estimate: it is a start, no truth",
         )
+    least, *_, most = np.linalg.eigvalsh(found.inertia).T
+    odd = [found.link_names[j] for j in np.flatnonzero(least < -PARALLEL * np.abs(most))]
+    if odd:
+        raise SpecError(
+            f"{path}: {', '.join(odd)} has an inertia that no body has",
+            hint="mend its <inertia>: ixx, iyy and izz are above 0, the others smaller",
+        )
 
 
 def _frames(
