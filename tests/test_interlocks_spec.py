@@ -191,7 +191,8 @@ def test_a_spec_survives_being_written_and_read_again() -> None:
         ),
         (
             "{kind: speed, limit_deg_s: [90, 90, 90, 50, 90, 90]}",
-            "interlocks.0.limit_deg_s: must be above the 60 °/s of excitation.max_velocity_deg_s",
+            "interlocks.0.limit_deg_s: must be above the 60 °/s of excitation.max_velocity_deg_s: "
+            "lower that one, or raise this one as far as the arm goes",
         ),
     ],
 )

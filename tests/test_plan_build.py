@@ -282,10 +282,10 @@ def test_limits_beyond_the_robots_are_all_told_with_figures() -> None:
     assert error.value.message.splitlines() == [
         "excitation.max_velocity_deg_s: 200 °/s is beyond the 180 °/s of shoulder_pan_joint",
         "excitation.max_acceleration_deg_s2: 900 °/s² is beyond the 800 °/s² of shoulder_pan_joint",
-        "excitation.range_deg[5]: -400° is beyond the -360° to 360° of wrist_3_joint",
-        "excitation.range_deg[5]: 400° is beyond the -360° to 360° of wrist_3_joint",
+        "excitation.range_deg.5: -400° is beyond the -360° to 360° of wrist_3_joint",
+        "excitation.range_deg.5: 400° is beyond the -360° to 360° of wrist_3_joint",
         "reference.q_deg: 3 angles, but the ur5 has 6 joints",
-        "loads[0].mass_kg: 7 kg is beyond the 5 kg the ur5 is rated for",
+        "loads.0.mass_kg: 7 kg is beyond the 5 kg the ur5 is rated for",
     ]
 
 

@@ -1,7 +1,11 @@
-"""Does the driver accept what the station says about its robot? Asked before anything connects."""
+"""Does the driver accept what the station says about its robot, and can its arm do what is asked?
+
+Asked before anything connects.
+"""
 
 from __future__ import annotations
 
+from hil.campaign.arm_check import require_within_reach
 from hil.campaign.experiment import Experiment
 from hil.errors import SpecError
 from hil.robot import Capabilities
@@ -15,6 +19,7 @@ def check_driver(experiment: Experiment) -> Capabilities:
 
     Raises:
         SpecError: The driver refuses its options; the message names the station's file and robot.
+            Or the arm cannot do what the spec asks; the message names every place in its file.
         PluginError: There is no such driver, or it does not load.
     """
     from hil.campaign.robots import opened
@@ -23,7 +28,7 @@ def check_driver(experiment: Experiment) -> Capabilities:
     place = f"{experiment.station_source}: robots.{name}"
     try:
         with opened(name, experiment.robot) as robot:
-            return robot.capabilities
+            can = robot.capabilities
     except SpecError as error:
         raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
     except (TypeError, ValueError) as error:
@@ -34,3 +39,5 @@ def check_driver(experiment: Experiment) -> Capabilities:
             f"({given}): {error}",
             hint="see the driver's documentation for its options",
         ) from error
+    require_within_reach(experiment, can)
+    return can

@@ -43,7 +43,9 @@ def appraise_excitation(
         rate_hz = robot.capabilities.rate_hz
     arm = plannable_arm(experiment.robot)
     if problems := excesses(spec, arm, rate_hz):
-        raise SpecError("\n".join(problems), hint="change these values, or take another robot")
+        raise SpecError(
+            "\n".join(map(str, problems)), hint="change these values, or take another robot"
+        )
     workspace = workspace_of(spec, experiment.robot, arm, rate_hz)
     roadmap, heard = roadmap_of(workspace), _Heard(watch)
     cache = user_cache(fresh=fresh)

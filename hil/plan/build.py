@@ -58,7 +58,9 @@ def build_plan(
     arm = plannable_arm(station_robot)
     rate = rate_hz or arm.rate_hz
     if problems := excesses(spec, arm, rate):
-        raise SpecError("\n".join(problems), hint="change these values, or take another robot")
+        raise SpecError(
+            "\n".join(map(str, problems)), hint="change these values, or take another robot"
+        )
     workspace = workspace_of(spec, station_robot, arm, rate)
     roadmap = roadmap_of(workspace)
     start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)

@@ -8,13 +8,15 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
+from hil.spec.judgeable import Excess
+from hil.spec.source import Path
 from hil.typing import FloatArray
 
 TOLERANCE = 1e-9
 
 
-def excesses(spec: ExperimentSpec, arm: ArmDescription, robot_hz: float) -> list[str]:
-    """One line per value of `spec` that the robot cannot do, beginning with its key.
+def excesses(spec: ExperimentSpec, arm: ArmDescription, robot_hz: float) -> list[Excess]:
+    """One for every value of `spec` that the robot cannot do.
 
     Args:
         spec: What is asked.
@@ -27,8 +29,11 @@ def excesses(spec: ExperimentSpec, arm: ArmDescription, robot_hz: float) -> list
         *_beyond_range(spec.excitation, arm),
         *_reference(spec, arm),
         *(
-            f"loads[{i}].mass_kg: {load.mass_kg:g} kg is beyond the {arm.payload_max_kg:g} kg "
-            f"the {arm.name} is rated for"
+            Excess(
+                ("loads", i, "mass_kg"),
+                f"{load.mass_kg:g} kg is beyond the {arm.payload_max_kg:g} kg the {arm.name} "
+                "is rated for",
+            )
             for i, load in enumerate(spec.loads)
             if load.mass_kg > arm.payload_max_kg
         ),
@@ -43,16 +48,17 @@ def draw_range(excitation: Dwell | Fourier, arm: ArmDescription) -> tuple[FloatA
     return low, high
 
 
-def _other_rate(spec: ExperimentSpec, robot_hz: float) -> Iterator[str]:
+def _other_rate(spec: ExperimentSpec, robot_hz: float) -> Iterator[Excess]:
     asked = spec.record.rate_hz
     if asked is not None and abs(asked - robot_hz) > 1e-6 * robot_hz:
-        yield (
-            f"record.rate_hz: {asked:g} Hz, but the robot runs at {robot_hz:g} Hz: "
-            "leave it out, or set the rate in the station's options"
+        yield Excess(
+            ("record", "rate_hz"),
+            f"{asked:g} Hz, but the robot runs at {robot_hz:g} Hz: "
+            "leave it out, or set the rate in the station's options",
         )
 
 
-def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]:
+def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[Excess]:
     for key, asked, unit, limits in (
         ("max_velocity_deg_s", excitation.max_velocity_deg_s, "°/s", arm.qd_max),
         ("max_acceleration_deg_s2", excitation.max_acceleration_deg_s2, "°/s²", arm.qdd_max),
@@ -60,38 +66,43 @@ def _too_fast(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]
         weakest = int(np.argmin(limits))
         most = float(np.degrees(limits[weakest]))
         if asked > most * (1 + TOLERANCE):
-            yield (
-                f"excitation.{key}: {asked:g} {unit} is beyond the {most:g} {unit} "
-                f"of {arm.joint_names[weakest]}"
+            yield Excess(
+                ("excitation", key),
+                f"{asked:g} {unit} is beyond the {most:g} {unit} of {arm.joint_names[weakest]}",
             )
 
 
-def _beyond_range(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[str]:
+def _beyond_range(excitation: Dwell | Fourier, arm: ArmDescription) -> Iterator[Excess]:
     if excitation.range_deg is None:
         return
     if len(excitation.range_deg) != arm.n_joints:
-        yield (
-            f"excitation.range_deg: {len(excitation.range_deg)} ranges, "
-            f"but the {arm.name} has {arm.n_joints} joints"
+        yield Excess(
+            ("excitation", "range_deg"),
+            f"{len(excitation.range_deg)} ranges, but the {arm.name} has {arm.n_joints} joints",
         )
         return
     for i, (low, high) in enumerate(excitation.range_deg):
-        yield from _outside(f"excitation.range_deg[{i}]", (low, high), i, arm)
+        yield from _outside(("excitation", "range_deg", i), (low, high), i, arm)
 
 
-def _reference(spec: ExperimentSpec, arm: ArmDescription) -> Iterator[str]:
+def _reference(spec: ExperimentSpec, arm: ArmDescription) -> Iterator[Excess]:
     q_deg = spec.reference.q_deg
     if q_deg is None:
         return
     if len(q_deg) != arm.n_joints:
-        yield f"reference.q_deg: {len(q_deg)} angles, but the {arm.name} has {arm.n_joints} joints"
+        yield Excess(
+            ("reference", "q_deg"),
+            f"{len(q_deg)} angles, but the {arm.name} has {arm.n_joints} joints",
+        )
         return
     for i, angle in enumerate(q_deg):
-        yield from _outside(f"reference.q_deg[{i}]", (angle,), i, arm)
+        yield from _outside(("reference", "q_deg", i), (angle,), i, arm)
 
 
-def _outside(key: str, angles: Sequence[float], i: int, arm: ArmDescription) -> Iterator[str]:
+def _outside(path: Path, angles: Sequence[float], i: int, arm: ArmDescription) -> Iterator[Excess]:
     low, high = float(np.degrees(arm.q_min[i])), float(np.degrees(arm.q_max[i]))
     for angle in angles:
         if not low - TOLERANCE <= angle <= high + TOLERANCE:
-            yield (f"{key}: {angle:g}° is beyond the {low:g}° to {high:g}° of {arm.joint_names[i]}")
+            yield Excess(
+                path, f"{angle:g}° is beyond the {low:g}° to {high:g}° of {arm.joint_names[i]}"
+            )

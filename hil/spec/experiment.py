@@ -261,6 +261,9 @@ class ExperimentSpec(Strict):
             if not (isinstance(interlock, SpeedInterlock) and interlock.enabled):
                 continue
             if lowest(interlock.limit_deg_s) <= fastest:
-                message = f"must be above the {fastest:g} °/s of excitation.max_velocity_deg_s"
+                message = (
+                    f"must be above the {fastest:g} °/s of excitation.max_velocity_deg_s: lower "
+                    "that one, or raise this one as far as the arm goes"
+                )
                 raise mistake(message, "interlocks", i, "limit_deg_s")
         return self

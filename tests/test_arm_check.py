@@ -1,0 +1,64 @@
+"""`hil validate` against the arm itself: what a plan or a run would refuse, with its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hil.campaign.driver_check import check_driver
+from hil.campaign.experiment import load_experiment
+from hil.cli.app import app
+from hil.errors import SpecError
+
+SPEC = """\
+hil: 1
+name: asked
+robot: ur5
+excitation:
+  kind: fourier
+  max_velocity_deg_s: 6000
+  range_deg: [[-90, 90], [-90, 90]]
+loads: [{mass_kg: 7}]
+accept: {rmse: {max: 1, unit: Nm}}
+"""
+
+
+def refused(text: str, tmp_path: Path, *words: str) -> list[str]:
+    (tmp_path / "s.yaml").write_text(text)
+    error = CliRunner().invoke(app, ["validate", str(tmp_path / "s.yaml"), *words]).exception
+    assert isinstance(error, SpecError)
+    return error.message.replace(str(tmp_path / "s.yaml"), "s").splitlines()
+
+
+def test_all_that_the_arm_cannot_do_is_told_at_once_with_places(tmp_path: Path) -> None:
+    assert refused(SPEC, tmp_path) == [
+        "s:6:23: excitation.max_velocity_deg_s: "
+        "6000 °/s is beyond the 180 °/s of shoulder_pan_joint",
+        "s:7:14: excitation.range_deg: 2 ranges, but the ur5 has 6 joints",
+        "s:8:19: loads.0.mass_kg: 7 kg is beyond the 5 kg the ur5 is rated for",
+        "s:9:31: accept.rmse.unit: the limit is in Nm, but ur5 measures a current in A: "
+        "give the limit in A",
+    ]
+
+
+def test_a_value_of_the_command_line_is_told_at_its_option(tmp_path: Path) -> None:
+    fine = SPEC.split("  max_velocity")[0]
+    told = refused(fine, tmp_path, "--set", "excitation.max_velocity_deg_s=1e9")
+    assert len(told) == 1
+    assert told[0].startswith("--set 1: excitation.max_velocity_deg_s: 1e+09 °/s is beyond the 180")
+
+
+def test_a_spec_without_a_file_is_told_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "s.yaml").write_text(SPEC)
+    experiment = replace(load_experiment(tmp_path / "s.yaml"), spec_source="")
+    with pytest.raises(SpecError, match=r"(?m)^asked: excitation\.max_velocity_deg_s: 6000"):
+        check_driver(experiment)
+
+
+def test_an_interlock_below_the_speed_is_not_to_be_raised_beyond_the_arm(tmp_path: Path) -> None:
+    text = SPEC + "interlocks: [{kind: speed, limit_deg_s: 90}]\n"
+    [told] = refused(text, tmp_path)
+    assert "lower that one, or raise this one as far as the arm goes" in told
