@@ -46,6 +46,13 @@ accept: {gaps_percent: {max: 50}}
 FITTED = SPEC.replace("waypoints: 4", "waypoints: 12") + "fit: [{estimator: static-wls}]\n"
 
 
+class Noted:
+    """An observer that keeps what it is told."""
+
+    def __init__(self, told: list[dict[str, Any]]) -> None:
+        self.notify = told.append
+
+
 def small_spec(folder: Path, text: str = SPEC) -> Path:
     path = folder / "small.yaml"
     path.write_text(text, "utf-8")
@@ -109,8 +116,14 @@ def test_a_stopped_run_goes_on_and_is_judged(
     before = measured(run)
     assert before
     assert before < all_steps(run)
-    report = hil.resume(run)
+    told: list[dict[str, Any]] = []
+    report = hil.resume(run, observers=[Noted(told)])
     assert report.error is None
+    stages = [event["stage"] for event in told if event["kind"] == "stage"]
+    assert [text.partition(",")[0] for text in stages if "on purpose" in text] == [
+        "warming up again"
+    ]
+    assert {event["resumed"] for event in told if event["kind"] == "progress"} == {1}
     assert report.outcome == "completed"
     assert report.run == run
     assert measured(run) == all_steps(run)

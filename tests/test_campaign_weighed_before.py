@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_campaign_resume import Told, measured, plan_of, plan_of_spec, stopped_run
+from test_campaign_resume import Noted, Told, measured, plan_of, plan_of_spec, stopped_run
 
 import hil
 from hil.campaign.run import RunReport
@@ -95,8 +95,10 @@ def test_the_right_load_passes_and_the_run_is_completed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan
 ) -> None:
     run = stopped_run(tmp_path, monkeypatch, of_load(plan, 0, "dwell")[1].index, SWEEP)
-    assert hil.resume(run).outcome == "completed"
+    told: list[dict[str, Any]] = []
+    assert hil.resume(run, observers=[Noted(told)]).outcome == "completed"
     assert weighings(run) == [(0, "first"), (0, "passed"), (1, "passed")]
+    assert any(str(event.get("stage")).startswith("weighing again, on purpose") for event in told)
 
 
 def test_a_load_left_on_is_found_and_taking_it_off_helps(

@@ -73,6 +73,13 @@ def on_terminal(
 END = (progress(39, device_s=100.0, wall_s=2.0), state("stopping"), state("done", "completed"))
 
 
+def test_of_a_run_that_was_gone_on_with_it_is_told_of_what_the_share_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    terminal = on_terminal(monkeypatch, progress(10, resumed=1))
+    assert terminal.shown == [" 25 % of what was left  step 11/40 dwell, pose 17  60.0 s left"]
+
+
 def test_the_line_says_how_far_where_and_how_long(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_terminal(monkeypatch, progress(10))
     assert terminal.shown == [" 25 %  step 11/40 dwell, pose 17  60.0 s left"]

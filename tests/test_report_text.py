@@ -206,6 +206,7 @@ def test_a_resumed_run_tells_of_its_last_attempt(tmp_path):
     text = " ".join(" ".join(summary_lines(run.path)).split())
     assert "The run was stopped early: another reason" in text
     assert "why" not in text
+    assert f"program {stop['steps_done']} of {len(fourier_plan())} steps, in 2 attempts" in text
 
 
 def test_a_narrow_terminal_gets_narrow_lines(tmp_path):

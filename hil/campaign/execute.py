@@ -120,7 +120,7 @@ def _engine(
         measured=_weighing(attempt, robot, sink, attendance).measured,
         health=sink.health,
         stale_after_s=interlocks.stale_after_s,
-        steps=len(attempt.plan),
+        steps=len(attempt.plan) if attempt.number else None,
     )
     live = LiveState(directory.path, ArmView(robot.capabilities, interlocks))
     attendance.until_judged.callback(live.close)

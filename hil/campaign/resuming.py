@@ -6,7 +6,7 @@ import contextlib
 import os
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -147,6 +147,8 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             attendance.stage(
                 f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
             )
+            for text in _repeated(unfinished, todo, cold=cold):
+                attendance.stage(text)
             attempt = Attempt(directory, number, experiment, plan, todo, before)
             return execute(attempt, robot, attendance)
 
@@ -161,6 +163,17 @@ def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool
     again = bool(weighed) and not is_whole(weighed)
     left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
     return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
+
+
+def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
+    """What is done once more, and why: a program that seems to begin anew worries people."""
+    kinds = {step.kind for step in todo}
+    weighs = {step.load for step in todo if step.kind == "weigh"}
+    events = unfinished.directory.events()
+    if any(e.get("kind") == "weighing" and e.get("load") in weighs for e in events):
+        yield "weighing again, on purpose: nobody knows what was done to the load meanwhile"
+    if cold and "warmup" in kinds and unfinished.complete.done:
+        yield "warming up again, on purpose: the arm may have cooled down meanwhile"
 
 
 def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:

@@ -17,7 +17,7 @@ from hil.engine.observers import Event
 from hil.excite.setting import Advance
 from hil.identify.training_loop.problem import Told
 from hil.live.standing import ENDING, PAUSED, Standing
-from hil.live.words import answer_words, state_words, step_words
+from hil.live.words import answer_words, share_words, state_words, step_words
 from hil.preflight.robot_checks import OWN
 from hil.study.base import Ended
 
@@ -153,7 +153,7 @@ def _which(event: Event) -> tuple[int, int, str]:
 
 def _progress(run: Standing) -> str:
     """What matters most comes first: a narrow terminal cuts the end."""
-    parts = [f"{100 * run.share:3.0f} %"]
+    parts = [share_words(run)]
     if run.waits:
         parts += ["waiting for an answer" if run.prompt else state_words(run)]
     parts += [*run.troubles, step_words(run)]
@@ -167,7 +167,8 @@ def _done(run: Standing) -> str:
     parts = [
         "100 %",
         *run.troubles,
-        f"{run.steps} steps in {duration(run.wall_s)}",
+        f"{f'all {run.steps} steps, the rest' if run.resumed else f'{run.steps} steps'}"
+        f" in {duration(run.wall_s)}",
         f"{duration(run.device_s)} of motion{f', {speed}' if speed else ''}",
     ]
     return "  ".join(parts)

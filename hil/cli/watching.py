@@ -13,7 +13,7 @@ from hil.cli.output import duration, fold
 from hil.holder import plain
 from hil.live.log_words import MOST, words_of
 from hil.live.standing import ENDING, Standing
-from hil.live.words import state_words, step_words
+from hil.live.words import share_words, state_words, step_words
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0
@@ -83,7 +83,7 @@ def live_line(view: Item) -> str:
         return run.stage if run.state == "done" and run.stage else state_words(run)
     if run.state != "running":
         return "  ".join([state_words(run), *run.troubles, where])
-    parts = [f"{100 * run.share:3.0f} %", *run.troubles, where, _left(view, run)]
+    parts = [share_words(run), *run.troubles, where, _left(view, run)]
     return "  ".join(parts)
 
 

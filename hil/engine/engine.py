@@ -57,7 +57,8 @@ class Engine:
         measured: Is given the settled rows of every dwell; may raise.
         health: How the recording is doing, for progress events.
         stale_after_s: How long the state may stand still [s]; None for the default.
-        steps: Of how many steps observers are told; those of the plan by default.
+        steps: Of how many steps observers are told, where the plan is what was left of so many;
+            those of the plan by default.
     """
 
     def __init__(

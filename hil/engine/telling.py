@@ -49,7 +49,7 @@ class Telling:
         plan: What is executed.
         observers: Who is told.
         health: How the recording is doing.
-        steps: Of how many steps to speak; those of the plan by default.
+        steps: Of how many steps to speak; those of the plan by default, which is then all of it.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class Telling:
         self._observers = observers
         self._health = health
         self._steps = steps or len(plan)
+        self._resumed = int(steps is not None)
         self._step: Step | None = None
         self._progress = Progress()
         self._next = 0.0
@@ -117,6 +118,7 @@ class Telling:
                 "device_s": done.last - done.first,
                 "wall_s": self.wall_s,
                 "duration_s": self._plan.duration_s,
+                "resumed": self._resumed,
                 "samples": done.samples,
                 "state": str(self._state),
                 **self._health(),

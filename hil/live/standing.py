@@ -34,6 +34,7 @@ class Standing:
         prompt: What the operator is being asked, empty while nothing.
         asked: Number of the newest prompt of this attempt, from 1; 0 where nobody has counted.
         paused_s: Device time spent paused or waiting for an answer [s].
+        resumed: 1 where the run was gone on with: times and shares are of what was left then.
     """
 
     stage: str = ""
@@ -58,6 +59,7 @@ class Standing:
     prompt: str = ""
     asked: int = 0
     paused_s: float = 0.0
+    resumed: int = 0
 
     def take(self, event: Mapping[str, Any]) -> None:
         """Learn from an event; keys it lacks keep their value, kinds it does not know are left."""

@@ -55,6 +55,12 @@ def step_words(standing: Standing) -> str:
     return f"step {standing.step + 1}/{standing.steps} {doing}".rstrip()
 
 
+def share_words(standing: Standing) -> str:
+    """` 12 %`; of a run that was gone on with ` 12 % of what was left`."""
+    of = " of what was left" if standing.resumed else ""
+    return f"{100 * standing.share:3.0f} %{of}"
+
+
 def _of_what(standing: Standing) -> tuple[tuple[str, int], ...]:
     load = standing.load if standing.doing in ("payload", "weigh") else -1
     return ("pose", standing.pose), ("trajectory", standing.trajectory), ("load", load)

@@ -127,11 +127,12 @@ def _details(facts: RunFacts) -> list[tuple[str, str]]:
 
 
 def _program(facts: RunFacts) -> str:
-    # What a resumed attempt counts are its own steps, which say nothing about the program.
-    if not facts.steps or facts.stop.get("attempt"):
+    if not facts.steps:
         return ""
+    resumed = facts.stop.get("attempt")
+    attempts = f", in {resumed + 1} attempts" if isinstance(resumed, int) and resumed else ""
     ended = f"; ended in {facts.ended_in}" if facts.ended_in else ""
-    return f"{facts.steps_done} of {len(facts.steps)} steps{ended}"
+    return f"{facts.steps_done} of {len(facts.steps)} steps{attempts}{ended}"
 
 
 def _labelled(label: str, value: str, width: int) -> list[str]:

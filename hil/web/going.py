@@ -78,6 +78,7 @@ def _header(run: Path, settings: Settings) -> dict[str, Any]:
             "text": "its live view cannot be read",
             "asks": False,
             "percent": 0,
+            "done": "0 %",
             "left": "",
             "silent": "",
             "over": False,

@@ -19,7 +19,7 @@ from hil.errors import HilError
 from hil.holder import plain
 from hil.live.log_words import words_of
 from hil.live.standing import ENDING, PAUSED, Standing
-from hil.live.words import state_words, step_words
+from hil.live.words import share_words, state_words, step_words
 from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
 from hil.report.measures import measures
@@ -96,6 +96,7 @@ def header_of(run: Path, settings: Settings) -> Document:
         "asks": bool(run_now.prompt),
         "silent": bool(silent),
         "percent": round(100 * run_now.share),
+        "done": share_words(run_now).strip(),
         "left": _left(run_now, _mapping(view.get("arm"))),
         "over": run_now.state == "done",
     }
@@ -109,7 +110,7 @@ def _shown(run: Path, view: Document, live: bool) -> Document:
     margins = [each for each in _listed(view.get("interlocks")) if isinstance(each, dict)]
     texts = {
         "headline": _headline(now, run) if live else _ended(run),
-        "percent": f"{100 * now.share:.0f} %" if now.steps else NOT_KNOWN,
+        "percent": share_words(now).strip() if now.steps else NOT_KNOWN,
         "left": _left(now, arm) if live else NOT_KNOWN,
         "doing": step_words(now) or now.stage or NOT_KNOWN,
         "samples": f"{now.samples:,}".replace(",", " "),

@@ -59,7 +59,7 @@ function showPlanned(all) {
 
 function showRun(element, run) {
   const how = element.querySelector(".how");
-  setText(how, run.over ? run.text : `${run.percent} % · ${run.text}`);
+  setText(how, run.over ? run.text : `${run.done} · ${run.text}`);
   how.classList.toggle("asks", run.asks);
   how.classList.toggle("silent", run.silent);
   element.querySelector(".stop")?.setAttribute("aria-disabled", String(run.over));
@@ -76,7 +76,7 @@ function showOverview(runs) {
     const text = card.querySelector(".text");
     setText(text, run.text);
     text.classList.toggle("silent", run.silent);
-    setText(card.querySelector(".left"), `${run.percent} %, ${run.left}`);
+    setText(card.querySelector(".left"), `${run.done}, ${run.left}`);
     card.querySelector("progress").value = run.percent;
   });
 }
