@@ -64,6 +64,12 @@ def test_specs_and_stations_of_the_folder_are_offered_and_nothing_else(desk: Des
     ]  # fmt: skip
 
 
+def test_the_page_says_which_folder_is_offered_and_how_to_offer_another(desk: Desk) -> None:
+    text = desk.browser.get("/start").text
+    assert f"<code>{desk.settings.specs}</code>" in text
+    assert "<code>hil serve --specs FOLDER</code>" in text
+
+
 def test_checking_shows_the_plan_and_moves_nothing(desk: Desk) -> None:
     answer = desk.post(do="check", overrides="excitation.waypoints=8")
     assert answer.status_code == 200

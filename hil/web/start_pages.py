@@ -134,6 +134,7 @@ def _form(
         status=status,
         specs=offered(settings, "experiment", "series"),
         stations=offered(settings, "station"),
+        folder=settings.specs and settings.specs.resolve(),
         given={key: given.get(key, "") for key in FIELDS},
         speeds=SPEEDS,
         error=error,
