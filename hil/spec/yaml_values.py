@@ -88,6 +88,8 @@ def _composed(text: str, name: str) -> yaml.Node | None:
         return loader.get_single_node()
     except yaml.MarkedYAMLError as error:
         mark, message = _plain_words(error)
+        if message == _COLON and mark is not None and _is_a_key(text, mark):
+            message = "this line is indented differently from the line above"
         raise refuse([Problem(mark_of(mark or loader.get_mark(), name), (), message)]) from None
     # PyYAML lets Python's own errors through for escapes and directives out of range.
     except (ValueError, OverflowError):
@@ -107,6 +109,23 @@ def _plain_words(error: yaml.MarkedYAMLError) -> tuple[yaml.Mark | None, str]:
     return error.problem_mark or error.context_mark, meaning or shown(error.problem or "not YAML")
 
 
+def _is_a_key(text: str, mark: yaml.Mark) -> bool:
+    """Whether a ':' is the first of a line that is further in than what the line above begins."""
+    lines = text.splitlines()[: mark.line + 1]
+    line, above = lines[-1], [one for one in lines[:-1] if one.strip() and one.strip()[0] != "#"]
+    if not above or not _KEY.fullmatch(line[: mark.column]):
+        return False
+    return _indent(line) != _indent(above[-1])
+
+
+def _indent(line: str) -> int:
+    """Column where the text of a line begins, behind the dashes of lists."""
+    return len(line) - len(line.lstrip(" -"))
+
+
+_KEY = re.compile(r" *[\w.-]+ *")
+_COLON = "a ':' that does not fit here: quote text that holds ': '"
+
 _AT_THE_START = (
     ("could not find expected ':'", "this is neither a key with ':' nor a value of one"),
     ("found unexpected end of stream", "a quote is opened here and never closed"),
@@ -117,7 +136,7 @@ _AT_THE_START = (
 _AT_THE_END = (
     ("'\\t'", "a tab: YAML is indented with spaces"),
     ("found another document", "a second document: only one per file, remove the '---'"),
-    ("mapping values are not allowed", "a ':' that does not fit here: quote text that holds ': '"),
+    ("mapping values are not allowed", _COLON),
     ("expected <block end>", "this continues nothing that stands above: check the indentation"),
     ("found undefined alias", "the alias refers to an anchor that is not defined above"),
     ("expected ',' or '}'", "a ',' or '}' is missing before this"),
