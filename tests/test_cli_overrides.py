@@ -149,3 +149,16 @@ def test_files_that_name_specs_take_none(spec: Path) -> None:
 
 def test_scripts_have_them_too(spec: Path) -> None:
     assert hil.load(spec, overrides={"excitation.seed": "9"}).spec.excitation.seed == 9
+
+
+def test_what_an_option_makes_wrong_elsewhere_is_told_with_the_option(spec: Path) -> None:
+    spec.write_text(SPEC + "validate: {hold_out: {trajectories: 2}}\nrobots: 1\n")
+    told = refused("validate", "spec.yaml", "--set", "excitation.trajectories=2").splitlines()
+    assert told == ["spec.yaml:8:1: robots: unknown key; did you mean 'robot'?"]
+
+    spec.write_text(SPEC + "validate: {hold_out: {trajectories: 2}}\n")
+    told = refused("validate", "spec.yaml", "--set", "excitation.trajectories=2").splitlines()
+    assert told == [
+        "spec.yaml:7:37: validate.hold_out.trajectories: holds out 2 of 2 trajectories and leaves "
+        "none to fit on (with --set excitation.trajectories=2)"
+    ]

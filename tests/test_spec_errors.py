@@ -221,8 +221,8 @@ AT_THE_TOP = [
     ),
     (
         "interlocks: [{kind: speed, limit_deg_s: 60}]",
-        "6:41: interlocks.0.limit_deg_s: must be above the 60 °/s of excitation.max_velocity_deg_s: "
-        "lower that one, or raise this one as far as the arm goes",
+        "6:41: interlocks.0.limit_deg_s: must be above the 60 °/s of "
+        "excitation.max_velocity_deg_s: lower that one, or raise this one as far as the arm goes",
     ),
     (
         "interlocks: [{kind: speed, limit_deg_s: 90, action: pause}]",
@@ -553,7 +553,7 @@ def test_a_limit_in_another_unit_than_the_robots_effort_is_refused(
     if fine:
         require_judgeable(spec, kind)
         return
-    with pytest.raises(SpecError, match="unit: the limit is in A, but ur5 measures a torque in N·m"):
+    with pytest.raises(SpecError, match="the limit is in A, but ur5 measures a torque in N·m"):
         require_judgeable(spec, kind)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
@@ -24,7 +25,7 @@ from hil.spec.messages import explain
 from hil.spec.model_tree import key_above
 from hil.spec.overrides import lay_over
 from hil.spec.quantities import Strict
-from hil.spec.source import MOST_PROBLEMS, Problem, Source, dotted, refuse
+from hil.spec.source import MOST_PROBLEMS, Problem, Source, dotted, refuse, shown
 from hil.spec.station import Station, StationRobot
 from hil.spec.yaml_source import parse, read_source
 from hil.suggest import did_you_mean
@@ -113,7 +114,37 @@ def _spec(
     source: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
 ) -> ExperimentSpec:
     refuse_other_kind(source, "hil")
+    as_written = deepcopy(source) if overrides else source
     lay_over(source, overrides)
+    try:
+        return _checked(source, folder, look_up)
+    except SpecError as error:
+        if not overrides:
+            raise
+        told = _with_overrides(error.message, as_written, folder, overrides, look_up)
+        raise SpecError(told, hint=error.hint) from None
+
+
+def _with_overrides(
+    told: str, as_written: Source, folder: FilePath, overrides: Mapping[str, str], look_up: bool
+) -> str:
+    """The lines of an error, with the overrides where the file as written has none such."""
+    try:
+        _checked(as_written, folder, look_up)
+        before = set()
+    except SpecError as error:
+        before = set(error.message.splitlines())
+    laid = ", ".join(f"{shown(key)}={shown(text)}" for key, text in overrides.items())
+    return "\n".join(
+        f"{line} (with --set {laid})"
+        if line.startswith(f"{as_written.name}:") and line not in before
+        else line
+        for line in told.splitlines()
+    )
+
+
+def _checked(source: Source, folder: FilePath, look_up: bool) -> ExperimentSpec:
+    """The spec of what a file says."""
     if look_up:
         check_estimators(source)
         check_studies(source)
