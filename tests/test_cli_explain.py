@@ -123,3 +123,18 @@ def vars_of(info: KeyInfo) -> dict[str, str]:
 
 def test_the_longer_path_is_found_by_its_end() -> None:
     assert explain_key("hold_out.seed") == explain_key("validate.hold_out.seed")
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("waypoint", "waypoints"),
+        ("dwel_s", "dwell_s"),
+        ("hold_ot", "hold_out"),
+    ],
+)
+def test_a_slip_in_the_end_of_a_path_is_guessed(typed: str, meant: str) -> None:
+    error = invoke(typed).exception
+    assert isinstance(error, SpecError)
+    assert error.hint == f"did you mean {meant!r}?"
+    assert told(meant)

@@ -78,10 +78,17 @@ def explain_key(path: str) -> list[KeyInfo]:
     ]
     found = [info for info in known if _ends_in(info, wanted)]
     if not found:
-        match = closest(".".join(wanted), sorted({info.path for info in known}))
+        match = _meant(wanted, sorted({info.path for info in known}))
         hint = f"did you mean {match!r}?" if match else "all keys: docs/reference/spec.md"
         raise SpecError(f"no spec has the key {'.'.join(wanted)!r}", hint=hint)
     return [info for info in found if info.path.count(".") == len(wanted) - 1] or found
+
+
+def _meant(wanted: Sequence[str], paths: Sequence[str]) -> str | None:
+    """The path, or the end of one, that a person most likely meant."""
+    typed = ".".join(wanted)
+    ends = {".".join(path.split(".")[-len(wanted) :]) for path in paths}
+    return closest(typed, paths) or closest(typed, sorted(ends))
 
 
 def section_of(info: KeyInfo) -> str:
