@@ -148,6 +148,37 @@ def test_a_spec_whose_robot_is_at_a_station_beside_it_says_which(here: Path) -> 
     assert "did you mean" not in missed.hint or "left" in missed.hint
 
 
+@pytest.mark.parametrize("robot", ["lab6", "panda", "lab6_can"])
+def test_an_own_arm_is_not_called_as_a_built_in_one(robot: str) -> None:
+    Path(f"{robot}.urdf").write_text(URDF.read_text())
+    words = ("own-urdf", "--urdf", f"{robot}.urdf")
+    error = refused(*words)
+    assert f"'{robot}' is a built-in robot" in error.message
+    assert [path.name for path in Path().iterdir()] == [f"{robot}.urdf"]
+    option = error.hint.partition(": ")[2].split()
+    assert told(*words, *option)["files"][0] == f"my-{robot}.yaml"
+
+
+@pytest.mark.parametrize("verb", ["validate", "plan", "run"])
+def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
+    verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def enough(*_: object) -> None:
+        raise SpecError("enough")
+
+    monkeypatch.setattr("hil.campaign.driver_check.check_driver", enough)
+    monkeypatch.setattr("hil.cli.attended.Attended.run", enough)
+    (spec, *_) = written("dwell")
+    Path("mine-station.yaml").write_text(
+        "hil_station: 1\nname: mine\nrobots:\n  ur5: {driver: mock, model: ur5}\n"
+    )
+    assert invoke(verb, str(spec)).stderr.splitlines()[0] == (
+        "warning: ur5 of the built-in mock bench is taken; a station beside the spec has one, too: "
+        "--station mine-station.yaml"
+    )
+    assert "warning" not in invoke(verb, str(spec), "--station", "mine-station.yaml").stderr
+
+
 def test_a_schedule_is_lived_through_on_the_mock() -> None:
     schedule, *_ = written("re-identify")
     done = invoke("run", str(schedule), "--simulate", "1min", "--json")

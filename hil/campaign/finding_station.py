@@ -67,6 +67,23 @@ def stations_in(folder: Path, robot: str) -> list[Path]:
     return found
 
 
+def passed_over(source: str, spec: Path, robot: str) -> str:
+    """What to say where the bench of mocks was chosen, and a station beside the spec has its robot.
+
+    Args:
+        source: What `find_station` chose.
+        spec: The spec's file.
+        robot: Its robot.
+    """
+    found = stations_in(spec.parent, robot) if source == BUILT_IN else []
+    if not found:
+        return ""
+    return (
+        f"{robot} of the {BUILT_IN} is taken; a station beside the spec has one, too: "
+        f"--station {' or '.join(map(str, found))}"
+    )
+
+
 def mock_bench() -> Station:
     """A bench with every built-in arm that the embedded mock can be, seed 0, and `lab6_can`.
 

@@ -26,12 +26,18 @@ SetOption = Annotated[
 def load_with(spec: Path, station: Path | None, given: Sequence[str] | None) -> Experiment:
     """The experiment of a spec with the values of `--set`.
 
+    Warns on stderr where the built-in bench is taken and a station beside the spec has its robot.
+
     Raises:
         SpecError: As `hil.load`; what is wrong with a value is told at its option.
     """
     from hil.campaign.experiment import load_experiment
+    from hil.campaign.finding_station import passed_over
 
-    return load_experiment(spec, station, _overrides(given or ()))
+    experiment = load_experiment(spec, station, _overrides(given or ()))
+    if told := passed_over(experiment.station_source, spec, experiment.spec.robot):
+        typer.echo(f"warning: {told}", err=True)
+    return experiment
 
 
 def refuse_set(given: Sequence[str] | None, what: str) -> None:

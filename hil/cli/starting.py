@@ -70,6 +70,7 @@ def new(
     if urdf is not None:
         from hil.own_arm import own_arm_drafts
 
+        _require_own_name(robot)
         made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
     elif kind == "station":
         model, notes = _model_of(robot)
@@ -95,6 +96,18 @@ def _require_name(option: str, name: str) -> None:
             f"{option} {name!r}: a name has letters, digits and `_.-`, and begins with a letter or "
             "a digit",
             hint=f"give another {option}",
+        )
+
+
+def _require_own_name(robot: str) -> None:
+    """Refuse the name of a built-in robot: where --station is left out that one would be taken."""
+    from hil.arms import arm_names
+    from hil.campaign.finding_station import mock_bench
+
+    if robot in {*mock_bench().robots, *arm_names()}:
+        raise SpecError(
+            f"{robot!r} is a built-in robot, which would be taken wherever --station is left out",
+            hint=f"give yours another name: --robot my-{robot}",
         )
 
 
