@@ -59,10 +59,15 @@ def own_arm_drafts(
         Draft(station, render("own-urdf.station", words)),
         Draft(arm, text),
     ]
-    return drafts, odd + _notes(found, arm)
+    return drafts, odd + _notes(found, arm, station)
 
 
-def _notes(found: Described, arm: Path) -> list[str]:
+def can_be_mocked(drafts: list[Draft]) -> bool:
+    """Whether the mock has drives for the arm that `own_arm_drafts` described."""
+    return len(yaml.safe_load(drafts[-1].text)["joints"]) == MOCKED_JOINTS
+
+
+def _notes(found: Described, arm: Path, station: Path) -> list[str]:
     notes = [f"joints: {', '.join(found.joint_names)}"]
     for what, lacks in silent(found).values():
         joints = [found.joint_names[j] for j in np.flatnonzero(lacks)]
@@ -74,7 +79,8 @@ def _notes(found: Described, arm: Path) -> list[str]:
     if len(found.mass) != MOCKED_JOINTS:
         notes.append(
             f"the mock has drives for {MOCKED_JOINTS} joints and cannot be this arm of "
-            f"{len(found.mass)}; another driver can"
+            f"{len(found.mass)}: `hil validate`, `plan` and `run` work once {station} names "
+            "another driver, see docs/how-to/add-a-driver.md"
         )
     return notes
 

@@ -179,6 +179,23 @@ def test_a_built_in_robot_in_place_of_that_of_a_station_beside_is_told(
     assert "warning" not in invoke(verb, str(spec), "--station", "mine-station.yaml").stderr
 
 
+def test_an_arm_that_the_mock_cannot_be_is_not_sent_to_commands_that_refuse_it() -> None:
+    fixed = '<joint name="bolted" type="fixed">'
+    assert fixed in URDF.read_text()
+    turns = '<joint name="A7" type="revolute"><limit lower="-2" upper="2" effort="9" velocity="3"/>'
+    Path("seven.urdf").write_text(URDF.read_text().replace(fixed, turns))
+    made = json.loads(invoke("new", "own-urdf", "--urdf", "seven.urdf", "--json").stdout)
+    assert (
+        "cannot be this arm of 7: `hil validate`, `plan` and `run` work once" in made["notes"][-1]
+    )
+    assert made["next"] == ["hil plugins"]
+    for command in made["next"]:
+        assert invoke(*command.split()[1:]).exit_code == 0
+    error = invoke("validate", "seven.yaml", "--station", "seven-station.yaml").exception
+    assert isinstance(error, SpecError)
+    assert "name another driver in the station" in error.hint
+
+
 def test_a_schedule_is_lived_through_on_the_mock() -> None:
     schedule, *_ = written("re-identify")
     done = invoke("run", str(schedule), "--simulate", "1min", "--json")

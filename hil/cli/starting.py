@@ -67,11 +67,13 @@ def new(
     _require_name("--robot", robot)
     _require_name("--name", name := name or "bench")
     notes: list[str] = []
+    commands = _next(kind, path)
     if urdf is not None:
-        from hil.own_arm import own_arm_drafts
+        from hil.own_arm import can_be_mocked, own_arm_drafts
 
         _require_own_name(robot)
         made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
+        commands = commands if can_be_mocked(made) else ["hil plugins"]  # has the drivers
     elif kind == "station":
         model, notes = _model_of(robot)
         made = drafts(kind, path, robot=robot, name=name, model=model)
@@ -79,7 +81,7 @@ def new(
         made = drafts(kind, path, robot=robot, name=name)
         notes = _unknown_robot(path, robot)
     files = _write(made)
-    _tell(kind, files, made, notes, json)
+    _tell(kind, files, commands, notes, json)
 
 
 def _list(kinds: dict[str, str], json: bool) -> None:
@@ -154,9 +156,7 @@ def _write(made: list[Draft]) -> list[Path]:
     return [draft.path for draft in (*made, *schemas)]
 
 
-def _tell(kind: str, files: list[Path], made: list[Draft], notes: list[str], json: bool) -> None:
-    first = made[0].path
-    commands = _next(kind, first)
+def _tell(kind: str, files: list[Path], commands: list[str], notes: list[str], json: bool) -> None:
     if json:
         told = {"kind": kind, "files": [str(file) for file in files]}
         print_json({**told, "next": commands, "notes": notes})

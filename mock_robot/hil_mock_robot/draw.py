@@ -61,7 +61,8 @@ def draw_truth(arm: str = "ur5", seed: int = 0, profile: Profile = "full") -> Tr
     if described.n_joints != JOINTS:
         raise SpecError(
             f"the mock's drives are of arms with {JOINTS} joints; {arm} has {described.n_joints}",
-            hint="simulate one of the six-joint arms, such as ur5 or lab6",
+            hint="simulate one of the six-joint arms, such as ur5 or lab6, or name another driver "
+            "in the station: docs/how-to/add-a-driver.md",
         )
     truth = _draw_full(described, seed)
     return truth if profile == "full" else _idealise(truth)
