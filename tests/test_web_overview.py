@@ -36,7 +36,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def card(html: str, station: str) -> tuple[str, str]:
     """What of a station is always seen, and what only behind its summary."""
-    (found,) = [one for one in html.split("<article") if f"<h3>{station}</h3>" in one]
+    (found,) = [one for one in html.split("<article") if f"<h3>{station} <small>" in one]
     always, _, rest = found.split("</article>")[0].partition("<details")
     return always, rest
 
@@ -57,6 +57,13 @@ def test_of_few_robots_all_are_seen(lab: Path) -> None:
     always, rest = card(seen(dashboard(lab), "/"), "few")
     assert re.findall(r"<li>([\w-]+)", always) == ["few-00", "few-01", "few-02"]
     assert rest == ""
+
+
+def test_stations_of_the_same_name_are_told_apart_by_their_headings(lab: Path) -> None:
+    text = (lab / "specs" / "few.yaml").read_text()
+    (lab / "specs" / "copy.yaml").write_text(text)
+    headings = re.findall(r"<h3>few <small>\((.*?)\)</small></h3>", seen(dashboard(lab), "/"))
+    assert [Path(source).name for source in headings] == ["copy.yaml", "few.yaml"]
 
 
 def test_folders_of_simulations_and_fleets_are_no_runs(lab: Path) -> None:

@@ -17,6 +17,7 @@ from starlette.routing import Route
 from hil.campaign.starting import Started, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
 from hil.web.going import words_of
+from hil.web.held_by import held_by
 from hil.web.offered import offered
 from hil.web.once import Once
 from hil.web.places import address_of
@@ -85,12 +86,14 @@ def started_page(request: Request) -> Response:
     started = _started(request.path_params["id"], settings)
     if made := started.made:
         return RedirectResponse(address_of(made[-1], settings), 303)
+    said = started.last_words
     return page(
         request,
         "started.html.j2",
         title="Starting" if started.alive else "Not started",
         started=_told(started, settings),
-        last_words=started.last_words,
+        last_words=said,
+        held=None if started.alive else held_by(said, settings),
     )
 
 
