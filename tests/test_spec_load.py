@@ -321,8 +321,8 @@ def test_a_urdf_is_looked_for_beside_the_station(tmp_path: Path) -> None:
 def test_a_robot_the_station_lacks_is_guessed(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text(BENCH)
-    spec = spec_from_text(GOOD.replace("robot: ur5", "robot: ur50"))
+    spec = spec_from_text(GOOD.replace("robot: ur5", "robot: urr5"))
 
-    with pytest.raises(SpecError, match="has no robot 'ur50'") as caught:
+    with pytest.raises(SpecError, match="has no robot 'urr5'") as caught:
         resolve_robot(spec, load_station(path))
     assert caught.value.hint.startswith("did you mean 'ur5'?")
