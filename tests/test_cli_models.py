@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 from synthetic_motion import moving, nominal
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from hil.cli.app import app
 from hil.cli.models import found_model
 from hil.cli.output import fixed, print_table
 from hil.cli.study_tables import _means
 from hil.deploy.export.targets import export_model
-from hil.errors import DataError, SpecError
+from hil.errors import DataError, RegistryError, SpecError
 from hil.identify import estimator, load_model_file, save_model
 from hil.study.result import Table
 
@@ -198,3 +198,31 @@ def test_a_single_column_wider_than_the_terminal_is_wrapped(
     print_table(["run"], [["a/" + "b" * 30], ["words of more than twenty"], ["c"]])
     told = ["run", "a/" + "b" * 30, "words of more than", "  twenty", "c"]
     assert capsys.readouterr().out.splitlines() == told
+
+
+def invoke(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def test_the_first_champion_needs_no_recording_and_is_exported_by_name(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = str(run_of(runs, 1) / "fit" / "a")
+    done = invoke("models", "register", folder, "--name", "ur5")
+    assert "make it champion: hil models promote ur5 v1\n" in done.stdout
+
+    early = invoke("export", "ur5", "--to", "json", "-o", "m.json").exception
+    assert isinstance(early, RegistryError)
+    limited = invoke("models", "promote", "ur5", "v1", "--max-rmse", "1").exception
+    assert isinstance(limited, SpecError)
+
+    done = invoke("models", "promote", "ur5", "v1")
+    assert "ur5: v1 is champion: there is no other champion" in done.stdout
+    again = invoke("models", "promote", "ur5", "v1").exception
+    assert isinstance(again, SpecError)
+    assert "nothing to judge it on" in again.message
+
+    assert invoke("export", "ur5", "--to", "json", "-o", "m.json").exit_code == 0
+    assert Path("m.json").is_file()
+    assert isinstance(invoke("export", "ur6", "-o", "x").exception, DataError)

@@ -105,6 +105,15 @@ def test_nothing_is_promoted_by_a_browser(made: Path) -> None:
     assert client.post("/models/ur5", data={}).status_code == 405
 
 
+def test_a_first_champion_is_asked_for_no_recording(lab: Path) -> None:
+    registry = Registry(lab / "registry")
+    registry.register("new", registry.version("ur5", "v1").folder, {})
+    text = plain(seen(dashboard(lab), "/models/new"))
+    assert "There is no champion yet" in text
+    assert "hil models promote new v1 --reason TEXT" in text
+    assert "--on RUN" not in text
+
+
 def test_a_version_says_what_it_is_and_how_others_use_it(made: Path) -> None:
     told = plain(seen(dashboard(made), "/models/ur5/v2"))
     for text in (

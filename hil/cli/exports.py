@@ -9,7 +9,9 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
+from hil.cli.registry import HERE, RegistryOption
 from hil.deploy.export.targets import TARGETS
+from hil.errors import DataError
 
 
 def register(app: typer.Typer) -> None:
@@ -32,13 +34,17 @@ def export(
             "--unchecked", help="C: without a compiler to check it; URDF: however far off."
         ),
     ] = False,
+    registry: RegistryOption = HERE,
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Write a model for a controller, simulator or runtime, compared with the model first."""
+    """Write a model for a controller, simulator or runtime, compared with the model first.
+
+    A name in the registry stands for its champion.
+    """
     from hil import api
 
-    folder = found_model(model, runs)
+    folder = _folder(model, runs, registry)
     told = api.export_model(folder, out, to=to, prefix=prefix, unchecked=unchecked or None)
     found = {"model": str(folder), "to": to, **told.to_dict()}
     if json:
@@ -47,6 +53,18 @@ def export(
         _print_urdf(found)
     else:
         _print(found)
+
+
+def _folder(named: str, runs: Path, registry: Path) -> Path:
+    """Of a model that is there, or else of the champion of that name."""
+    from hil.registry.registry import Registry
+
+    try:
+        return found_model(named, runs)
+    except DataError:
+        if named not in (home := Registry(registry)).names():
+            raise
+        return home.version(named).folder
 
 
 def _print(told: dict[str, Any]) -> None:

@@ -105,7 +105,7 @@ def register_model(
         return
     typer.echo(f"{name} {version.label}: {version.facts.get('estimator', '')} → {version.folder}")
     if not home.aliases(name).champion:
-        typer.echo(f"make it champion: hil models promote {name} {version.label} --on SOURCE")
+        typer.echo(f"make it champion: hil models promote {name} {version.label}")
 
 
 @app.command()
@@ -152,19 +152,24 @@ def promote(
     runs: RunsOption = Path("runs"),
     json: JsonFlag = False,
 ) -> None:
-    """Make a version champion, if it errs less on recordings that neither was fitted to."""
+    """Make a version champion, if it errs less on recordings that neither was fitted to.
+
+    The first one needs none: there is nothing to compare it with.
+    """
     from hil.errors import SpecError
     from hil.evaluate.verdict import Criterion
     from hil.registry.promotion import challenge, require_promoted
     from hil.registry.registry import Registry
 
-    if not on:
+    home = Registry(registry)
+    if not on and (max_rmse is not None or home.aliases(name).champion):
         raise SpecError(
-            "nothing to compare on", hint="name a recording neither was fitted to: --on SOURCE"
+            "nothing to judge it on: only a first champion without --max-rmse needs no recording",
+            hint="name a recording neither was fitted to: --on SOURCE",
         )
     criteria = () if max_rmse is None else (Criterion("rmse_raw", max_rmse),)
     decision = challenge(
-        Registry(registry), name, version, found(on, runs),
+        home, name, version, found(on or (), runs),
         criteria=criteria, unless_worse=unless_worse, reason=reason,
     )  # fmt: skip
     if json:

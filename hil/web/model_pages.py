@@ -99,9 +99,12 @@ def _commands(name: str, aliases: Aliases, settings: Settings) -> list[tuple[str
     """What is done in a terminal: there it says what it rests on, and asks nobody twice."""
     where = f"--registry {shlex.quote(str(settings.registry))}"
     found = []
-    if aliases.challenger or not aliases.champion:
+    if not aliases.champion:
         which = "challenger" if aliases.challenger else "v1"
-        promote = f"hil models promote {name} {which} --on RUN --reason TEXT {where}"
+        promote = f"hil models promote {name} {which} --reason TEXT {where}"
+        found.append(("Make it the first champion, which has nobody to be compared with:", promote))
+    elif aliases.challenger:
+        promote = f"hil models promote {name} challenger --on RUN --reason TEXT {where}"
         found.append(("Promote, if it errs less on a run neither was fitted to:", promote))
     if aliases.before:
         back = f"hil models rollback {name} --reason TEXT {where}"
