@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -62,3 +63,15 @@ def test_an_interlock_below_the_speed_is_not_to_be_raised_beyond_the_arm(tmp_pat
     text = SPEC + "interlocks: [{kind: speed, limit_deg_s: 90}]\n"
     [told] = refused(text, tmp_path)
     assert "lower that one, or raise this one as far as the arm goes" in told
+
+
+def test_a_robot_that_the_station_lacks_is_told_with_its_place(tmp_path: Path) -> None:
+    assert refused(SPEC.replace("ur5", "arm"), tmp_path)[0].startswith("s:3:8: robot: the station")
+    told = refused(SPEC, tmp_path, "--set", "robot=arm")
+    assert told[0].startswith("--set 1: robot: the station")
+
+
+def test_the_description_of_an_arm_is_told_as_one(tmp_path: Path) -> None:
+    text = files("hil.arms").joinpath("ur5.yaml").read_text("utf-8")
+    (told,) = refused(text, tmp_path)
+    assert told.endswith("this file is the description of an arm, but an experiment is needed here")

@@ -17,8 +17,9 @@ from hil.campaign.finding_station import (
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, resolve_robot
-from hil.spec.overrides import resolved_text
+from hil.spec.overrides import lay_over, resolved_text
 from hil.spec.station import Station, StationRobot
+from hil.spec.yaml_source import read_source
 
 if TYPE_CHECKING:
     from hil.plan.commissioning import Commissioning
@@ -115,7 +116,7 @@ def load_experiment(
     return Experiment(
         spec=spec,
         station=station,
-        robot=_robot_of(spec, station, None if station_path else spec_path.parent),
+        robot=_robot_of(spec, station, spec_path, overrides, named=station_path is not None),
         spec_text=resolved_text(spec_path, overrides)
         if overrides
         else spec_path.read_text("utf-8"),
@@ -127,13 +128,21 @@ def load_experiment(
     )
 
 
-def _robot_of(spec: ExperimentSpec, station: Station, beside: Path | None) -> StationRobot:
+def _robot_of(
+    spec: ExperimentSpec,
+    station: Station,
+    file: Path,
+    overrides: Mapping[str, str],
+    *,
+    named: bool,
+) -> StationRobot:
     """The robot of a spec; where nobody named a station, an error names those beside the spec."""
     try:
         return resolve_robot(spec, station)
     except SpecError as error:
-        found = [str(file) for file in stations_in(beside, spec.robot)] if beside else []
-        if not found:
-            raise
-        hint = f"it is at a station beside the spec: --station {' or '.join(found)}"
-        raise SpecError(error.message, hint=hint) from None
+        source = read_source(file)
+        lay_over(source, overrides)
+        found = [] if named else [str(one) for one in stations_in(file.parent, spec.robot)]
+        beside = f"it is at a station beside the spec: --station {' or '.join(found)}"
+        message = f"{source.mark(('robot',))}: {error.message}"
+        raise SpecError(message, hint=beside if found else error.hint) from None
