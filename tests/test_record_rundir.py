@@ -56,6 +56,13 @@ def test_a_disk_without_room_for_the_reserve_is_told_and_no_run_left(
     assert [run.number for run in list_runs(tmp_path)] == []
 
 
+def test_a_place_where_no_run_can_be_is_not_blamed_on_a_full_disk(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(RecordingError, match="cannot create a run directory") as error:
+        RunDirectory.create(tmp_path / "runs", "ur5", "demo")
+    assert error.value.hint == "choose another place with --runs DIR"
+
+
 def test_processes_that_create_runs_at_once_get_different_numbers(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     with context.Pool(4) as pool:

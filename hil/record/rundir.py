@@ -19,6 +19,7 @@ An attempt without stop document means *interrupted*. No file but a view is ever
 from __future__ import annotations
 
 import contextlib
+import errno
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,6 +58,9 @@ _STUDIES = "study"
 _RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
 @dataclass(frozen=True)
 class RunDirectory:
     """One run on disk; use `create` for a new one and `open` for one that exists.
@@ -92,7 +96,8 @@ class RunDirectory:
         except OSError as error:
             raise RecordingError(
                 f"cannot create a run directory in {folder}: {error.strerror or error}",
-                hint="free the disk, or choose another place with --runs DIR",
+                hint=("free the disk, or " if error.errno in FULL else "")
+                + "choose another place with --runs DIR",
             ) from error
         return cls(path)
 
