@@ -226,8 +226,8 @@ def test_robot_name_and_folder_are_the_users() -> None:
 
 
 def test_a_robot_that_the_station_has_not_is_told() -> None:
-    (note,) = told("fourier", "--robot", "ur15")["notes"]
-    assert "has no robot 'ur15'; did you mean 'ur5'" in note
+    (note,) = told("fourier", "--robot", "lba6")["notes"]
+    assert "has no robot 'lba6'; did you mean 'lab6'" in note
 
 
 NAMES = ("007", "1e3", "true", "2026-11-22")
