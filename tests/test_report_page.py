@@ -238,7 +238,7 @@ def held_out_poses(load_source, split):
 def test_the_worst_held_out_trajectory_is_shown(fourier_page):
     names = [{trace.get("name") for trace in f["data"]} for f in fourier_page.figures]
     assert sum(name == {"measured", "predicted"} for name in names) == 6
-    assert "Trajectory 2 of" in fourier_page.text
+    assert "Trajectory 2 (counted from 0) of" in fourier_page.text
 
 
 @pytest.mark.parametrize(

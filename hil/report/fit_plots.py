@@ -169,7 +169,7 @@ def _name_of(condition: Conditions) -> str:
     source = PurePath(condition.source).name
     if condition.trajectory < 0:
         return f"{condition.kind.capitalize()} {condition.id}"
-    return f"Trajectory {condition.trajectory} of {source}"
+    return f"Trajectory {condition.trajectory} (counted from 0) of {source}"
 
 
 class _Panels:

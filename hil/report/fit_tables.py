@@ -9,7 +9,8 @@ import numpy as np
 from hil.report.blocks import Cell, Column, Table, cells
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.fit_facts import FitFacts, best_first
-from hil.report.words import UNKNOWN, criterion_text, joint_title, number, short_source
+from hil.report.judgement import NO_SIGNAL
+from hil.report.words import UNKNOWN, criterion_text, joint_title, listed, number, short_source
 
 HELD_OUT, TRAINED = "held out", "trained on"
 
@@ -17,6 +18,8 @@ BOTH_MOTIONS = (
     "Motion is told joint by joint, each joint judged in either group by itself. A sample in which "
     "some joints move and others stand still counts in both groups."
 )
+
+FROM_0 = "Trajectories are counted from 0 as in the recording: of twelve the last is #11."
 
 
 def comparison(fits: Sequence[FitFacts]) -> Table:
@@ -75,8 +78,21 @@ def per_joint(fit: FitFacts) -> Table:
     rows.append(
         (Cell("mean"), *(Cell(_said(*pair)) for pair in zip(shown, means, strict=True)), *last)
     )
-    table = Table(f"{fit.label}: errors per joint", columns, tuple(rows))
+    note = _unloaded(fit)
+    table = Table(f"{fit.label}: errors per joint", columns, tuple(rows), note)
     return table.without_empty_columns()
+
+
+def _unloaded(fit: FitFacts) -> str:
+    """Why an NRMSE of 1 need not worry, where a joint has no signal to explain."""
+    trained = zip(fit.joint_names, fit.values("nrmse", "trained"), strict=True)
+    silent = [name for name, value in trained if value >= NO_SIGNAL]
+    if not silent:
+        return ""
+    return (
+        f"An NRMSE near 1 is no fault of the model at {listed(silent, 6)}: hardly loaded in these "
+        "data, there is little but noise and friction to predict. Look at the RMSE there."
+    )
 
 
 def parts(fit: FitFacts) -> Table | None:
@@ -110,7 +126,9 @@ def per_group(fit: FitFacts) -> Table | None:
     )
     rows = tuple(_group_row(group) for group in several)
     caption = f"{fit.label}: held-out errors by group, means over the joints"
-    note = BOTH_MOTIONS if any(group.get("by") == "motion" for group in several) else ""
+    notes = {"motion": BOTH_MOTIONS, "trajectory": FROM_0}
+    kinds = {str(group.get("by")) for group in several}
+    note = " ".join(said for by, said in notes.items() if by in kinds)
     return Table(caption, columns, rows, note)
 
 
