@@ -16,6 +16,7 @@ from hil.campaign.started import FOLDER, Started
 from hil.record import known_runs
 from hil.record.lock import hold_run
 from hil.web.going import being_planned, going_on
+from hil.web.resume_pages import way_on
 from hil.web.settings import Settings
 from hil.web.streams import _LiveRuns
 
@@ -99,8 +100,10 @@ def test_nor_does_one_that_only_closes_after_it_went_on_with_a_run(settings: Set
     run = ended(settings, "0001-a")
     started_here(run, settings)
     assert [one["text"] for one in being_planned(settings)] == ["is about to go on"]
+    assert way_on(run, settings)["begun"] == "/start/17"
     (run / "resume-01.json").write_text('{"started_as": "17"}')
     assert being_planned(settings) == []
+    assert way_on(run, settings)["begun"] == ""
 
 
 def test_a_series_between_two_runs_can_be_cancelled(settings: Settings, tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ def way_on(run: Path, settings: Settings) -> dict[str, Any]:
         `once` for the form where it can be gone on with, else an empty text; `begun`, the address
         of a process that is about to go on with it.
     """
-    begun = (one.id for one in started_runs(settings.runs) if one.alive and one.again == run)
+    going = [one for one in started_runs(settings.runs) if one.alive and one.again == run]
+    begun = (one.id for one in going if not one.made)  # else it has gone on, and only closes
     if (name := next(begun, "")) or settings.read_only:
         return {"once": "", "begun": f"/start/{name}" if name else ""}
     try:
