@@ -181,7 +181,7 @@ def _rest(chain):
 
 def test_without_the_libraries_the_extra_is_named(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(mlp_export, "LIBRARIES", ("onnx", "a_library_that_is_absent"))
-    with pytest.raises(PluginError, match="a_library_that_is_absent is not installed"):
+    with pytest.raises(PluginError, match="a_library_that_is_absent, which is not installed"):
         export_onnx_mlp(static(layers=[4, 4, 1]), tmp_path / "m.onnx")
 
 

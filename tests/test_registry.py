@@ -182,7 +182,10 @@ def test_versions_that_are_not_there(which: str, words: str, registry) -> None:
 def test_slips_are_told(registry, tmp_path: Path) -> None:
     with pytest.raises(RegistryError) as error:
         registry.versions("ur6")
-    assert "'ur5'" in error.value.hint
+    assert error.value.hint == "there is ur5: hil models list"  # another number, another robot
+    with pytest.raises(RegistryError) as error:
+        registry.versions("urr5")
+    assert error.value.hint == "did you mean 'ur5'?"
     with pytest.raises(DataError, match="no model folder"):
         registry.register("ur5", tmp_path, {})
     assert not folder_of(registry.root / "ur5", 4).exists()

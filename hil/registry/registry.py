@@ -34,6 +34,8 @@ from hil.registry.version import (
 from hil.suggest import closest
 
 ALIASES_FILE = "aliases.json"
+FEW = 5
+"""Names that a hint lists."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
 
@@ -287,12 +289,16 @@ class Registry:
         require_name(name)
         home = self.root / name
         if not numbers_in(home):
-            guess = closest(name, self.names())
-            raise RegistryError(
-                f"{self.root} has no models of {name}",
-                hint=f"did you mean {guess!r}?" if guess else "register one: hil models register",
-            )
+            raise RegistryError(f"{self.root} has no models of {name}", hint=self._others(name))
         return home
+
+    def _others(self, name: str) -> str:
+        """What is there instead of a name that is not."""
+        names = self.names()
+        if guess := closest(name, names):
+            return f"did you mean {guess!r}?"
+        few = ", ".join(names[:FEW]) + (", …" if len(names) > FEW else "")
+        return f"there is {few}: hil models list" if names else "register one: hil models register"
 
     def _adopt(self, home: Path) -> None:
         """Enter versions that are there and not in the log."""
