@@ -22,12 +22,14 @@ from hil.spec.schedule import load_schedule_spec
 from hil.web.schedules_known import coming
 from hil.web.settings import Settings
 
+# Nights to come, whatever day it is: none of the three that are over was kept from its probe.
+DAYS = [f"{datetime.now(UTC) + timedelta(days=ahead):%a}".lower() for ahead in (2, 3)]
 NIGHTLY = {
     "hil_schedule": 1, "name": "nightly", "description": f"by night {SLY}",
     "timezone": "Europe/Berlin",
     "probe": {"spec": "probe.yaml", "cron": "0 3 * * *"},
     "campaign": {"spec": "campaign.yaml"},
-    "blackout": [{"days": ["mon", "tue"], "begin": "02:00", "end": "05:00", "why": "backups"}],
+    "blackout": [{"days": DAYS, "begin": "02:00", "end": "05:00", "why": "backups"}],
 }  # fmt: skip
 
 
