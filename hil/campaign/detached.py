@@ -38,7 +38,7 @@ def begin(command: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
                 stdout=printed,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
-                env=_environment() | {STARTED_ID: log.stem},
+                env=own_environment() | {STARTED_ID: log.stem},
             )
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -91,5 +91,6 @@ def is_ours(pid: int, name: str) -> bool:
     return words[1:3] == [b"-m", b"hil"] and os.fsencode(f"{STARTED_ID}={name}") in given
 
 
-def _environment() -> dict[str, str]:
+def own_environment() -> dict[str, str]:
+    """What a process that is started for somebody else gets: all but secrets."""
     return {key: value for key, value in os.environ.items() if key not in SECRETS}

@@ -17,7 +17,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from hil.campaign.detached import SECRETS
+from hil.campaign.detached import own_environment
 from hil.errors import HilError, PlanError
 from hil.executor import BLAS_VARIABLES
 
@@ -111,5 +111,4 @@ def _document(said: bytes) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, str]:
-    kept = {key: value for key, value in os.environ.items() if key not in SECRETS}
-    return kept | dict.fromkeys(BLAS_VARIABLES, "1")
+    return own_environment() | dict.fromkeys(BLAS_VARIABLES, "1")
