@@ -1,0 +1,126 @@
+"""Repeat what a trial by a new user and an attack found; print what happens now, a line each.
+
+    python tests/findings.py              # all of them
+    python tests/findings.py B1 B10       # these
+
+The numbers are those of the list that was made on revision 48f2337. Each function repeats one
+entry in a folder of its own, raises `AssertionError` if the defect is back, and returns what
+happens now in one sentence. Exit code 1 if a defect is back. The tests of the same behaviour are
+in `test_*.py`; this script shows all of it in one place and in minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Finding = Callable[[Path], str]
+
+FINDINGS: dict[str, tuple[str, Finding]] = {}
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+def finding(number: str, title: str) -> Callable[[Finding], Finding]:
+    """Enter a function that repeats one entry of the list."""
+
+    def enter(function: Finding) -> Finding:
+        FINDINGS[number] = title, function
+        return function
+
+    return enter
+
+
+def hil(
+    *arguments: object, cwd: Path, timeout_s: float = 300.0, stdin: str = "", **env: str
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own, with neither terminal nor user settings."""
+    return subprocess.run(
+        [sys.executable, "-m", "hil", *map(str, arguments)],
+        cwd=cwd,
+        input=stdin,
+        capture_output=True,
+        text=True,
+        errors="backslashreplace",
+        timeout=timeout_s,
+        check=False,
+        env=os.environ | {"NO_COLOR": "1", "COLUMNS": "100"} | env,
+    )
+
+
+def last_line(text: str) -> str:
+    """Return the last line that is not empty."""
+    return next((line for line in reversed(text.splitlines()) if line.strip()), "").strip()
+
+
+# ---- A1 commissioning ---------------------------------------------------------------------------
+
+# ---- A2 confirmation of a real robot ------------------------------------------------------------
+
+# ---- A3 programs that must fail -----------------------------------------------------------------
+
+# ---- A4 workspace -------------------------------------------------------------------------------
+
+# ---- B1 registry log ----------------------------------------------------------------------------
+
+# ---- B2 code from a git configuration -----------------------------------------------------------
+
+# ---- B3 names that are not UTF-8 ----------------------------------------------------------------
+
+# ---- B4 speed slider ----------------------------------------------------------------------------
+
+# ---- B5 suspended process -----------------------------------------------------------------------
+
+# ---- B6 killed between verdict and report -------------------------------------------------------
+
+# ---- B7 reserve ---------------------------------------------------------------------------------
+
+# ---- B8 killed before start.json ----------------------------------------------------------------
+
+# ---- B9 attacks on the dashboard ----------------------------------------------------------------
+
+# ---- B10 YAML aliases ---------------------------------------------------------------------------
+
+# ---- B11 mock UR controller behind the wall clock -----------------------------------------------
+
+# ---- B12 single bag file ------------------------------------------------------------------------
+
+# ---- B13 rest pose of the recommended model -----------------------------------------------------
+
+
+def main(numbers: list[str]) -> int:
+    """Repeat the entries with these numbers, or all, and return the exit code."""
+    if unknown := [number for number in numbers if number not in FINDINGS]:
+        print(f"no such entry: {', '.join(unknown)}; there are {', '.join(FINDINGS)}")
+        return 2
+    failures = 0
+    for number, (title, function) in FINDINGS.items():
+        if numbers and number not in numbers:
+            continue
+        began = time.monotonic()
+        with tempfile.TemporaryDirectory(prefix="hil-finding-") as folder:
+            line, ok = _repeat(function, Path(folder))
+        failures += not ok
+        print(f"{number:<4}{'ok ' if ok else 'BAD'}  {title}: {line}", end="")
+        print(f"  [{time.monotonic() - began:.0f} s]", flush=True)
+    print(f"{failures} of the defects are back" if failures else "none of the defects is back")
+    return 1 if failures else 0
+
+
+def _repeat(function: Finding, folder: Path) -> tuple[str, bool]:
+    try:
+        return function(folder), True
+    except Exception as error:  # one entry must not hide the others
+        where: Any = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__}: {error} (line {where.lineno})", False
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
