@@ -1,0 +1,167 @@
+"""The space that the motions of a plan sweep, for the person who lets the robot go there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hil.arms import ArmDescription, Capsule
+from hil.plan.plan import Plan
+from hil.typing import FloatArray
+
+BLOCK = 16_384
+"""Joint positions per forward kinematics: enough to amortise it, few enough for the cache."""
+
+
+class Box(NamedTuple):
+    """An axis-aligned box in base coordinates: its least and greatest corner, each (3,) [m]."""
+
+    low: FloatArray
+    high: FloatArray
+
+    def __str__(self) -> str:
+        # Rounded outwards: nothing swept lies beyond the figures that are shown.
+        sides = zip("xyz", self.low, self.high, strict=True)
+        return ", ".join(
+            f"{axis} {math.floor(100 * a) / 100:.2f} to {math.ceil(100 * b) / 100:.2f} m"
+            for axis, a, b in sides
+        )
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """JSON form."""
+        return {"min_m": self.low.tolist(), "max_m": self.high.tolist()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swept:
+    """Where a plan takes the arm.
+
+    Attributes:
+        duration_s: Estimated duration of the whole plan [s].
+        joint_names: Length n.
+        q_min, q_max: (n,) range of every joint [rad].
+        tool: Box of the flange and, if the length of a load is known, of the load's tip.
+        elbow: Box of the body of the elbow.
+        payload: Whether `tool` includes the tip of a load.
+    """
+
+    duration_s: float
+    joint_names: tuple[str, ...]
+    q_min: FloatArray
+    q_max: FloatArray
+    tool: Box
+    elbow: Box
+    payload: bool = False
+
+    def lines(self) -> list[str]:
+        """Return plain text, one line per fact, in degrees, metres, minutes and seconds."""
+        wide = max(len(name) for name in (*self.joint_names, self._tool))
+        ranges = zip(self.joint_names, np.degrees(self.q_min), np.degrees(self.q_max), strict=True)
+        rows = [
+            ("duration", _minutes(self.duration_s)),
+            *((name, f"{_floor(low)}° to {_ceil(high)}°") for name, low, high in ranges),
+            (self._tool, str(self.tool)),
+            ("elbow", str(self.elbow)),
+        ]
+        return [f"{name.ljust(wide)}  {text}" for name, text in rows]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form; radians and metres in base coordinates."""
+        ranges = zip(self.joint_names, self.q_min.tolist(), self.q_max.tolist(), strict=True)
+        return {
+            "duration_s": self.duration_s,
+            "joints": [
+                {"name": name, "min_rad": low, "max_rad": high} for name, low, high in ranges
+            ],
+            "tool": self.tool.to_dict(),
+            "elbow": self.elbow.to_dict(),
+        }
+
+    @property
+    def _tool(self) -> str:
+        return "flange and load" if self.payload else "flange"
+
+
+def swept(plan: Plan, arm: ArmDescription) -> Swept:
+    """Return what the motions of a plan sweep, at every set-point and where the arm stands first.
+
+    Args:
+        plan: Exactly what is executed.
+        arm: The arm it was planned for.
+    """
+    tip_m = max((load.size_m[0] for load in plan.loads if load.size_m is not None), default=0.0)
+    flange = [
+        Capsule(arm.n_joints, (0.0, 0.0, z), (0.0, 0.0, z), 0.0) for z in sorted({0.0, tip_m})
+    ]
+    elbow = elbow_bodies(arm)
+    goes = plan.extremes
+    tool_box, elbow_box = _boxes(plan, arm, flange, elbow)
+    return Swept(
+        duration_s=plan.duration_s,
+        joint_names=plan.joint_names,
+        q_min=goes.q_min,
+        q_max=goes.q_max,
+        tool=tool_box,
+        elbow=elbow_box,
+        payload=tip_m > 0,
+    )
+
+
+def elbow_bodies(arm: ArmDescription) -> list[Capsule]:
+    """Return the ends of the upper arm's bodies at the axis of the elbow, as spheres.
+
+    The elbow is the joint in the middle: the third of six, the fourth of seven. An arm that is
+    described without a body there has a point on the axis.
+    """
+    link = (arm.n_joints - 1) // 2
+    bodies = [body for body in arm.capsules if body.link == link]
+    ends = [(end, body.radius) for body in bodies for end in (body.a, body.b)]
+    if not ends:
+        return [Capsule(link, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0)]
+    # The frame of a link in DH convention has the axis of the next joint as its z axis.
+    nearest = min(math.hypot(*end[:2]) for end, _ in ends)
+    return [Capsule(link, end, end, r) for end, r in ends if math.hypot(*end[:2]) <= nearest + 1e-9]
+
+
+def _boxes(plan: Plan, arm: ArmDescription, *groups: list[Capsule]) -> list[Box]:
+    """Return the box of each group of spheres that move with the links."""
+    from hil.dynamics.capsules import CapsuleChain
+
+    bodies = [body for group in groups for body in group]
+    chain, radius = CapsuleChain(arm, bodies), np.array([body.radius for body in bodies])
+    low, high = np.full((3, len(bodies)), np.inf), np.full((3, len(bodies)), -np.inf)
+    for q in _positions(plan):
+        centres, _ = chain.axes(q)
+        low = np.minimum(low, centres.min(axis=2))
+        high = np.maximum(high, centres.max(axis=2))
+    ends = np.cumsum([len(group) for group in groups])
+    parts = [slice(end - len(group), end) for end, group in zip(ends, groups, strict=True)]
+    return [
+        Box((low - radius)[:, part].min(axis=1), (high + radius)[:, part].max(axis=1))
+        for part in parts
+    ]
+
+
+def _positions(plan: Plan) -> Iterator[FloatArray]:
+    """Yield every set-point and the first position as blocks (N, n) [rad]."""
+    yield plan.q_start[None]
+    for motion in dict.fromkeys(plan.motions):
+        q = motion.sample(plan.rate_hz).q
+        yield from (q[i : i + BLOCK] for i in range(0, len(q), BLOCK))
+
+
+def _minutes(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def _floor(angle_deg: float) -> str:
+    return f"{math.floor(angle_deg + 1e-6):d}"
+
+
+def _ceil(angle_deg: float) -> str:
+    return f"{math.ceil(angle_deg - 1e-6):d}"
