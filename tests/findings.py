@@ -88,6 +88,32 @@ def last_line(text: str) -> str:
 
 # ---- B10 YAML aliases ---------------------------------------------------------------------------
 
+
+@finding("B10", "YAML aliases")
+def yaml_aliases(folder: Path) -> str:
+    lines = ["a0: &a0 [ha, ha, ha, ha, ha, ha, ha, ha, ha, ha]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 10)]
+    bomb = folder / "bomb.yaml"
+    bomb.write_text("\n".join(lines))
+    measure = (
+        "import time, tracemalloc, sys; from hil.spec.load import load_spec\n"
+        "def read():\n    try: load_spec(sys.argv[1])\n    except Exception as e: return str(e)\n"
+        "read(); begin = time.process_time(); read(); spent = time.process_time() - begin\n"
+        "tracemalloc.start(); read(); print(spent * 1e3, tracemalloc.get_traced_memory()[1])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", measure, str(bomb)], capture_output=True, text=True, check=True
+    )
+    cpu_ms, peak = done.stdout.split()
+    assert float(cpu_ms) <= 50, f"{cpu_ms} ms"
+    assert int(peak) <= 10e6, f"{peak} bytes"
+    validated = hil("validate", bomb, cwd=folder)
+    assert validated.returncode == 2, validated.stderr
+    assert "aliases expand" in validated.stderr, validated.stderr
+    size = bomb.stat().st_size
+    return f"{size} bytes are refused in {float(cpu_ms):.1f} ms and {int(peak) / 1e6:.2f} MB"
+
+
 # ---- B11 mock UR controller behind the wall clock -----------------------------------------------
 
 # ---- B12 single bag file ------------------------------------------------------------------------

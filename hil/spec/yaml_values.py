@@ -15,26 +15,30 @@ import yaml
 
 from hil.spec.source import Mark, Problem, Source, refuse, shown
 from hil.spec.yaml_nodes import CORE_SCALARS, TAG, Reading, mark_of
+from hil.yaml_extent import Extent
 
 DEEPEST = 40
 """Levels of nesting; a spec has seven."""
 
 
 class CoreLoader(yaml.SafeLoader):
-    """PyYAML's safe loader with the scalars of YAML 1.2 and a limit on nesting."""
+    """PyYAML's safe loader with the scalars of YAML 1.2 and a limit on depth and size."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - PyYAML's own protocol
-    depth = 0
 
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose one node; deep nesting ends here instead of in the interpreter's stack."""
-        self.depth += 1
-        if self.depth > DEEPEST:
-            mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            raise yaml.MarkedYAMLError(problem=f"more than {DEEPEST} levels", problem_mark=mark)
-        node: yaml.Node | None = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
+    def __init__(self, text: str) -> None:
+        self._extent = Extent(len(text), DEEPEST)
+        super().__init__(text)
+
+    def get_event(self) -> yaml.Event:
+        """Return the next event; what is too deep or too much ends here, before it is built."""
+        event: yaml.Event = super().get_event()  # type: ignore[no-untyped-call]
+        try:
+            self._extent.see(event)
+        except ValueError as error:
+            mark: Any = event.start_mark
+            raise yaml.MarkedYAMLError(problem=str(error), problem_mark=mark) from None
+        return event
 
 
 for _name, (_pattern, _first) in CORE_SCALARS.items():
