@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import signal
+import sys
 import zlib
 from collections.abc import Sequence
 
@@ -23,7 +24,7 @@ from hil_mock_robot.ur.options import (
     pose_of,
     serial_of,
 )
-from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime
+from hil_mock_robot.ur.pacing import FreeRun, LockStep, RealTime, SlipWarning
 from hil_mock_robot.ur.rtde import RtdeService
 from hil_mock_robot.ur.series import Series, series_of
 from hil_mock_robot.ur.services import services_of
@@ -88,8 +89,15 @@ def loop_of(given: argparse.Namespace, machine: Machine, pacer: Pacer, address: 
         journal.open()
         witness = Witness(machine, journal)
         troubles.listeners.append(witness.struck)
+    if isinstance(pacer, RealTime):
+        pacer.listeners.append(SlipWarning(_warn).slipped)
+        pacer.listeners += [witness.slipped] if witness else []
     side = SideService(given.side_port, machine, troubles, pacer) if given.side_port else None
     return Loop(machine, services, pacer, address, troubles=troubles, witness=witness, side=side)
+
+
+def _warn(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 
 def machine_of(given: argparse.Namespace, series: Series) -> Machine:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 
 SLIP_S = 0.05
 """Wall time the schedule may be late before it is given up; what was missed is not caught up.
@@ -17,6 +20,31 @@ at twice the pace, not at once: some clients, such as UR's own without `--buffer
 the newest of the packages that they find waiting."""
 
 
+OVER_S = 10.0
+"""Wall time over which the pace is averaged [s]."""
+
+ALARMING = 0.95
+"""Below this share of the requested pace clients may run into time-outs: the operator is warned."""
+
+WARN_EVERY_S = 60.0
+"""Wall time between two such warnings [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """Wall time that the schedule has just given up, because the computer was too slow for it.
+
+    Attributes:
+        behind_s: How much, this time [s].
+        total_s: How much since the start [s].
+        pace: Device time passed over device time requested, over the last `OVER_S`.
+    """
+
+    behind_s: float
+    total_s: float
+    pace: float
+
+
 class RealTime:
     """Ticks on an absolute schedule, so that lateness does not add up.
 
@@ -26,14 +54,26 @@ class RealTime:
 
     Attributes:
         patient: Accelerated time waits for clients; real time does not.
-        slips: How often the machine could not keep up.
+        behind_s: Wall time given up since the start [s].
+        listeners: Called at each slip.
     """
 
     def __init__(self, tick_s: float, factor: float = 1.0) -> None:
         self._tick_s = tick_s
         self._due = self._not_before = time.monotonic()
-        self.slips = 0
+        self._slips: deque[tuple[float, float]] = deque()
+        self.behind_s = 0.0
+        self.listeners: list[Callable[[Slip], object]] = []
         self.change(factor)
+
+    @property
+    def pace(self) -> float:
+        """Device time passed over device time requested, over the last `OVER_S`; 1 keeps up."""
+        now = time.monotonic()
+        while self._slips and self._slips[0][0] < now - OVER_S:
+            self._slips.popleft()
+        lost_s = sum(behind for _, behind in self._slips)
+        return max(0.0, 1.0 - lost_s / OVER_S)
 
     def change(self, factor: float) -> None:
         """Go on at another speed."""
@@ -50,8 +90,40 @@ class RealTime:
         now = time.monotonic()
         self._not_before = now + CLOSEST * self._spacing_s
         if now - self._due > SLIP_S:
-            self._due = now
-            self.slips += 1
+            self._slip(now)
+
+    def _slip(self, now: float) -> None:
+        behind, self._due = now - self._due, now
+        self.behind_s += behind
+        self._slips.append((now, behind))
+        slip = Slip(behind, self.behind_s, self.pace)
+        for listener in self.listeners:
+            listener(slip)
+
+
+class SlipWarning:
+    """Warns the operator of a computer that is too slow, at most once a minute.
+
+    Args:
+        say: Prints one line.
+    """
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+        self._next = time.monotonic()
+
+    def slipped(self, slip: Slip) -> None:
+        """Print a line if the pace is alarming and the last line is long enough ago."""
+        now = time.monotonic()
+        if slip.pace >= ALARMING or now < self._next:
+            return
+        self._next = now + WARN_EVERY_S
+        self._say(
+            f"behind the wall clock: device time passes at {slip.pace:.0%} of its pace, "
+            f"{slip.total_s:.1f} s were given up since the start. This computer is too busy: "
+            "time-outs of clients are no fault of the protocol; close other programs, or use "
+            "--speed 0.5"
+        )
 
 
 class FreeRun:

@@ -163,8 +163,12 @@ class SideSession:
         return {}
 
     def _state(self, request: Request) -> Answer:
+        pacer = self._service.pacer
+        clock: Answer = {"behind_s": None, "pace": None}
+        if isinstance(pacer, RealTime):
+            clock = {"behind_s": round(pacer.behind_s, 6), "pace": round(pacer.pace, 3)}
         faults = [fault.kind for fault in self._service.troubles.lasting]
-        return {**truth_of(self._service.machine), "faults": faults}
+        return {**truth_of(self._service.machine), **clock, "faults": faults}
 
     def _step(self, request: Request) -> Answer | None:
         pacer = self._service.pacer

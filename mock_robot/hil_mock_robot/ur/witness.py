@@ -15,6 +15,7 @@ from hil_mock_robot.journal import Journal, Moment
 from hil_mock_robot.rest import RestWatch
 from hil_mock_robot.ur.faults import Fault
 from hil_mock_robot.ur.machine import Event, Machine
+from hil_mock_robot.ur.pacing import Slip
 from hil_mock_robot.ur.sockets import TcpLink
 
 NAMES = {
@@ -119,6 +120,10 @@ class Witness:
     def struck(self, fault: Fault, begins: bool) -> None:
         """A fault on request begins or is over."""
         self._note("fault" if begins else "fault_over", kind=fault.kind)
+
+    def slipped(self, slip: Slip) -> None:
+        """The computer could not keep the pace of the controller's clock."""
+        self._note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
 
     def stumbled(self, where: str, what: str) -> None:
         """The mock itself has made a mistake, and goes on."""
