@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -71,6 +72,51 @@ def last_line(text: str) -> str:
 # ---- A4 workspace -------------------------------------------------------------------------------
 
 # ---- B1 registry log ----------------------------------------------------------------------------
+
+
+@finding("B1", "registry log")
+def registry_log(folder: Path) -> str:
+    """Damage a log in five ways: each is named, blocks promotion, and is undone by `repair`."""
+    from synthetic_motion import moving, nominal
+
+    from hil.identify import estimator
+    from hil.registry.registry import Registry
+
+    registry = Registry(folder / "whole")
+    for number, seed in ((1, 3), (2, 4)):
+        model = estimator("rigid-wls").fit(moving(1, 2, seed), nominal()).save(folder / f"{seed}")
+        registry.register("ur5", model, {})
+        registry.promote("ur5", number, reason="", evidence={}, instead_of=number - 1)
+    log = (registry.root / "ur5" / "log.jsonl").read_bytes()
+    lines = log.splitlines(keepends=True)
+    damages = {
+        "emptied": b"",
+        "last line deleted": b"".join(lines[:-1]),
+        "last line edited": log[: -len(lines[-1])] + lines[-1].replace(b"promoted", b"kept"),
+        "cut inside a line": log[:-30],
+        "removed": None,
+    }
+    for what, content in damages.items():
+        home = folder / what.replace(" ", "-")
+        shutil.copytree(registry.root, home)
+        path, view = home / "ur5" / "log.jsonl", home / "ur5" / "aliases.json"
+        path.unlink() if content is None else path.write_bytes(content)
+        before = view.read_bytes()
+        check = hil("models", "check", "--registry", home, cwd=folder)
+        assert check.returncode == 11, f"{what}: check says {check.stdout}"
+        assert "log.jsonl" in check.stderr, check.stderr
+        assert "hil models repair" in check.stderr, check.stderr
+        promoted = hil("models", "promote", "ur5", "v1", "--registry", home, cwd=folder)
+        assert promoted.returncode == 11, f"{what}: promoted without comparison"
+        assert view.read_bytes() == before, f"{what}: aliases.json was rewritten"
+        repaired = hil("models", "repair", "ur5", "--registry", home, cwd=folder)
+        assert "champion v2" in repaired.stdout, repaired.stdout + repaired.stderr
+        assert hil("models", "check", "--registry", home, cwd=folder).returncode == 0
+    return (
+        f"{len(damages)} damages ({', '.join(damages)}): `models check` and `promote` exit 11 and "
+        "write nothing, `models repair` brings champion v2 back"
+    )
+
 
 # ---- B2 code from a git configuration -----------------------------------------------------------
 

@@ -12,8 +12,8 @@ from synthetic_motion import moving, nominal
 
 from hil.errors import DataError, RegistryError
 from hil.identify import estimator
-from hil.registry.log import LOG_FILE, Entry, append, read_log
-from hil.registry.registry import ALIASES_FILE, Registry
+from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
+from hil.registry.registry import Registry
 from hil.registry.version import folder_of
 
 
@@ -31,6 +31,12 @@ def registry(tmp_path: Path, folders: list[Path]) -> Registry:
     for folder in folders:
         made.register("ur5", folder, {"estimator": "rigid-wls"})
     return made
+
+
+@pytest.fixture
+def fourth(tmp_path: Path) -> Path:
+    """A model that is not registered yet."""
+    return estimator("rigid-wls").fit(moving(1, 2, 6), nominal()).save(tmp_path / "fourth")
 
 
 def promoted(registry: Registry, number: int) -> None:
@@ -136,14 +142,16 @@ def test_views_are_made_from_files(registry) -> None:
     assert json.loads((home / ALIASES_FILE).read_bytes())["champion"] == 2
 
 
-def test_a_version_that_the_log_does_not_know_is_entered(registry, folders) -> None:
+def test_a_version_that_the_log_does_not_know_is_entered(registry, fourth: Path) -> None:
     """As after a crash between the folder and the line."""
     home = registry.root / "ur5"
-    lines = (home / LOG_FILE).read_bytes().splitlines(keepends=True)
-    (home / LOG_FILE).write_bytes(b"".join(lines[:-1]))
-    promoted(registry, 3)
+    before = {name: (home / name).read_bytes() for name in (LOG_FILE, HEAD_FILE)}
+    version = registry.register("ur5", fourth, {})
+    for name, content in before.items():
+        (home / name).write_bytes(content)
+    promoted(registry, version.number)
     events = [(entry.event, entry.version) for entry in registry.log("ur5")]
-    assert events[-2:] == [("registered", 3), ("promoted", 3)]
+    assert events[-2:] == [("registered", 4), ("promoted", 4)]
 
 
 def test_many_writers_at_once_lose_nothing(registry, folders) -> None:

@@ -12,8 +12,8 @@ import pytest
 from synthetic_motion import moving, nominal
 
 from hil.identify import estimator
-from hil.registry.log import read_log
-from hil.registry.registry import Aliases, Registry
+from hil.registry.log import Aliases, read_log
+from hil.registry.registry import Registry
 from hil.registry.version import numbers_in
 
 KILLS = 8

@@ -110,7 +110,14 @@ def test_what_is_there_is_listed(registry, models) -> None:
     assert "ur5 v2: rigid-wls" in done.stdout
     listed = json.loads(called(registry, "list", "--json").stdout)["models"]
     assert listed == [
-        {"name": "ur5", "versions": 2, "champion": None, "challenger": 2, "before": []}
+        {
+            "name": "ur5",
+            "versions": 2,
+            "champion": None,
+            "challenger": 2,
+            "before": [],
+            "problem": None,
+        }
     ]
     assert "challenger" in called(registry, "show", "ur5").stdout
     shown = json.loads(called(registry, "show", "ur5", "v1").stdout)

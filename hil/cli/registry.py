@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
+from hil.errors import RegistryError
+
+if TYPE_CHECKING:
+    from hil.registry.log import Aliases
+    from hil.registry.registry import Registry
 
 RegistryOption = Annotated[
     Path,
@@ -34,10 +39,12 @@ def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None
     from hil.registry.registry import Registry
 
     home = Registry(registry)
-    told = [
-        {"name": name, "versions": len(home.versions(name)), **home.aliases(name).to_dict()}
-        for name in home.names()
-    ]
+    told = []
+    for name in home.names():
+        roles, problem = _roles(home, name)
+        told.append({"name": name, "versions": len(home.versions(name)), **roles.to_dict(),
+                     "problem": problem and problem.message})  # fmt: skip
+        _warn(problem)
     if json:
         print_json({"registry": str(registry), "models": told})
         return
@@ -46,7 +53,8 @@ def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None
         return
     print_table(
         ("name", "versions", "champion", "challenger"),
-        [(one["name"], str(one["versions"]), _label(one["champion"]), _label(one["challenger"]))
+        [(one["name"], str(one["versions"]),
+          "log damaged" if one["problem"] else _label(one["champion"]), _label(one["challenger"]))
          for one in told],
     )  # fmt: skip
 
@@ -67,10 +75,13 @@ def show(
     if version:
         print_json(home.version(name, version).to_dict())
         return
-    aliases, versions = home.aliases(name), home.versions(name)
+    versions = home.versions(name)
+    aliases, problem = _roles(home, name)
+    _warn(problem)
     if json:
         listed = [one.to_dict() for one in versions]
-        print_json({"name": name, **aliases.to_dict(), "versions": listed})
+        found = {"problem": problem and problem.message, "versions": listed}
+        print_json({"name": name, **aliases.to_dict(), **found})
         return
     role = {aliases.champion: "champion", aliases.challenger: "challenger"}
     print_table(
@@ -213,27 +224,80 @@ def log(name: NameArgument, registry: RegistryOption = HERE, json: JsonFlag = Fa
         return
     print_table(
         ("when (UTC)", "version", "what", "by", "why"),
-        [(one.at[:19], f"v{one.version}", one.event, one.by, one.reason) for one in entries],
+        [(one.at[:19], one.label, one.event, one.by, one.reason) for one in entries],
     )
 
 
 @app.command()
 def check(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
-    """Compare every file with its digest and every log with itself; make the views anew."""
+    """Compare every file with its digest and every log with its head; make the views anew.
+
+    Of a damaged name nothing is written.
+    """
     from hil.registry.registry import Registry
 
-    home = Registry(registry)
+    home, problems = Registry(registry), list[RegistryError]()
     told = []
     for name in home.names():
-        versions = home.versions(name)
-        for version in versions:
-            version.verify()
-        told.append({"name": name, "versions": len(versions), **home.rebuild(name).to_dict()})
+        try:
+            versions = home.versions(name)
+            for version in versions:
+                version.verify()
+            told.append({"name": name, "versions": len(versions), **home.rebuild(name).to_dict()})
+        except RegistryError as error:
+            problems.append(error)
+    if problems:
+        others = "".join(f"; {one.message}" for one in problems[1:])
+        raise RegistryError(problems[0].message + others, hint=problems[0].hint) from problems[0]
     if json:
         print_json({"registry": str(registry), "models": told})
     else:
         count = sum(one["versions"] for one in told)
         typer.echo(f"{registry}: {len(told)} names, {count} versions: all as they were registered")
+
+
+@app.command()
+def repair(
+    name: NameArgument,
+    registry: RegistryOption = HERE,
+    json: JsonFlag = False,
+) -> None:
+    """Rebuild a damaged log from the versions' folders and what is left of it.
+
+    Files as they were stay beside it, in a folder damaged-TIME. Of a sound log nothing is changed.
+    """
+    from hil.registry.registry import Registry
+
+    home = Registry(registry)
+    done = home.repair(name)
+    now = home.aliases(name)
+    if json:
+        print_json({"name": name, "repair": done and done.to_dict(), **now.to_dict()})
+        return
+    champion = f"champion {_label(now.champion)}" if now.champion else "no champion"
+    if done is None:
+        typer.echo(f"{name}: the log is sound, nothing to repair; {champion}")
+        return
+    entered = ", ".join(f"v{number}" for number in done.registered) or "none"
+    say(f"{name}: {done.problem}")
+    say(f"  lines of the log that stay: {done.lines}; versions entered from folders: {entered}")
+    say(f"  {champion} by {done.source}; challenger {_label(now.challenger) or 'none'}")
+    say(f"  the files as they were: {done.aside}")
+    if not now.champion:
+        say("  nothing is left that names a champion: the next promotion is a first one")
+
+
+def _roles(home: Registry, name: str) -> tuple[Aliases, RegistryError | None]:
+    """Return who is what, and what is wrong with the log: then the roles are unknown."""
+    from hil.registry.log import Aliases
+
+    problem = home.problem(name)
+    return (Aliases() if problem else home.aliases(name)), problem
+
+
+def _warn(problem: RegistryError | None) -> None:
+    if problem:
+        typer.echo(f"warning: {problem.message}\n  next: {problem.hint}", err=True)
 
 
 def _label(number: int | None) -> str:

@@ -1,8 +1,10 @@
-"""What was done to the models of a name: a file that only grows, one JSON line per deed.
+"""What was done to the models of a name: a file that only grows, one JSON line per event.
 
-A line is committed with its newline. One that a crash has torn is none, and the next writer takes
-it away. Every line carries the digest of the one before, so that a line that was changed or lost
-afterwards is found.
+A line is committed with its newline. A torn last line is not committed, and the next writer removes
+it. Every line carries the digest of the line before, so that a changed or lost line with a
+successor is found. For the last line, `head.json` beside the log holds the number of lines and the
+digest of the last one. It is written after the line: killed between the two, it is one line behind,
+and the next writer brings it up to date. Anything else is damage, which only `repair` may rewrite.
 """
 
 from __future__ import annotations
@@ -10,27 +12,43 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+import shlex
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from hil.errors import RegistryError
+from hil.identify.model_file import json_bytes, write_whole
 from hil.record.files import fsync_directory
+from hil.record.provenance import operator, utc_now
+from hil.registry.version import numbers_in, read_version
 
 LOG_FILE = "log.jsonl"
+HEAD_FILE = "head.json"
+ALIASES_FILE = "aliases.json"
 
-Event = Literal["registered", "challenger", "promoted", "kept", "rolled-back"]
+HEAD_FORMAT = 1
+
+Event = Literal[
+    "registered", "challenger", "promoted", "kept", "rolled-back", "head-adopted", "repaired"
+]
+
+CHAMPION_EVENTS = ("promoted", "rolled-back", "repaired")
+"""Events after which their version is the champion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One deed.
+    """One event.
 
     Attributes:
         event: `registered`; `challenger`: made the one to be compared; `promoted`: made champion;
-            `kept`: compared, and the champion stays; `rolled-back`: an earlier champion again.
-        version: Which it was done to.
+            `kept`: compared, and the champion stays; `rolled-back`: an earlier champion again;
+            `head-adopted`: a log without `head.json` has one from here on; `repaired`: the log was
+            rebuilt, with the champion and challenger in `evidence`.
+        version: Which it was done to; 0 for an event of the log itself.
         at: UTC, ISO 8601.
         by: Who did it.
         reason: In words.
@@ -44,6 +62,11 @@ class Entry:
     reason: str = ""
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def label(self) -> str:
+        """Such as `v3`; empty for an event of the log itself."""
+        return f"v{self.version}" if self.version else ""
+
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
@@ -56,13 +79,153 @@ class Entry:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Aliases:
+    """Versions by role; 0 where there is none.
+
+    Attributes:
+        champion: In use.
+        challenger: To be compared with it.
+        before: The champions before, newest last.
+    """
+
+    champion: int = 0
+    challenger: int = 0
+    before: tuple[int, ...] = ()
+
+    @staticmethod
+    def after(log: Iterable[Entry]) -> Aliases:
+        """Return the roles after all events of a log."""
+        now = Aliases()
+        for entry in log:
+            now = now._with(entry)
+        return now
+
+    def _with(self, entry: Entry) -> Aliases:
+        if entry.event == "challenger":
+            return Aliases(self.champion, entry.version, self.before)
+        if entry.event == "promoted":
+            left = (self.champion,) if self.champion else ()
+            return Aliases(entry.version, 0, self.before + left)
+        if entry.event == "rolled-back":
+            # The champions after that one are no way back: they would be the way forward again.
+            before = list(self.before)
+            while before and before.pop() != entry.version:
+                pass
+            return Aliases(entry.version, self.challenger, tuple(before))
+        if entry.event == "kept" and self.challenger == entry.version:
+            return Aliases(self.champion, 0, self.before)
+        if entry.event == "repaired":
+            return Aliases.from_dict(entry.evidence["aliases"])
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "champion": self.champion or None,
+            "challenger": self.challenger or None,
+            "before": list(self.before),
+        }
+
+    @staticmethod
+    def from_dict(document: Mapping[str, Any]) -> Aliases:
+        """Return what `to_dict` has written.
+
+        Raises:
+            ValueError, TypeError, KeyError: It is something else.
+        """
+        return Aliases(
+            int(document["champion"] or 0),
+            int(document["challenger"] or 0),
+            tuple(int(one) for one in document["before"]),
+        )
+
+    def of_versions(self, numbers: Iterable[int]) -> Aliases:
+        """Return the roles without those of versions that are not there."""
+        there = frozenset(numbers)
+        return Aliases(
+            self.champion if self.champion in there else 0,
+            self.challenger if self.challenger in there else 0,
+            tuple(one for one in self.before if one in there),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Inspected:
+    """A log compared with everything that can confirm it.
+
+    Attributes:
+        entries: What is confirmed, from the first line on.
+        raw: Bytes of these lines.
+        problem: What is damaged or missing; empty where the log is sound.
+        last_sha256: Digest of the last confirmed line.
+        has_head: Whether `head.json` is there and of this log.
+        behind: Whether `head.json` lacks the last line.
+        aliases: Champion and challenger, from the best source that is left.
+        source: File that `aliases` are from.
+    """
+
+    entries: tuple[Entry, ...]
+    raw: bytes
+    problem: str
+    last_sha256: str
+    has_head: bool
+    behind: bool
+    aliases: Aliases
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """What `repair` has done.
+
+    Attributes:
+        problem: What was damaged or missing.
+        lines: Lines of the log that were confirmed, and stay.
+        registered: Versions that were entered from their folders.
+        aliases: Champion and challenger now.
+        source: File that these are from.
+        aside: Folder with the files as they were.
+    """
+
+    problem: str
+    lines: int
+    registered: tuple[int, ...]
+    aliases: Aliases
+    source: str
+    aside: Path
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            "problem": self.problem,
+            "lines": self.lines,
+            "registered": list(self.registered),
+            "aliases": self.aliases.to_dict(),
+            "source": self.source,
+            "aside": str(self.aside),
+        }
+
+
 def read_log(folder: Path) -> tuple[Entry, ...]:
-    """All committed lines; a torn last one is none.
+    """Return all committed lines; a torn last one is none.
 
     Raises:
-        RegistryError: A line is damaged, or not the one that followed the line before.
+        RegistryError: The log is damaged, or cannot be read.
     """
-    return tuple(entry for entry, _ in _lines(folder))
+    found = inspect(folder)
+    if found.problem:
+        raise damaged(folder, found.problem)
+    return found.entries
+
+
+def damaged(folder: Path, problem: str) -> RegistryError:
+    """Return the error of a log with a problem."""
+    command = f"hil models repair {folder.name} --registry {shlex.quote(str(folder.parent))}"
+    return RegistryError(
+        problem,
+        hint=f"restore the file from a backup, or rebuild it from the versions with: {command}",
+    )
 
 
 def append(folder: Path, entry: Entry) -> None:
@@ -71,9 +234,125 @@ def append(folder: Path, entry: Entry) -> None:
     Raises:
         RegistryError: The log is damaged, or cannot be written.
     """
-    lines = _lines(folder)
-    before = lines[-1][1] if lines else ""
-    append_line(folder / LOG_FILE, entry.to_dict() | {"before": before})
+    _append(folder, settle(folder), entry)
+
+
+def settle(folder: Path) -> Inspected:
+    """Bring `head.json` up to date, or adopt one for an older log. The caller holds the lock.
+
+    Returns:
+        The log as it is then.
+
+    Raises:
+        RegistryError: The log is damaged, or cannot be written.
+    """
+    found = inspect(folder)
+    if found.problem:
+        raise damaged(folder, found.problem)
+    if found.entries and not found.has_head and not found.behind:
+        reason = f"{HEAD_FILE} holds the number of lines and the last digest from here on"
+        _append(folder, found, Entry("head-adopted", 0, utc_now(), operator(), reason))
+        return inspect(folder)
+    if found.behind:
+        _write_head(folder, found.entries, found.last_sha256)
+    return found
+
+
+def inspect(folder: Path) -> Inspected:
+    """Compare a log with its head, and one without a head with `aliases.json` and the versions.
+
+    Needs no lock. What confirms the log is read before it, as the log only grows; the head also
+    after it, as a writer may have gone on meanwhile.
+
+    Raises:
+        RegistryError: The log cannot be read.
+    """
+    numbers, view, head = numbers_in(folder), _read_view(folder), _read_head(folder)
+    lines, problem = _chain(folder)
+    if head == "" and (folder / HEAD_FILE).exists():
+        return inspect(folder)  # a writer has made one meanwhile
+    entries = tuple(line.entry for line in lines)
+    confirmed, has_head, behind = len(lines), isinstance(head, _Head), False
+    aliases, source = Aliases.after(entries), LOG_FILE
+    if isinstance(head, _Head):
+        # A changed last line is not confirmed, and neither is what follows it.
+        if len(lines) >= head.lines and lines[head.lines - 1].sha256 != head.sha256:
+            confirmed = head.lines - 1
+            where = f"{folder / LOG_FILE}:{head.lines}"
+            problem = problem or f"{where} is not the line that was written: it was changed"
+        if confirmed < head.lines:
+            aliases, source = head.aliases, HEAD_FILE
+            problem = problem or _lost_lines(folder, len(lines), head)
+        elif not problem and confirmed > 1 + _lines_of(_read_head(folder), head.lines):
+            problem = (
+                f"{folder / LOG_FILE} has {confirmed} lines, of which {HEAD_FILE} knows "
+                f"{head.lines}: one of the two is not of now"
+            )
+        behind = confirmed > head.lines
+    else:
+        behind = bool(lines) and lines[-1].numbered
+        problem = problem or head or _without_head(folder, lines, numbers, view)
+        if problem and view is not None and view not in _states(entries):
+            aliases, source = view, ALIASES_FILE
+    return Inspected(
+        entries[:confirmed],
+        b"".join(line.raw + b"\n" for line in lines[:confirmed]),
+        problem,
+        lines[confirmed - 1].sha256 if confirmed else "",
+        has_head,
+        behind,
+        aliases.of_versions(numbers) if problem else aliases,
+        source,
+    )
+
+
+def repair(folder: Path) -> Repair | None:
+    """Rebuild a damaged log from what is left of it and from the versions' folders.
+
+    Champion and challenger are those of `head.json` where it knows more than the log, of
+    `aliases.json` where there is no head. The files as they were stay in a folder of their own.
+    Killed on the way, the log is still damaged, and `repair` can be repeated. The caller holds the
+    lock.
+
+    Returns:
+        What was done; None where the log is sound.
+
+    Raises:
+        RegistryError: A version's folder is damaged, or the folder cannot be written.
+    """
+    found = inspect(folder)
+    if not found.problem:
+        return None
+    known = {entry.version for entry in found.entries if entry.event == "registered"}
+    missing = [read_version(folder, one) for one in numbers_in(folder) if one not in known]
+    aside = _set_aside(folder)
+    done = Repair(
+        found.problem,
+        len(found.entries),
+        tuple(one.number for one in missing),
+        found.aliases,
+        found.source,
+        aside,
+    )
+    events = [Entry("registered", one.number, one.registered, one.by) for one in missing]
+    events.append(
+        Entry(
+            "repaired", found.aliases.champion, utc_now(), operator(), found.problem,
+            done.to_dict() | {"aside": aside.name},
+        )
+    )  # fmt: skip
+    raw, sha256 = found.raw, found.last_sha256
+    for number, entry in enumerate(events, start=len(found.entries) + 1):
+        line = _line(entry, sha256, number)
+        raw, sha256 = raw + line + b"\n", hashlib.sha256(line).hexdigest()
+    _replace(folder / LOG_FILE, raw)
+    _write_head(folder, (*found.entries, *events), sha256)
+    return done
+
+
+def write_view(folder: Path, aliases: Aliases) -> None:
+    """Write `aliases.json`, a view of the log for people."""
+    _replace(folder / ALIASES_FILE, json_bytes(aliases.to_dict()))
 
 
 def append_line(path: Path, document: Mapping[str, Any]) -> None:
@@ -82,23 +361,7 @@ def append_line(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         RegistryError: It cannot be written.
     """
-    # On one line, whatever line breaks are in it.
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False)
-    try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            os.ftruncate(descriptor, _committed(path))
-            os.lseek(descriptor, 0, os.SEEK_END)
-            _write(descriptor, text.encode() + b"\n")
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        fsync_directory(path.parent)
-    except OSError as error:
-        raise RegistryError(
-            f"cannot write {path}: {error.strerror}",
-            hint="see whether the folder may be written to and the disk has room",
-        ) from error
+    _append_bytes(path, _json_line(document))
 
 
 def read_lines(path: Path) -> list[tuple[int, bytes]]:
@@ -118,6 +381,33 @@ def read_lines(path: Path) -> list[tuple[int, bytes]]:
     return list(enumerate(content.split(b"\n")[:-1], start=1))
 
 
+def _json_line(document: Mapping[str, Any]) -> bytes:
+    """Return a document on one line, whatever line breaks are in it."""
+    return json.dumps(document, ensure_ascii=False, allow_nan=False).encode()
+
+
+def _append_bytes(path: Path, line: bytes) -> None:
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            os.ftruncate(descriptor, _committed(path))
+            os.lseek(descriptor, 0, os.SEEK_END)
+            _write(descriptor, line + b"\n")
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        fsync_directory(path.parent)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> RegistryError:
+    return RegistryError(
+        f"cannot write {path}: {error.strerror or error}",
+        hint="see whether the folder may be written to and the disk has room",
+    )
+
+
 def _write(descriptor: int, content: bytes) -> None:
     while content:
         content = content[os.write(descriptor, content) :]
@@ -128,30 +418,158 @@ def _committed(path: Path) -> int:
     return path.read_bytes().rfind(b"\n") + 1
 
 
-def _lines(folder: Path) -> list[tuple[Entry, str]]:
-    """Entries with the digests of their lines."""
-    path = folder / LOG_FILE
-    found: list[tuple[Entry, str]] = []
-    for number, line in read_lines(path):
-        before = found[-1][1] if found else ""
-        found.append((_entry(path, number, line, before), hashlib.sha256(line).hexdigest()))
-    return found
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A committed line; `numbered` is written since there is a head."""
+
+    entry: Entry
+    raw: bytes
+    sha256: str
+    numbered: bool
 
 
-def _entry(path: Path, number: int, line: bytes, before: str) -> Entry:
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """Number of lines, digest of the last one, and the roles after it."""
+
+    lines: int
+    sha256: str
+    aliases: Aliases
+
+
+def _append(folder: Path, before: Inspected, entry: Entry) -> None:
+    line = _line(entry, before.last_sha256, len(before.entries) + 1)
+    _append_bytes(folder / LOG_FILE, line)
+    _write_head(folder, (*before.entries, entry), hashlib.sha256(line).hexdigest())
+
+
+def _line(entry: Entry, before: str, number: int) -> bytes:
+    return _json_line(entry.to_dict() | {"before": before, "line": number})
+
+
+def _write_head(folder: Path, entries: Sequence[Entry], sha256: str) -> None:
+    aliases = Aliases.after(entries).to_dict()
+    document = {"hil_head": HEAD_FORMAT, "lines": len(entries), "sha256": sha256, **aliases}
+    _replace(folder / HEAD_FILE, json_bytes(document))
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file whole, so that it is there after a power loss, too."""
     try:
-        told = json.loads(line)
-        linked = told.pop("before") == before
-        entry = Entry(**told)
-        if entry.event not in get_args(Event) or not isinstance(entry.version, int):
-            raise ValueError(f"{entry.event!r} of {entry.version!r}")
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise RegistryError(
-            f"{path}:{number}: damaged: {error}", hint="restore the file from a backup"
-        ) from error
-    if not linked:
-        raise RegistryError(
-            f"{path}:{number} does not follow the line before it: the log was changed",
-            hint="restore the file from a backup; `hil models check` says what agrees",
-        )
-    return entry
+        write_whole(path, content)
+        fsync_directory(path.parent)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
+def _read_head(folder: Path) -> _Head | str:
+    """Return the head; empty text where there is none, else what is wrong with it."""
+    path = folder / HEAD_FILE
+    try:
+        document = json.loads(path.read_bytes())
+        if document["hil_head"] != HEAD_FORMAT:
+            raise ValueError(f"format {document['hil_head']!r}")
+        lines, sha256 = document["lines"], document["sha256"]
+        if not isinstance(lines, int) or lines < 1 or not isinstance(sha256, str):
+            raise ValueError(f"{lines!r} lines, digest {sha256!r}")
+        return _Head(lines, sha256, Aliases.from_dict(document))
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        return f"{path} cannot be read: {error}"
+
+
+def _lines_of(head: _Head | str, otherwise: int) -> int:
+    return head.lines if isinstance(head, _Head) else otherwise
+
+
+def _read_view(folder: Path) -> Aliases | None:
+    try:
+        return Aliases.from_dict(json.loads((folder / ALIASES_FILE).read_bytes()))
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return None  # a view may be missing
+
+
+def _states(entries: Sequence[Entry]) -> list[Aliases]:
+    """Return the roles after each line, also before the first."""
+    return [Aliases.after(entries[:k]) for k in range(len(entries) + 1)]
+
+
+def _lost_lines(folder: Path, there: int, head: _Head) -> str:
+    """Say which lines the head knows and the log has no more."""
+    path = folder / LOG_FILE
+    champion = f"v{head.aliases.champion}" if head.aliases.champion else "none"
+    after = f"; the champion after line {head.lines} was {champion}"
+    if not path.exists():
+        return f"{path} is missing, with its {head.lines} lines{after}"
+    lost = f"line {head.lines}" if there == head.lines - 1 else f"lines {there + 1} to {head.lines}"
+    verb = "is" if there == head.lines - 1 else "are"
+    return f"{path}: {lost} {verb} missing or cut off, by {HEAD_FILE}{after}"
+
+
+def _without_head(
+    folder: Path, lines: Sequence[_Line], numbers: Sequence[int], view: Aliases | None
+) -> str:
+    """Say what is missing of a log without a head; empty for a new or an older one.
+
+    An older log is compared with what else there is: a crash leaves at most one version out of the
+    log, and `aliases.json` at most older than the log.
+    """
+    path, entries = folder / LOG_FILE, tuple(line.entry for line in lines)
+    if any(line.numbered for line in lines[:-1]):
+        return f"{folder / HEAD_FILE} is missing: nothing confirms the last line of {path}"
+    known = {entry.version for entry in entries if entry.event == "registered"}
+    unknown = [f"v{number}" for number in numbers if number not in known]
+    if len(unknown) > 1:
+        return f"{path}: the lines that registered {', '.join(unknown)} are missing"
+    if view is not None and view not in _states(entries):
+        roles = f"champion v{view.champion}" if view.champion else "no champion"
+        return f"{path}: lines are missing: {ALIASES_FILE} has {roles}, which no line leads to"
+    return ""
+
+
+def _chain(folder: Path) -> tuple[list[_Line], str]:
+    """Return committed lines as far as each follows the one before, and what ends them."""
+    path = folder / LOG_FILE
+    found: list[_Line] = []
+    for number, raw in read_lines(path):
+        try:
+            document = json.loads(raw)
+            linked = document.pop("before") == (found[-1].sha256 if found else "")
+            numbered = document.pop("line", None)
+            entry = Entry(**document)
+            if entry.event not in get_args(Event) or not isinstance(entry.version, int):
+                raise ValueError(f"{entry.event!r} of {entry.version!r}")
+            Aliases.after([entry])
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            return found, f"{path}:{number}: damaged: {error}"
+        if not linked or numbered not in (None, number):
+            # The line before may be the changed one: the digest here is of what it was.
+            return found[:-1], (
+                f"{path}:{number} does not follow the line before it: the log was changed"
+            )
+        sha256 = hashlib.sha256(raw).hexdigest()
+        found.append(_Line(entry, raw, sha256, numbered is not None))
+    return found, ""
+
+
+def _set_aside(folder: Path) -> Path:
+    """Copy log, head and view into a new folder, which is there whole or not at all."""
+    stamp = utc_now()[:19].replace(":", "").replace("-", "")
+    names = (f"damaged-{stamp}" + (f"-{k}" if k else "") for k in range(1000))
+    aside = next(path for name in names if not (path := folder / name).exists())
+    draft = folder / f".{aside.name}.{os.getpid()}"
+    try:
+        shutil.rmtree(draft, ignore_errors=True)
+        draft.mkdir()
+        for name in (LOG_FILE, HEAD_FILE, ALIASES_FILE):
+            if (folder / name).exists():
+                write_whole(draft / name, (folder / name).read_bytes())
+        fsync_directory(draft)
+        draft.rename(aside)
+        fsync_directory(folder)
+    except OSError as error:
+        raise _cannot_write(aside, error) from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return aside

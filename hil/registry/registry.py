@@ -10,17 +10,28 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hil.errors import RegistryError, SpecError
 from hil.identify.base import RobotEstimator
-from hil.identify.model_file import json_bytes, load_model_file, write_whole
+from hil.identify.model_file import load_model_file
 from hil.record.provenance import operator, utc_now
 from hil.registry.facts import facts_of
 from hil.registry.lock import writing
-from hil.registry.log import Entry, Event, append, read_log
+from hil.registry.log import (
+    Aliases,
+    Entry,
+    Event,
+    Repair,
+    append,
+    damaged,
+    inspect,
+    read_log,
+    repair,
+    settle,
+    write_view,
+)
 from hil.registry.pointers import leave_pointer
 from hil.registry.version import (
     VERSION_FILE,
@@ -33,53 +44,10 @@ from hil.registry.version import (
 )
 from hil.suggest import closest
 
-ALIASES_FILE = "aliases.json"
 FEW = 5
 """Names that a hint lists."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}\Z")
-
-
-@dataclass(frozen=True, slots=True)
-class Aliases:
-    """Who is what; 0 where nobody is.
-
-    Attributes:
-        champion: In use.
-        challenger: To be compared with it.
-        before: The champions before, newest last.
-    """
-
-    champion: int = 0
-    challenger: int = 0
-    before: tuple[int, ...] = ()
-
-    @staticmethod
-    def after(log: tuple[Entry, ...]) -> Aliases:
-        """What a log comes to."""
-        champion, challenger, before = 0, 0, list[int]()
-        for entry in log:
-            if entry.event == "challenger":
-                challenger = entry.version
-            elif entry.event == "promoted":
-                before += [champion] if champion else []
-                champion, challenger = entry.version, 0
-            elif entry.event == "rolled-back":
-                # What was left is no way back: it would be the way forward again.
-                while before and before.pop() != entry.version:
-                    pass
-                champion = entry.version
-            elif entry.event == "kept" and challenger == entry.version:
-                challenger = 0
-        return Aliases(champion, challenger, tuple(before))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            "champion": self.champion or None,
-            "challenger": self.challenger or None,
-            "before": list(self.before),
-        }
 
 
 class Registry:
@@ -101,8 +69,10 @@ class Registry:
 
         rows = []
         for name in self.names():
-            now = self.aliases(name)
-            labels = (f"v{one}" if one else "–" for one in (now.champion, now.challenger))
+            labels = ("log damaged", "–")
+            if not self.problem(name):
+                now = self.aliases(name)
+                labels = (_label(now.champion), _label(now.challenger))
             rows.append((name, len(self.versions(name)), *labels))
         head = ("name", "versions", "champion", "challenger")
         notes = [] if rows else ["no models yet"]
@@ -279,11 +249,43 @@ class Registry:
             return self._do(home, "rolled-back", target, reason)
 
     def rebuild(self, name: str) -> Aliases:
-        """Make the views from versions and log, and enter versions a crash has kept from it."""
+        """Make the views from versions and log, and enter versions a crash has kept from it.
+
+        Raises:
+            RegistryError: There is no such name, or its log is damaged: nothing is written then.
+        """
         home = self._home(name)
         with writing(home):
             self._adopt(home)
             return _view(home)
+
+    def problem(self, name: str) -> RegistryError | None:
+        """Return what is wrong with a name's log; None where it is sound. Writes nothing.
+
+        Raises:
+            RegistryError: There is no such name, or its log cannot be read.
+        """
+        home = self._home(name)
+        problem = inspect(home).problem
+        return damaged(home, problem) if problem else None
+
+    def repair(self, name: str) -> Repair | None:
+        """Rebuild a damaged log from what is left of it and from the versions' folders.
+
+        The files as they were stay in a folder of their own.
+
+        Returns:
+            What was done; None where the log is sound.
+
+        Raises:
+            RegistryError: There is no such name, a version is damaged, or nothing can be written.
+        """
+        home = self._home(name)
+        with writing(home):
+            done = repair(home)
+            self._adopt(home)
+            _view(home)
+            return done
 
     def _home(self, name: str) -> Path:
         require_name(name)
@@ -301,8 +303,8 @@ class Registry:
         return f"there is {few}: hil models list" if names else "register one: hil models register"
 
     def _adopt(self, home: Path) -> None:
-        """Enter versions that are there and not in the log."""
-        known = {entry.version for entry in read_log(home) if entry.event == "registered"}
+        """Enter versions that are there and not in the log, which must be sound."""
+        known = {one.version for one in settle(home).entries if one.event == "registered"}
         for number in numbers_in(home):
             if number not in known:
                 version = read_version(home, number)
@@ -338,9 +340,13 @@ def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
     return [model, *(Path(str(one)) for one in (folder, *facts.get("data", ())) if one)]
 
 
+def _label(number: int) -> str:
+    return f"v{number}" if number else "–"
+
+
 def _view(home: Path) -> Aliases:
     aliases = Aliases.after(read_log(home))
-    write_whole(home / ALIASES_FILE, json_bytes(aliases.to_dict()))
+    write_view(home, aliases)
     return aliases
 
 

@@ -13,7 +13,7 @@ from hil.drift.bands import Banded, banded
 from hil.drift.chart import REFERENCE
 from hil.drift.features import JOINT_FEATURES
 from hil.errors import DataError
-from hil.registry.log import Entry
+from hil.registry.log import CHAMPION_EVENTS, Entry
 from hil.registry.registry import Registry
 from hil.report import colours
 from hil.report import drift_figures as figures
@@ -39,6 +39,8 @@ EVENTS = {
     "promoted": "promoted to champion",
     "kept": "not promoted",
     "rolled-back": "champion again",
+    "head-adopted": "head of the log adopted",
+    "repaired": "log repaired",
 }
 
 
@@ -92,7 +94,7 @@ def in_time(told: Sequence[Banded], log: Sequence[Entry]) -> tuple[list[Banded],
         changes = [
             (_moment(entry.at), f"v{entry.version}")
             for entry in log
-            if entry.event in ("promoted", "rolled-back")
+            if entry.event in CHAMPION_EVENTS and entry.version
         ]
         x = tuple(_moment(one.probe.at) for one in told)
         return list(told), Along(x, "time [UTC]", changes=tuple(changes))
@@ -148,7 +150,7 @@ def champion_changes(log: Sequence[Entry]) -> Section:
     rows = tuple(
         cells(
             when(e.at) or UNKNOWN,
-            f"v{e.version}",
+            e.label or UNKNOWN,
             EVENTS.get(e.event, e.event),
             e.reason or UNKNOWN,
             e.by,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.registry.log import Entry
+from hil.registry.log import CHAMPION_EVENTS, Entry
 from hil.report.words import number
 from hil.typing import FloatArray
 
@@ -29,6 +29,8 @@ GLYPHS = {
     "promoted": ("▲", "promoted to champion"),
     "kept": ("✕", "compared, and not promoted"),
     "rolled-back": ("◀", "champion again"),
+    "head-adopted": ("·", "head of the log adopted"),
+    "repaired": ("✚", "log repaired"),
 }
 
 
@@ -54,6 +56,7 @@ class Scale:
 
 def timeline(log: Sequence[Entry]) -> dict[str, Any]:
     """Who was champion, deed by deed: a row per version, a column per deed, newest ones only."""
+    log = [entry for entry in log if entry.version]  # events of the log itself have no row
     deeds = list(enumerate(log))[-MOST_DEEDS:]
     versions = sorted({entry.version for _, entry in deeds}, reverse=True)
     x = Scale(0, max(len(deeds) - 1, 1), LEFT + 14, WIDTH - RIGHT - 14)
@@ -79,7 +82,7 @@ def _reigns(
 ) -> Iterator[dict[str, float]]:
     """From a promotion, or the way back, to the next."""
     crowned = [(i, e.version) for i, (_, e) in enumerate(deeds)
-               if e.event in ("promoted", "rolled-back")]  # fmt: skip
+               if e.event in CHAMPION_EVENTS]  # fmt: skip
     ends = [*(i for i, _ in crowned), len(deeds)][1:]  # none where nobody was crowned
     for (begin, version), end in zip(crowned, ends, strict=True):
         last = WIDTH - RIGHT if end == len(deeds) else x(end)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.errors import HilError, RegistryError
-from hil.registry.log import Entry, read_log
-from hil.registry.registry import Aliases, Registry
+from hil.registry.log import Aliases, Entry, read_log
+from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 from hil.report.documents import as_float, as_names, as_object, as_objects
 from hil.report.measures import measure
@@ -70,7 +70,7 @@ def deed(name: str, entry: Entry) -> dict[str, Any]:
     glyph, words = GLYPHS[entry.event]
     return {
         "at": when(entry.at),
-        "version": f"v{entry.version}",
+        "version": entry.label,
         "address": model_address(name, entry.version),
         "glyph": glyph,
         "words": words,

@@ -9,7 +9,8 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.registry.registry import Aliases, Registry
+from hil.registry.log import CHAMPION_EVENTS, Aliases
+from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 from hil.report.words import when
 from hil.web.drawing import timeline
@@ -54,7 +55,7 @@ def model(request: Request) -> Response:
         versions=[_version_row(one, aliases, settings) for one in reversed(versions)],
         evidence=evidence_of(log),
         drift=drift_of(name, request.query_params.get("feature", ""), unit, settings),
-        commands=_commands(name, aliases, settings),
+        commands=_commands(name, aliases, bool(broken), settings),
     )  # fmt: skip
 
 
@@ -66,7 +67,7 @@ def _name_row(registry: Registry, name: str, problems: list[str]) -> dict[str, A
     aliases = Aliases.after(log)
     by_number = {one.number: one for one in versions}
     champion = by_number.get(aliases.champion)
-    since = next((e.at for e in reversed(log) if e.event in ("promoted", "rolled-back")), "")
+    since = next((e.at for e in reversed(log) if e.event in CHAMPION_EVENTS), "")
     return {
         "name": name,
         "address": model_address(name),
@@ -95,9 +96,14 @@ def _version_row(one: ModelVersion, aliases: Aliases, settings: Settings) -> dic
     }
 
 
-def _commands(name: str, aliases: Aliases, settings: Settings) -> list[tuple[str, str]]:
+def _commands(
+    name: str, aliases: Aliases, broken: bool, settings: Settings
+) -> list[tuple[str, str]]:
     """What is done in a terminal: there it says what it rests on, and asks nobody twice."""
     where = f"--registry {shlex.quote(str(settings.registry))}"
+    if broken:
+        repair = f"hil models repair {name} {where}"
+        return [("Rebuild the log from the versions and what is left of it:", repair)]
     found = []
     if not aliases.champion:
         which = "challenger" if aliases.challenger else "v1"

@@ -12,7 +12,8 @@ from starlette.routing import Route
 
 from hil.deploy.export.targets import TARGETS
 from hil.errors import HilError
-from hil.registry.registry import Aliases, Registry
+from hil.registry.log import Aliases
+from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, read_version
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, in_words, joint_title, number, when
