@@ -7,6 +7,7 @@
     ├── PlanError                2   the spec is well formed, but no safe plan follows from it
     ├── PluginError              2   a driver, estimator or check is missing or broken
     ├── PreflightFailed          3   a check before motion failed
+    │   └── NotConfirmed             nobody confirmed that a real robot may move
     ├── RobotError               4   the rig, not the result, is broken
     │   ├── RobotConnectionError     (also ConnectionError)
     │   ├── RobotTimeout             (also TimeoutError)
@@ -72,6 +73,10 @@ class PreflightFailed(HilError):
     """At least one check before motion failed; the message lists all of them."""
 
     exit_code = 3
+
+
+class NotConfirmed(PreflightFailed):
+    """A real robot moves only after its motion was confirmed; this one was not, and stands."""
 
 
 class RobotError(HilError):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.api.arguments import AnyPath, mapping, path, waivers_of
-from hil.campaign.desk import Desk
+from hil.campaign.confirmation import Confirm, Granted, Unconfirmed
+from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.engine import Observer
@@ -94,6 +96,7 @@ def run(
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
     desk: Desk | None = None,
+    robot: str | None = None,
 ) -> RunReport:
     """Plan, run, record, fit, judge and report.
 
@@ -104,21 +107,38 @@ def run(
         observers: Told about progress, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
+        robot: Name of the experiment's robot, which confirms that it may move; a real robot does
+            not move without it.
 
     Returns:
         The report; a run that ended early says so in `outcome` and `error` and is not raised.
 
     Raises:
-        HilError: What went wrong before there was a run directory.
+        NotConfirmed: The robot is a real one, and was not named.
+        SpecError: `robot` is not the robot of the experiment.
+        HilError: What else went wrong before there was a run directory.
     """
+    if robot not in (None, _loaded(experiment).spec.robot):
+        raise SpecError(
+            f"robot={robot!r} is not the robot of {experiment.spec.name}",
+            hint=f"it is for {experiment.spec.robot!r}: see {experiment.station_source}",
+        )
     return run_experiment(
-        _loaded(experiment),
+        experiment,
         runs=path(runs),
         operator=operator,
         observers=observers,
         waivers=waivers_of(waivers),
-        desk=desk,
+        desk=_confirming(desk, robot, operator),
     )
+
+
+def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
+    """Return the desk, where naming the robot in the call is what confirms its motion."""
+    confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
+    if robot is not None:
+        confirm = Granted("robot=", operator, {"robot": robot})
+    return replace(desk or console_desk(operator), confirm=confirm)
 
 
 def resume(
@@ -128,6 +148,7 @@ def resume(
     observers: Sequence[Observer] = (),
     waivers: Mapping[str, str] | None = None,
     desk: Desk | None = None,
+    robot: str | None = None,
 ) -> RunReport:
     """Go on with a run that ended early: what is whole stays, the rest is measured and judged.
 
@@ -137,6 +158,8 @@ def resume(
         observers: Told about progress, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
+        robot: Name of the run's robot, which confirms that it may move; needed for a real robot
+            unless the same address and payload were confirmed when the run began.
 
     Returns:
         The report over all attempts.
@@ -144,11 +167,12 @@ def resume(
     Raises:
         DataError: The run has nothing left to do, or its plan or spec was changed.
         PreflightFailed: It is another robot.
+        NotConfirmed: Address or payload of a real robot changed, and `robot` does not name it.
         HilError: What else keeps the run from going on.
     """
     return resume_experiment(
-        path(run), operator=operator, observers=observers, desk=desk,
-        waivers=waivers_of(waivers),
+        path(run), operator=operator, observers=observers,
+        desk=_confirming(desk, robot, operator), waivers=waivers_of(waivers),
     )  # fmt: skip
 
 

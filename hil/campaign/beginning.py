@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import model_sha256
+from hil.campaign.confirmation import loads_document
 from hil.campaign.experiment import Experiment
 from hil.plan.plan import Plan
 from hil.record.parts import name_of_attempt
@@ -28,8 +29,18 @@ def write_beginning(
     plan: Plan,
     operator: str,
     waivers: Mapping[str, str],
+    confirmation: Mapping[str, Any] | None = None,
 ) -> None:
     """Store what the run starts from: spec, station, plan and start document.
+
+    Args:
+        directory: Of the run.
+        experiment: What is done, and where.
+        robot: Connected.
+        plan: What is executed.
+        operator: Who is at the robot; empty for the user of this process.
+        waivers: Preflight check → why its failure is accepted.
+        confirmation: How the motion of a real robot was confirmed; None where it need not be.
 
     Raises:
         RecordingError: The disk refuses.
@@ -51,13 +62,11 @@ def write_beginning(
             "station": whole(experiment.station_source),
             "robot_name": experiment.spec.robot,
             "robot": describe_robot(robot, experiment.robot),
-            "loads": [
-                {"mass_kg": load.payload.mass, "com_m": list(load.payload.com)}
-                for load in plan.loads
-            ],
+            "loads": loads_document(plan.loads),
             "seed": experiment.spec.excitation.seed,
             **_commissioning(experiment),
             **({"occasion": experiment.occasion} if experiment.occasion else {}),
+            **({"confirmation": dict(confirmation)} if confirmation else {}),
             "waivers": [
                 {"check": check, "reason": reason, "who": provenance["operator"]}
                 for check, reason in waivers.items()

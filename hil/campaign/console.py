@@ -9,6 +9,7 @@ import shutil
 import sys
 import termios
 import time
+from collections.abc import Iterable
 from textwrap import wrap
 
 WIDEST = 90
@@ -63,6 +64,12 @@ class Console:
         lines = [line for text in paragraphs for line in wrap(text, max(width, 20))]
         start = "\r\x1b[K\a" if sys.stderr.isatty() else "\n"
         sys.stderr.write(start + "".join(f"{line}\n" for line in lines) + ask)
+        sys.stderr.flush()
+
+    def show(self, lines: Iterable[str]) -> None:
+        """Write lines as they are."""
+        start = "\r\x1b[K" if sys.stderr.isatty() else ""
+        sys.stderr.write(start + "".join(f"{line}\n" for line in lines))
         sys.stderr.flush()
 
     @staticmethod

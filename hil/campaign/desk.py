@@ -1,11 +1,13 @@
-"""Where the operator sits: prompts are answered and pauses ended there."""
+"""Where the operator sits: motions are confirmed, prompts answered and pauses ended there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from hil.campaign.answers import load_answers
+from hil.campaign.confirmation import Confirm, TypedName, Unconfirmed
+from hil.campaign.console import Console
 from hil.campaign.operator import ConsoleOperator
 from hil.engine import Prompt
 from hil.engine.pausing import GoOn
@@ -20,11 +22,13 @@ class Desk:
         prompt: Asks for a confirmation.
         go_on: Looks, without waiting, whether the operator ends a pause.
         wait_s: How long to wait for a robot that somebody else holds [s].
+        confirm: Confirms that a real robot may move; by default it may not.
     """
 
     prompt: Prompt
     go_on: GoOn
     wait_s: float = 0.0
+    confirm: Confirm = field(default_factory=Unconfirmed)
 
 
 def console_desk(
@@ -33,6 +37,7 @@ def console_desk(
     answers: str | Path | None = None,
     wait_s: float = 0.0,
     elsewhere: bool = False,
+    confirm: Confirm | None = None,
 ) -> Desk:
     """The console of this process, and other terminals.
 
@@ -41,12 +46,14 @@ def console_desk(
         answers: File with the answers to all prompts, in place of asking.
         wait_s: How long to wait for a robot that somebody else holds [s].
         elsewhere: Whether prompts wait for answers from other terminals only.
+        confirm: Confirms that a real robot may move; by default whoever types its name here.
 
     Raises:
         SpecError: The file has mistakes; all are listed. Or answers come from both.
     """
     if elsewhere and answers is not None:
         raise SpecError("--answers and --elsewhere are two ways to answer", hint="choose one")
-    console = ConsoleOperator(operator or "operator", elsewhere=elsewhere)
-    prompt: Prompt = console if answers is None else load_answers(answers)
-    return Desk(prompt, console.goes_on, wait_s)
+    console = Console(read=not elsewhere)
+    sits = ConsoleOperator(operator or "operator", console, elsewhere=elsewhere)
+    prompt: Prompt = sits if answers is None else load_answers(answers)
+    return Desk(prompt, sits.goes_on, wait_s, confirm or TypedName(console, operator))

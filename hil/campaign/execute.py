@@ -10,6 +10,7 @@ from typing import Any
 from hil.campaign.arm_view import ArmView
 from hil.campaign.attempt import Attempt, Recorded, finish
 from hil.campaign.beginning import open_recorder
+from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.campaign.control import Control
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.live_state import LiveState
@@ -41,6 +42,7 @@ class Attendance:
         operator: Who is at the robot; empty for the user of this process.
         waivers: Preflight check → why its failure is accepted.
         wait_s: How long to wait for a robot that somebody else holds [s].
+        confirm: Confirms that a real robot may move.
         until_judged: What is to stay open until the run has been judged and reported.
     """
 
@@ -51,6 +53,7 @@ class Attendance:
     operator: str = ""
     waivers: Mapping[str, str] = field(default_factory=dict)
     wait_s: float = 0.0
+    confirm: Confirm = field(default_factory=Unconfirmed)
     until_judged: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def stage(self, text: str) -> None:

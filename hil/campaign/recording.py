@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from hil import plugins
 from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
+from hil.campaign.confirmation import confirmation_of, motion_facts, require_confirmable
 from hil.campaign.control_files import hold_attempt
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment
@@ -33,9 +35,17 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
         PreflightFailed: It asks for something to be done, and nobody could answer.
+        NotConfirmed: The robot is a real one, and its motion was not confirmed.
         RecordingError: The run directory cannot be made.
     """
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
+
+    def admit(robot: Robot) -> None:
+        require_confirmable(robot, experiment.spec.robot, attendance.confirm)
+
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=admit) as (
+        robot,
+        lease,
+    ):
         require_usable(experiment, robot)
         attendance.stage("planning")
         plan = plan_for(experiment, robot, attendance.computing)
@@ -44,6 +54,9 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
             plan = part.of(plan)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
+        confirmed = confirmation_of(
+            robot, partial(motion_facts, experiment, robot, plan), attendance.confirm
+        )
         with attendance.signals.guard():
             directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
             attendance.until_judged.enter_context(hold_attempt(directory.path))
@@ -56,6 +69,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
                     plan,
                     attendance.operator,
                     attendance.waivers,
+                    confirmed,
                 )
             except BaseException as error:
                 with contextlib.suppress(HilError):

@@ -8,6 +8,7 @@ import socket
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import numpy as np
 from hil.arms import require_same_arm
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
+from hil.campaign.confirmation import confirmation_of, motion_facts, require_confirmable
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
@@ -33,7 +35,8 @@ from hil.plan.approach import Approach
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
-from hil.record.parts import attempt_of
+from hil.record.files import read_json
+from hil.record.parts import attempt_of, name_of_attempt
 from hil.record.provenance import started_as, utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
@@ -125,11 +128,20 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         SpecError, PluginError, RobotError: The robot cannot be reached or used.
         PlanError: No clear way leads from where the arm stands back to the plan.
         PreflightFailed: It is another robot.
+        NotConfirmed: Address or payload is another one than was confirmed, and this was not.
         RecordingError: The run directory cannot be written to.
     """
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage) as (robot, lease):
+    before = _confirmed_before(directory)
+
+    def admit(robot: Robot) -> None:
+        require_confirmable(robot, experiment.spec.robot, attendance.confirm, before)
+
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=admit) as (
+        robot,
+        lease,
+    ):
         require_same_robot(directory, describe_robot(robot, experiment.robot))
         require_usable(experiment, robot)
         attendance.stage("planning the way back")
@@ -137,20 +149,36 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         weighed = weighed_before(plan, directory.recordings, robot.capabilities)
         todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
-        before = replace(_before(directory, plan.rate_hz), first_load=weighed)
+        confirmed = confirmation_of(
+            robot, partial(motion_facts, experiment, robot, todo), attendance.confirm, before
+        )
+        measured = replace(_before(directory, plan.rate_hz), first_load=weighed)
         with attendance.signals.guard():
             lease.note_run(directory.path)
             number = directory.next_attempt()
             directory.write_resume(
-                number, _document(unfinished, robot, todo, attendance, cold=cold)
+                number,
+                _document(unfinished, robot, todo, attendance, cold=cold)
+                | ({"confirmation": confirmed} if confirmed else {}),
             )
             attendance.stage(
                 f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
             )
             for text in _repeated(unfinished, todo, cold=cold):
                 attendance.stage(text)
-            attempt = Attempt(directory, number, experiment, plan, todo, before)
+            attempt = Attempt(directory, number, experiment, plan, todo, measured)
             return execute(attempt, robot, attendance)
+
+
+def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
+    """Return the facts that were confirmed last; None for a run without a confirmation."""
+    names = [name_of_attempt("resume.json", n) for n in range(directory.attempts - 1, 0, -1)]
+    documents = [read_json(path) for name in names if (path := directory.path / name).is_file()]
+    for document in (*documents, directory.start):
+        if isinstance(answer := document.get("confirmation"), dict):
+            facts = answer.get("facts")
+            return facts if isinstance(facts, dict) else None
+    return None
 
 
 def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:

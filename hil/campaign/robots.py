@@ -84,7 +84,11 @@ def connected(name: str, station_robot: StationRobot) -> Iterator[Robot]:
 
 @contextlib.contextmanager
 def held(
-    experiment: Experiment, *, wait_s: float = 0.0, tell: Callable[[str], object]
+    experiment: Experiment,
+    *,
+    wait_s: float = 0.0,
+    tell: Callable[[str], object],
+    admit: Callable[[Robot], object] = lambda robot: None,
 ) -> Iterator[tuple[Robot, Lease]]:
     """The experiment's robot, connected and leased while inside: no other process has it.
 
@@ -92,16 +96,16 @@ def held(
         experiment: Says which robot of which station.
         wait_s: How long to wait for somebody else to let it go [s].
         tell: Is told once who is waited for.
+        admit: Called with the robot before it is leased and connected; may refuse it by raising.
 
     Raises:
         RobotConnectionError: Another process holds the robot, or it cannot be reached.
         PluginError, SpecError, RobotError: See `open_robot`.
     """
-    with (
-        opened(experiment.spec.robot, experiment.robot) as robot,
-        _held(experiment, robot, wait_s=wait_s, tell=tell) as lease,
-    ):
-        yield robot, lease
+    with opened(experiment.spec.robot, experiment.robot) as robot:
+        admit(robot)
+        with _held(experiment, robot, wait_s=wait_s, tell=tell) as lease:
+            yield robot, lease
 
 
 @contextlib.contextmanager

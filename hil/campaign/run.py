@@ -184,6 +184,7 @@ def _attended(
                         operator,
                         waivers,
                         at.wait_s,
+                        at.confirm,
                         until_judged,
                     )
                 )

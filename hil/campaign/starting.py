@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from hil.campaign.detached import begin, ticks_of
 from hil.campaign.driver_check import check_driver
@@ -24,10 +25,14 @@ from hil.errors import DataError, RecordingError, SpecError
 from hil.plan.commissioning import commissioning_of
 from hil.record.files import json_document, write_replacing
 from hil.record.lock import is_live
+from hil.record.provenance import operator as this_user
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 
 __all__ = ["Started", "check_start", "go_on_with", "start_run", "started_runs"]
+
+CONFIRMED = ".confirmed"
+"""Suffix of what was confirmed for a run that was started: JSON beside its record."""
 
 KEPT = 20
 """Of so many starts records and logs are kept."""
@@ -69,6 +74,7 @@ def start_run(
     overrides: Mapping[str, str] | None = None,
     speed: str = "",
     first: str = "",
+    confirmed: Mapping[str, Any] | None = None,
 ) -> Started:
     """Start `hil run SPEC --elsewhere` in a session of its own.
 
@@ -80,6 +86,8 @@ def start_run(
         overrides: Laid over the spec, YAML text by dotted path.
         speed: Share of the speed; see `hil.plan.commissioning.commissioning_of`.
         first: How much of the program; see there, too.
+        confirmed: `MotionFacts.to_dict` of what the operator has seen and confirmed; without it
+            a real robot does not move, nor does it where the run would do something else.
 
     Raises:
         SpecError, PluginError: See `check_start`; nothing was started.
@@ -91,16 +99,21 @@ def start_run(
     options += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
     options += [f"--speed={speed}"] if speed else []
     options += [f"--first={first}"] if first else []
-    return _start("run", options, spec, runs, station=station, operator=operator)
+    return _start(
+        "run", options, spec, runs, station=station, operator=operator, confirmed=confirmed
+    )
 
 
-def go_on_with(run: Path, runs: Path, *, operator: str = "") -> Started:
+def go_on_with(
+    run: Path, runs: Path, *, operator: str = "", confirmed: Mapping[str, Any] | None = None
+) -> Started:
     """Start `hil resume RUN --elsewhere` in a session of its own: the arm moves.
 
     Args:
         run: Directory of a run that ended early.
         runs: The folder of runs that it is in.
         operator: Who asks; recorded as who is at the robot.
+        confirmed: As in `start_run`; not needed where address and payload are as they were.
 
     Raises:
         DataError: It is live, was completed, or cannot be gone on with; nothing was started.
@@ -112,14 +125,26 @@ def go_on_with(run: Path, runs: Path, *, operator: str = "") -> Started:
         raise DataError(f"{run} goes on already", hint=f"follow it: hil watch {run}")
     if directory.status == "completed":
         raise DataError(f"{run} was completed", hint=f"what came of it: hil show {run}")
-    return _start("resume", [], run, runs, station=None, operator=operator)
+    return _start("resume", [], run, runs, station=None, operator=operator, confirmed=confirmed)
 
 
 def _start(
-    verb: str, options: list[str], what: Path, runs: Path, *, station: Path | None, operator: str
+    verb: str,
+    options: list[str],
+    what: Path,
+    runs: Path,
+    *,
+    station: Path | None,
+    operator: str,
+    confirmed: Mapping[str, Any] | None,
 ) -> Started:
     folder = runs / FOLDER
     name = f"{time.time_ns():020d}-{os.getpid()}"
+    if confirmed is not None:
+        answer = {"how": "dashboard", "by": operator or this_user(), "facts": dict(confirmed)}
+        folder.mkdir(parents=True, exist_ok=True)
+        write_replacing(folder / f"{name}{CONFIRMED}", json_document(answer))
+        options = [*options, f"--confirmed={folder / name}{CONFIRMED}"]
     command = [sys.executable, "-m", "hil", verb, f"--runs={runs}", "--elsewhere", *options]
     command += [f"--operator={operator}"] if operator else []
     command += ["--", str(what)]  # its name may begin as an option does
@@ -148,5 +173,5 @@ def _start(
 def _forget_old(runs: Path) -> None:
     for old in started_runs(runs)[KEPT:]:
         if not old.alive:
-            for path in (old.log, old.log.with_suffix(".json")):
+            for path in (old.log, *(old.log.with_suffix(end) for end in (".json", CONFIRMED))):
                 path.unlink(missing_ok=True)

@@ -12,6 +12,7 @@ from hil.cli.live_view import live_view, recorded_capabilities
 from hil.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
+    from hil.campaign.confirmation import Confirm
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
     from hil.robot import Capabilities
@@ -28,6 +29,8 @@ class Attended:
         wait_s: How long to wait for a robot that somebody else holds [s].
         live: Whether a live view is served, at which port and address.
         elsewhere: Whether prompts wait for answers from elsewhere.
+        yes: Whether a real robot moves without asking.
+        confirmed: File with the facts that were confirmed elsewhere.
     """
 
     operator: str
@@ -36,6 +39,8 @@ class Attended:
     wait_s: float
     live: tuple[bool, int | None, str | None]
     elsewhere: bool = False
+    yes: bool = False
+    confirmed: Path | None = None
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
@@ -58,7 +63,11 @@ class Attended:
         from hil.cli.progress import ProgressLines
 
         desk = console_desk(
-            self.operator, answers=self.answers, wait_s=self.wait_s, elsewhere=self.elsewhere
+            self.operator,
+            answers=self.answers,
+            wait_s=self.wait_s,
+            elsewhere=self.elsewhere,
+            confirm=self._confirm(),
         )
         with live_view(robot, *self.live) as views:
             return move(
@@ -67,6 +76,14 @@ class Attended:
                 waivers=waivers_of(self.waive),
                 desk=desk,
             )
+
+    def _confirm(self) -> Confirm | None:
+        """Return who confirms instead of the console; None for the console."""
+        from hil.campaign.confirmation import Granted, granted_in
+
+        if self.confirmed is not None:
+            return granted_in(self.confirmed)
+        return Granted("--yes", self.operator) if self.yes else None
 
 
 def rejected(report: RunReport) -> Rejected | None:

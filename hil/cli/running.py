@@ -67,6 +67,21 @@ FirstOption = Annotated[
         help="Commissioning: only the first poses or trajectories (10), or seconds (30s).",
     ),
 ]
+YesFlag = Annotated[
+    bool,
+    typer.Option(
+        "--yes", help="Move a real robot without asking: what scripts confirm with; recorded."
+    ),
+]
+ConfirmedOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--confirmed",
+        metavar="FILE",
+        help="Facts of the motion that were confirmed elsewhere (JSON), as the dashboard writes "
+        "them; a real robot moves if they are the facts of this run.",
+    ),
+]
 CampaignFlag = Annotated[
     bool,
     typer.Option("--campaign", help="A schedule: identify it again, whatever its probe says."),
@@ -93,6 +108,8 @@ def run(
     elsewhere: ElsewhereFlag = False,
     waive: WaiveOption = None,
     wait: WaitOption = 0.0,
+    yes: YesFlag = False,
+    confirmed: ConfirmedOption = None,
     speed: SpeedOption = "",
     first: FirstOption = "",
     live: LiveFlag = False,
@@ -112,7 +129,9 @@ def run(
 
     if is_schedule(spec):
         refuse_set(set_, "a schedule")
-        _refuse_attended(operator, answers, elsewhere, waive, wait, speed, first, live)
+        _refuse_attended(
+            operator, answers, elsewhere, waive, wait, yes, confirmed, speed, first, live
+        )
         if simulate:
             _refuse_kept(campaign, state, registry != HERE)
             simulate_schedule(spec, station, runs, simulate, json=json)
@@ -126,7 +145,9 @@ def run(
         )
     part = commissioning_of(speed, first)
     views = (live, live_port, live_host)
-    attended = Attended(operator, answers, tuple(waive or ()), wait, views, elsewhere)
+    attended = Attended(
+        operator, answers, tuple(waive or ()), wait, views, elsewhere, yes, confirmed
+    )
 
     def begin(experiment: Experiment) -> RunReport:
         return attended.run(replace(experiment, commissioning=part), runs)
@@ -147,8 +168,8 @@ def _refuse_attended(*given: object) -> None:
     """Nobody attends a schedule: what is for attended runs would be left out without a word."""
     if any(given):
         raise SpecError(
-            "--operator, --answers, --elsewhere, --waive, --wait, --speed, --first and --live are "
-            "for runs that somebody attends, not for schedules",
+            "--operator, --answers, --elsewhere, --waive, --wait, --yes, --confirmed, --speed, "
+            "--first and --live are for runs that somebody attends, not for schedules",
             hint="run its experiments by themselves to try them",
         )
 
@@ -170,6 +191,8 @@ def resume(
     elsewhere: ElsewhereFlag = False,
     waive: WaiveOption = None,
     wait: WaitOption = 0.0,
+    yes: YesFlag = False,
+    confirmed: ConfirmedOption = None,
     live: LiveFlag = False,
     live_port: LivePort = None,
     live_host: LiveHost = None,
@@ -183,7 +206,9 @@ def resume(
 
     path = find_run(run, runs)
     views = (live, live_port, live_host)
-    attended = Attended(operator, answers, tuple(waive or ()), wait, views, elsewhere)
+    attended = Attended(
+        operator, answers, tuple(waive or ()), wait, views, elsewhere, yes, confirmed
+    )
     if is_series_folder(path):
         above = path.parents[2]
         series.resume_series(path, lambda each: attended.run(each, above), attended.resume, json)

@@ -1,6 +1,7 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
 from hil.payload import Payload
+from hil.robot.address import Address, HasAddress, address_of, is_loopback
 from hil.robot.findings import Finding, HasChecks, HasReach
 from hil.robot.protocol import (
     Capabilities,
@@ -17,8 +18,10 @@ from hil.robot.torque import TorqueControlled, is_simulated
 
 __all__ = [
     "STATE_SCHEMA_VERSION",
+    "Address",
     "Capabilities",
     "Finding",
+    "HasAddress",
     "HasChecks",
     "HasReach",
     "HasResource",
@@ -31,6 +34,8 @@ __all__ = [
     "Segment",
     "Status",
     "TorqueControlled",
+    "address_of",
+    "is_loopback",
     "is_simulated",
     "state_dtype",
 ]

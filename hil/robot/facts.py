@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.robot.address import Address, HasAddress
 from hil.robot.documents import understood
 from hil.robot.findings import HasChecks
 from hil.robot.frames import dtype_of, dtype_text
@@ -25,7 +26,7 @@ class Facts:
 
     Attributes:
         capabilities, limits: Known before and after connecting.
-        topics, resource: None when the driver does not opt into them.
+        topics, resource, address: None when the driver does not opt into them.
         identity: None before connecting.
         checks: Whether it looks at itself before it moves.
     """
@@ -36,6 +37,7 @@ class Facts:
     resource: str | None
     identity: Identity | None
     checks: bool
+    address: Address | None = None
 
 
 def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
@@ -51,6 +53,7 @@ def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
         "resource": robot.resource if isinstance(robot, HasResource) else None,
         "identity": asdict(robot.identity) if connected else None,
         "checks": isinstance(robot, HasChecks),
+        "address": asdict(robot.address) if isinstance(robot, HasAddress) else None,
     }
 
 
@@ -62,6 +65,7 @@ def facts_from(document: Mapping[str, Any]) -> Facts:
     """
     with understood():
         topics, identity = document["topics"], document["identity"]
+        address = document["address"]
         return Facts(
             capabilities=_capabilities_from(document["capabilities"]),
             limits=_limits_from(document["limits"]),
@@ -69,6 +73,7 @@ def facts_from(document: Mapping[str, Any]) -> Facts:
             resource=document["resource"],
             identity=None if identity is None else Identity(**identity),
             checks=bool(document["checks"]),
+            address=None if address is None else Address(**address),
         )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import RobotConnectionError
+from hil.robot.address import Address
 from hil.robot.documents import plain_options, understood
 from hil.robot.driver_process import DriverProcess
 from hil.robot.facts import Facts, facts_from
@@ -30,6 +31,7 @@ class HostingProcess:
     topics: Sequence[Topic]
     drain: Callable[[], Mapping[str, StructArray]]
     resource: str
+    address: Address
     checks: Callable[[], Sequence[Finding]]
 
     def __init__(
@@ -84,6 +86,8 @@ class HostingProcess:
             self.topics, self.drain = facts.topics, self._drain
         if facts.resource is not None:
             self.resource = facts.resource
+        if facts.address is not None:
+            self.address = facts.address
         if facts.checks:
             self.checks = self._checks
 

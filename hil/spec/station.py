@@ -74,6 +74,11 @@ class StationRobot(Strict):
     surroundings: Surroundings = Field(
         Surroundings(), description="What the arm must not touch; by default a table at its base."
     )
+    checklist: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        (),
+        description="What must be so before this robot moves: shown whenever a motion of it is "
+        "confirmed, and recorded with the answer.",
+    )
     gravity_m_s2: Vector3 = Field(
         (0.0, 0.0, -9.81), description="Gravity in the base frame: says how the arm is mounted."
     )

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil import plugins
 from hil.errors import HilError
-from hil.robot import Capabilities, Identity, Limits, Payload, Segment
+from hil.robot import Address, Capabilities, Identity, Limits, Payload, Segment
 from hil.typing import FloatArray, StructArray
 from hil_mock_robot.arm import Arm
 from hil_mock_robot.clocks import Clock, VirtualClock
@@ -49,6 +49,8 @@ class MockRobot:
 
     simulated = True
     """`hil` drives nothing else by torque."""
+
+    address = Address("this process", real=False)
 
     def __init__(self, name: str, model: str = "ur5", **options: Any) -> None:
         _require_extra()

@@ -9,7 +9,7 @@ from typing import Any
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.payload import Payload
 from hil.record.topic import Topic
-from hil.robot import Capabilities, Finding, Identity, Limits, Segment
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
 from hil_drivers.checks import require_liftable
 from hil_drivers.cia402.drives import Commissioned
@@ -56,6 +56,11 @@ class AxesRobot:
     def resource(self) -> str:
         """See `hil.robot.HasResource`."""
         return self._options.resource
+
+    @property
+    def address(self) -> Address:
+        """See `hil.robot.HasAddress`."""
+        return self._options.address
 
     @property
     def identity(self) -> Identity:

@@ -35,6 +35,15 @@ class Bus:
     channel: str
     bitrate: int = BITRATE
 
+    def __str__(self) -> str:
+        return f"{self.interface} {self.channel}"
+
+    @property
+    def real(self) -> bool:
+        """Whether drives outside this computer may be on it."""
+        vcan = self.interface == "socketcan" and self.channel.startswith("vcan")
+        return not (vcan or self.interface in SIMULATED)
+
 
 def bus_of(value: Any) -> Bus:
     """The bus of a station's mapping; raises `SpecError`."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
+from hil.robot import Address
 from hil_drivers.cia402 import option_checks as must
 from hil_drivers.cia402.axis_options import axes_of
 from hil_drivers.cia402.bus_load import require_room
@@ -99,6 +100,12 @@ class Options:
     def resource(self) -> str:
         """Which bus this is: it has room for one master, whatever nodes it drives."""
         return f"can://{self.bus.interface}/{self.bus.channel}"
+
+    @property
+    def address(self) -> Address:
+        """See `hil.robot.HasAddress`."""
+        nodes = ", ".join(map(str, self.nodes))
+        return Address(f"{self.bus} (nodes {nodes})", real=self.bus.real)
 
 
 RANGES: dict[str, must.Range] = {

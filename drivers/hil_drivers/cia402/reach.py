@@ -19,7 +19,7 @@ def reached(bus: Bus) -> list[Finding]:
     Args:
         bus: Of the station.
     """
-    where = f"{bus.interface} {bus.channel}"
+    where = f"{bus}"
     if bus.interface == "socketcan":
         up = is_up(bus.channel)
         if up is None:

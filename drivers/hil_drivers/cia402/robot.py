@@ -52,6 +52,7 @@ class Cia402Robot(RobotProcess):
             resource=self._options.resource,
             identity=None,
             checks=True,
+            address=self._options.address,
         )
         super().__init__(DRIVER, name, model, options, known=known)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from hil.arms import load_arm
+from hil.robot import Address, is_loopback
 from hil_drivers.option_checks import OptionChecks
 from hil_drivers.twincat.symbols import DEFAULT_PREFIX
 
@@ -71,6 +72,15 @@ class Options:
         It keeps one TCP connection per computer: two programs here cannot have two of its arms.
         """
         return f"ads://{self.ams_net_id}"
+
+    @property
+    def route(self) -> Address:
+        """See `hil.robot.HasAddress`.
+
+        A router on this computer may lead to a real PLC, which its AMS net id names.
+        """
+        here = is_loopback(self.host[0]) and self.ams_net_id.startswith("127.")
+        return Address(f"{self.address} (AMS net id {self.ams_net_id})", real=not here)
 
     @property
     def host(self) -> tuple[str, int]:

@@ -8,7 +8,7 @@ from typing import Any
 from hil.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.payload import Payload
 from hil.record.topic import Topic
-from hil.robot import Capabilities, Finding, Identity, Limits, Segment
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
 from hil.typing import StructArray
 from hil_drivers.checks import require_liftable
 from hil_drivers.twincat import commanding
@@ -48,6 +48,11 @@ class TwinCatRobot:
     def resource(self) -> str:
         """See `hil.robot.HasResource`."""
         return self._options.resource
+
+    @property
+    def address(self) -> Address:
+        """See `hil.robot.HasAddress`."""
+        return self._options.route
 
     def reach(self) -> Sequence[Finding]:
         """See `hil.robot.HasReach`."""

@@ -17,7 +17,7 @@ from hil.errors import (
 )
 from hil.payload import Payload
 from hil.record.topic import Topic
-from hil.robot import Capabilities, Finding, Identity, Limits, Segment
+from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, is_loopback
 from hil.typing import StructArray
 from hil_drivers.checks import require_liftable
 from hil_drivers.ur.checks import require_executable
@@ -63,6 +63,11 @@ class UrRobot:
     def resource(self) -> str:
         """See `hil.robot.HasResource`."""
         return self._options.resource
+
+    @property
+    def address(self) -> Address:
+        """See `hil.robot.HasAddress`."""
+        return Address(self._options.address, real=not is_loopback(self._options.address))
 
     @property
     def identity(self) -> Identity:
