@@ -11,8 +11,11 @@ in `test_*.py`; this script shows all of it in one place and in minutes.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import pty
+import select
 import shutil
 import signal
 import subprocess
@@ -66,6 +69,97 @@ def last_line(text: str) -> str:
 # ---- A1 commissioning ---------------------------------------------------------------------------
 
 # ---- A2 confirmation of a real robot ------------------------------------------------------------
+
+REAL_ARM = """
+from hil.robot import Address
+from hil_mock_robot.driver import MockRobot
+
+
+class RealArm(MockRobot):
+    def __init__(self, name, model, *, at, **options):
+        super().__init__(name, model, **options)
+        self.address = Address(at)
+"""
+"""A driver whose arm says that it is a real one: what moves is the embedded mock."""
+
+
+def typing(answer: str, *arguments: object, cwd: Path, **env: str) -> tuple[int, str]:
+    """Run the command line on a terminal; type an answer when it asks for the robot's name."""
+    command = [sys.executable, "-m", "hil", *map(str, arguments)]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(cwd)
+        os.execvpe(command[0], command, os.environ | {"NO_COLOR": "1"} | env)
+    shown, asked = b"", False
+    with contextlib.suppress(OSError):  # the process has ended, and its terminal with it
+        while select.select([terminal], [], [], 300.0)[0] and (text := os.read(terminal, 65536)):
+            shown += text
+            if not asked and b" to move, Enter" in shown:
+                asked = os.write(terminal, answer.encode()) > 0
+    os.close(terminal)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), shown.decode(errors="replace")
+
+
+@finding("A2", "a real robot is named or confirmed")
+def real_robot_is_confirmed(folder: Path) -> str:
+    spec, station = folder / "dw.yaml", folder / "station.yaml"
+    spec.write_text(
+        "hil: 1\nname: dw\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 4}\n"
+        "loads: [{mass_kg: 0}, {mass_kg: 1, com_m: [0, 0, 0.05], prompt: Mount it}]\n"
+        "warm_up: {duration_s: 2}\nweigh: {poses: 0}\n"
+    )
+    station.write_text(
+        "hil_station: 1\nrobots:\n  ur5: {driver: ur, model: ur5, options: {address: 192.0.2.5}}\n"
+    )
+    bare = hil("run", "dw.yaml", cwd=folder)
+    assert bare.returncode == 3, bare.stderr
+    assert "192.0.2.5 is a real robot" in bare.stderr, bare.stderr
+    assert not (folder / "runs").exists()
+
+    info = folder / "real_arm-1.dist-info"
+    info.mkdir()
+    (folder / "real_arm.py").write_text(REAL_ARM)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: real-arm\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[hil.drivers]\nreal-arm = real_arm:RealArm\n")
+    station.write_text(
+        "hil_station: 1\nrobots:\n  ur5:\n    driver: real-arm\n    model: ur5\n"
+        "    options: {at: 198.51.100.7}\n    checklist: [The emergency stop is within reach.]\n"
+    )
+    path = {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
+    wrong, _ = typing("ur\n", "run", "dw.yaml", cwd=folder, **path)
+    assert wrong == 3, wrong
+    assert not list(folder.glob("runs/*/*/*")), "something was run"
+    stopped, _ = typing("\x03", "run", "dw.yaml", cwd=folder, **path)
+    assert stopped == 130, stopped
+    # The run stops at a prompt that is answered with no, so that there is something to resume.
+    (folder / "no.yaml").write_text("[{prompt: Mount it, answer: no}]\n")
+    (folder / "yes.yaml").write_text("[{prompt: Mount it, answer: yes}]\n")
+    code, shown = typing("ur5\n", "run", "dw.yaml", "--answers", "no.yaml", cwd=folder, **path)
+    assert code == 6, shown
+    for said in ("198.51.100.7", "wrist_3_joint", "elbow", "emergency stop", "1 kg at"):
+        assert said in shown, shown
+    (run,) = folder.glob("runs/*/*/*")
+    answer = json.loads((run / "start.json").read_text())["confirmation"]
+    assert answer["how"] == "typed", answer
+    assert answer["facts"]["address"] == "198.51.100.7", answer
+
+    resume = ("resume", run, "--answers", "no.yaml")
+    same = hil(*resume, cwd=folder, **path)
+    assert same.returncode == 6, same.stderr  # the prompt stopped it again: it was not asked
+    copy = run / "station.yaml"
+    copy.write_text(copy.read_text().replace("198.51.100.7", "198.51.100.8"))
+    other = hil(*resume, cwd=folder, **path)
+    assert other.returncode == 3, other.stderr
+    code, shown = typing("ur5\n", "resume", run, "--answers", "yes.yaml", cwd=folder, **path)
+    assert code == 0, shown
+    again = json.loads((run / "resume-02.json").read_text())["confirmation"]
+    assert again["facts"]["address"] == "198.51.100.8", again
+    return (
+        "a bare run beside a station at 192.0.2.5 ends with code 3 and connects to nothing; "
+        "'ur' and Ctrl-C move nothing (3, 130), 'ur5' moves it and is recorded; resume asks "
+        "nothing, at another address again"
+    )
+
 
 # ---- A3 programs that must fail -----------------------------------------------------------------
 

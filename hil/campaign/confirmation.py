@@ -24,7 +24,7 @@ from hil.campaign.console import Console
 from hil.campaign.experiment import Experiment
 from hil.errors import DataError, NotConfirmed
 from hil.plan.plan import LoadStep, Plan
-from hil.plan.swept import Swept, swept
+from hil.plan.swept import Swept, aligned, swept
 from hil.record.files import read_json
 from hil.record.provenance import operator as this_user
 from hil.record.provenance import utc_now
@@ -86,8 +86,8 @@ class MotionFacts:
             ("payload", "; then ".join(_load_words(load) for load in self.loads)),
             ("speed", f"joints up to {most:.3g}°/s{share}; the robot allows {limit:.3g}°/s"),
         ]
-        goes = self.swept.lines() if self.swept else ["space       not known: no description"]
-        return [*(f"{name:<10}  {text}" for name, text in rows), *goes]
+        goes = self.swept.rows() if self.swept else [("space", "not known: no description")]
+        return aligned([*rows, *goes])
 
     def to_dict(self) -> Document:
         """JSON form; SI units."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -59,15 +59,17 @@ class Swept:
 
     def lines(self) -> list[str]:
         """Return plain text, one line per fact, in degrees, metres, minutes and seconds."""
-        wide = max(len(name) for name in (*self.joint_names, self._tool))
+        return aligned(self.rows())
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the name and the text of every fact; see `lines`."""
         ranges = zip(self.joint_names, np.degrees(self.q_min), np.degrees(self.q_max), strict=True)
-        rows = [
+        return [
             ("duration", _minutes(self.duration_s)),
             *((name, f"{_floor(low)}° to {_ceil(high)}°") for name, low, high in ranges),
             (self._tool, str(self.tool)),
             ("elbow", str(self.elbow)),
         ]
-        return [f"{name.ljust(wide)}  {text}" for name, text in rows]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form; radians and metres in base coordinates."""
@@ -84,6 +86,12 @@ class Swept:
     @property
     def _tool(self) -> str:
         return "flange and load" if self.payload else "flange"
+
+
+def aligned(rows: Sequence[tuple[str, str]]) -> list[str]:
+    """Return names and texts as lines of two columns."""
+    wide = max(len(name) for name, _ in rows)
+    return [f"{name.ljust(wide)}  {text}" for name, text in rows]
 
 
 def swept(plan: Plan, arm: ArmDescription) -> Swept:
