@@ -61,7 +61,8 @@ def tells_errors(estimator: str, parameters: dict[str, Any]) -> bool:
 
 def measure(name: str, experiment: hil.Experiment, out: Path) -> Arm:
     """Run the program on one arm and fit it."""
-    report = hil.run(experiment, runs=out / "runs")
+    # The name was given on the command line, which confirms that a real arm may move.
+    report = hil.run(experiment, runs=out / "runs", robot=name)
     if report.error is not None:
         raise report.error
     document = out / f"{name}.json"

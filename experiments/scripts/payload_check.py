@@ -51,6 +51,7 @@ def check(
     home: Path,
     tolerance_kg: float,
     tolerance_m: float,
+    robot: str | None = None,
 ) -> tuple[list[str], bool]:
     """Weigh and print what was found; what contradicts the declaration, and whether mass shows."""
     experiment = hil.load(spec, station)
@@ -60,7 +61,7 @@ def check(
     load_model_file(model)  # what cannot be read is told before anything moves
     if bare:
         hil.dataset(*bare)
-    report = hil.run(experiment, runs=home / "runs")
+    report = hil.run(experiment, runs=home / "runs", robot=robot)
     if report.error is not None:
         raise report.error
     found = hil.estimate_payload(model, report.run, bare=bare)
@@ -90,6 +91,9 @@ def main(
     bare: Annotated[
         list[Path] | None, typer.Option(help="Run of the bare flange, much smaller errors.")
     ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="Its name: a real robot moves only when it is named.")
+    ] = None,
     home: Annotated[Path, typer.Option(help="Folder for runs.")] = Path(),
     tolerance_kg: Annotated[float, typer.Option(min=0, help="Allowed beyond the interval.")] = 0.1,
     tolerance_mm: Annotated[float, typer.Option(min=0, help="The same of the centre.")] = 15.0,
@@ -97,7 +101,7 @@ def main(
     """Weigh what the robot holds, and compare it with what is declared."""
     try:
         wrong, shown = check(
-            model, spec, station, bare or [], home, tolerance_kg, tolerance_mm / 1000
+            model, spec, station, bare or [], home, tolerance_kg, tolerance_mm / 1000, robot
         )
     except (HilError, OSError) as error:
         print(f"NOT CHECKED: {error}", file=sys.stderr)
