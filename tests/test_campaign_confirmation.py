@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 import hil
 from hil.campaign import confirmation, starting
@@ -24,6 +25,7 @@ from hil.campaign.confirmation import (
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
 from hil.campaign.run import RunReport
+from hil.cli.app import app
 from hil.engine import Reply
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.steps import Steps
@@ -371,3 +373,30 @@ def test_a_run_that_is_started_gets_the_facts_that_were_confirmed(
     (option,) = [word for word in commands[0] if word.startswith("--confirmed=")]
     granted = granted_in(Path(option.removeprefix("--confirmed=")))
     assert (granted.how, granted.who, granted.facts) == ("dashboard", "anna", FACTS)
+
+
+def command(experiment: hil.Experiment, *words: str) -> int:
+    given = ["run", experiment.spec_source, "--runs", str(experiment.folder / "runs"), *words]
+    ended = CliRunner().invoke(app, given)
+    return exit_code_of(ended.exception) if ended.exception else ended.exit_code
+
+
+def test_the_command_line_needs_yes_where_there_is_no_terminal(
+    real: object, experiment: hil.Experiment
+) -> None:
+    assert command(experiment) == 3
+    assert not (experiment.folder / "runs").exists()
+    assert command(experiment, "--yes") == 0
+    (start,) = experiment.folder.glob("runs/*/*/*/start.json")
+    assert json.loads(start.read_text("utf-8"))["confirmation"]["how"] == "--yes"
+
+
+def test_the_command_line_takes_what_was_confirmed_elsewhere(
+    real: object, experiment: hil.Experiment
+) -> None:
+    file = experiment.folder / "confirmed.json"
+    facts = {"robot": "ur5", "address": ELSEWHERE}
+    file.write_text(json.dumps({"how": "dashboard", "by": "anna", "facts": facts}))
+    assert command(experiment, "--confirmed", str(file)) == 3
+    file.write_text(file.read_text().replace(ELSEWHERE, AT))
+    assert command(experiment, "--confirmed", str(file)) == 0
