@@ -222,9 +222,113 @@ def registry_log(folder: Path) -> str:
 
 # ---- B6 killed between verdict and report -------------------------------------------------------
 
+
+SMALL_SPEC = """hil: 1
+name: small
+robot: ur5
+excitation: {kind: dwell, waypoints: 12, seed: 3}
+warm_up: {duration_s: 2}
+reference: {every: 0}
+accept: {rmse: {max: 0.01, unit: A, per: joint}}
+fit: [{estimator: static-wls}]
+"""
+
+KILLED_IN = """import os, signal, sys
+from hil.cli import main
+import {module} as module
+owner = {owner}
+owner.{name} = lambda *arguments, **options: os.kill(os.getpid(), signal.SIGKILL)
+sys.argv[0] = "hil"
+main()
+"""
+"""Kills the process at a call, in place of it."""
+
+
+def killed_at(call: str, *arguments: object, cwd: Path, of: str = "module") -> None:
+    """Run the command line in a process that is killed at a call, `module:name`."""
+    module, name = call.split(":")
+    code = KILLED_IN.format(module=module, owner=of, name=name)
+    killed = subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert killed.returncode == -9, f"{call}: exit {killed.returncode}: {killed.stderr[-500:]}"
+
+
+def small_spec(folder: Path) -> Path:
+    """Write an experiment that takes seconds."""
+    spec = folder / "small.yaml"
+    spec.write_text(SMALL_SPEC)
+    return spec
+
+
+@finding("B6", "killed between verdict and report")
+def killed_before_report(folder: Path) -> str:
+    killed_at("hil.report:render_report", "run", small_spec(folder), cwd=folder)
+    (run,) = folder.glob("runs/*/*/0001-small")
+    assert (run / "verdict.json").is_file()
+    assert not (run / "report.html").exists()
+    (listed,) = json.loads(hil("runs", "--json", cwd=folder).stdout)
+    assert listed["next"].startswith("hil resume "), listed
+    resumed = hil(*listed["next"].split()[1:], cwd=folder)
+    assert resumed.returncode == 10, f"exit {resumed.returncode}: {resumed.stderr}"
+    assert (run / "report.html").is_file()
+    return "hil runs names hil resume, which writes the report and exits 10, as the verdict says"
+
+
 # ---- B7 reserve ---------------------------------------------------------------------------------
 
+
+@finding("B7", "reserve")
+def reserve_left(folder: Path) -> str:
+    write_stop = "hil.record.rundir:write_stop"
+    spec = small_spec(folder)
+    killed_at(write_stop, "run", spec, cwd=folder, of="module.RunDirectory")
+    killed_at(write_stop, "run", spec, cwd=folder, of="module.RunDirectory")
+    first, second = sorted(folder.glob("runs/*/*/*-small"))
+    assert (first / ".reserve").stat().st_size == 1 << 20
+    assert hil("resume", 1, cwd=folder).returncode == 10
+    assert not (first / ".reserve").exists(), "it stays after resume"
+    assert hil("recover", 2, cwd=folder).returncode == 0
+    assert not (second / ".reserve").exists(), "it stays after recover"
+    return "the 1 MiB of a run that was killed before stop.json goes with hil resume and recover"
+
+
 # ---- B8 killed before start.json ----------------------------------------------------------------
+
+
+@finding("B8", "killed before start.json")
+def killed_before_start(folder: Path) -> str:
+    spec = small_spec(folder)
+    start = "hil.record.rundir:write_start"
+    killed_at(start, "run", spec, cwd=folder, of="module.RunDirectory")
+    assert len(list(folder.glob("runs/.claim-*/plan.json"))) == 1
+    listed = json.loads(hil("runs", "--json", cwd=folder).stdout)
+    assert listed == [], listed
+    assert hil("run", spec, cwd=folder).returncode == 10
+    assert not list(folder.glob("runs/.claim-*")), "the next run left it"
+    names = [path.name for path in folder.glob("runs/*/*/*")]
+    assert names == ["0001-small"], names
+    disk = (
+        "import shutil, sys\n"
+        "full = shutil._ntuple_diskusage(10**9, 10**9 - 500_000, 500_000)\n"
+        "shutil.disk_usage = lambda path: full\n"
+        "from hil.cli import main\nsys.argv[0] = 'hil'\nmain()"
+    )
+    full = subprocess.run(
+        [sys.executable, "-c", disk, "run", str(spec), "--runs", "elsewhere"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert full.returncode == 3, f"exit {full.returncode}: {full.stderr}"
+    assert not (folder / "elsewhere").exists()
+    return "no folder is listed, the next run removes the rest; a full disk fails preflight, exit 3"
+
 
 # ---- B9 attacks on the dashboard ----------------------------------------------------------------
 

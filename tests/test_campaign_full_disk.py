@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,8 +12,9 @@ import pytest
 
 import hil
 from hil.engine.steps import Steps
+from hil.errors import PreflightFailed
 from hil.plan.plan import Step
-from hil.record.reserve import NAME
+from hil.record.reserve import BYTES, NAME
 from hil.record.rundir import RunDirectory
 
 SPEC = """
@@ -65,6 +67,19 @@ def test_a_disk_that_fills_up_in_motion_ends_as_failed_and_keeps_what_there_was(
     assert run.status == "failed"
     assert run.recordings
     assert not (report.run / NAME).exists()
+
+
+def test_a_disk_without_room_for_the_reserve_fails_preflight_before_there_is_a_run(
+    tmp_path: Path, small_disk: Path
+) -> None:
+    spec = tmp_path / "full.yaml"
+    spec.write_text(SPEC, "utf-8")
+    free = shutil.disk_usage(small_disk).free
+    (small_disk / "other").write_bytes(bytes(free - BYTES // 2))
+    runs = small_disk / "runs"
+    with pytest.raises(PreflightFailed, match=r"disk: 0\.5 MB are free"):
+        hil.run(hil.load(spec), runs=runs)
+    assert not runs.exists()
 
 
 def test_a_run_holds_a_reserve_until_its_end(tmp_path: Path) -> None:

@@ -6,6 +6,9 @@ import hashlib
 import json
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -86,9 +89,69 @@ def test_a_number_that_another_process_has_just_taken_is_not_given_again(
     assert RunDirectory.create(tmp_path, "ur5", "ours").number == 2
 
 
-def test_a_claim_left_by_a_crash_only_skips_its_number(tmp_path: Path) -> None:
-    (tmp_path / ".claim-0001").mkdir()
-    assert RunDirectory.create(tmp_path, "ur5", "fourier").number == 2
+def test_a_claim_left_by_a_crash_is_removed_by_the_next_run(tmp_path: Path) -> None:
+    (tmp_path / ".claim-0001" / "recording").mkdir(parents=True)
+    (tmp_path / ".claim-0001" / "spec.yaml").write_text("hil: 1")
+    run = RunDirectory.create(tmp_path, "ur5", "fourier")
+    assert run.number == 1
+    assert list(tmp_path.glob(".claim-*")) == []
+    assert not (run.path / "spec.yaml").exists()
+
+
+def test_a_claim_of_a_live_process_keeps_its_number_and_its_files(tmp_path: Path) -> None:
+    with numbering.claimed(tmp_path) as claim:
+        (claim.draft / "spec.yaml").write_text("hil: 1")
+        assert RunDirectory.create(tmp_path, "ur5", "other").number == 2
+        assert (claim.draft / "spec.yaml").exists()
+        assert [run.number for run in list_runs(tmp_path)] == [2]
+
+
+def test_a_run_has_its_name_only_when_it_has_its_documents(tmp_path: Path) -> None:
+    def begin(draft: RunDirectory) -> None:
+        draft.write_start({"uid": "u-1"})
+        assert list_runs(tmp_path) == []
+
+    run = RunDirectory.create(tmp_path, "ur5", "fourier", begin)
+    assert run.start["uid"] == "u-1"
+    assert [listing.status for listing in list_runs(tmp_path)] == ["interrupted"]
+    assert sorted(path.name for path in run.path.iterdir()) == [
+        ".reserve",
+        "recording",
+        "start.json",
+    ]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from hil.record import RunDirectory
+def begin(draft):
+    draft.write_text("spec.yaml", "hil: 1")
+    os.kill(os.getpid(), signal.SIGKILL)
+RunDirectory.create(Path(sys.argv[1]), "ur5", "killed", begin)
+"""
+
+
+def test_a_process_killed_before_its_run_has_begun_leaves_nothing_that_is_listed(
+    tmp_path: Path,
+) -> None:
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert [path.name for path in tmp_path.glob(".claim-*/spec.yaml")] == ["spec.yaml"]
+    assert list_runs(tmp_path) == []
+    assert started(tmp_path).number == 1
+    assert list(tmp_path.glob(".claim-*")) == []
+
+
+def test_documents_that_cannot_be_written_leave_no_run(tmp_path: Path) -> None:
+    def begin(draft: RunDirectory) -> None:
+        draft.write_text("spec.yaml", "hil: 1")
+        raise RecordingError("no space left")
+
+    with pytest.raises(RecordingError, match="no space left"):
+        RunDirectory.create(tmp_path, "ur5", "fourier", begin)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    assert list(tmp_path.glob(".claim-*")) == []
 
 
 def test_documents_come_back_and_are_never_rewritten(tmp_path: Path) -> None:

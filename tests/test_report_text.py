@@ -242,6 +242,7 @@ def test_a_fit_that_is_missing_is_offered_with_the_parameters_of_the_spec(tmp_pa
     spec = run.path / "spec.yaml"
     entry = json.dumps({"estimator": "static-mlp-lm", **given})
     spec.write_text(spec.read_text().replace("{estimator: static-wls}", entry))
+    run.write_verdict({"passed": None, "rows": []})
     (line,) = [line for line in summary_lines(run.path) if "hil fit" in line]
     words = shlex.split(line.removeprefix("next: "))
     assert words[:5] == ["hil", "fit", str(run.path), "--estimator", "static-mlp-lm"]
@@ -265,7 +266,9 @@ def test_importing_the_report_loads_neither_plotly_nor_jinja():
 
 @pytest.mark.parametrize(("kind", "words"), [("dwell", "payload MODEL"), ("fourier", "fit")])
 def test_a_run_without_a_fit_says_what_comes_next(tmp_path, kind, words):
-    run = write_run(tmp_path, dwell_plan(poses=2)).path
+    directory = write_run(tmp_path, dwell_plan(poses=2))
+    directory.write_verdict({"passed": None, "rows": []})
+    run = directory.path
     text = f"hil: 1\nname: dwells\nrobot: ur5\nexcitation: {{kind: {kind}}}\n"
     (run / "spec.yaml").write_text(text)
     lines = summary_lines(run)

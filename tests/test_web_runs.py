@@ -55,6 +55,7 @@ def test_what_ended_early_says_why_and_how_to_go_on(lab: Path) -> None:
     stop = json.loads((run / "stop.json").read_text())
     stop |= {"outcome": "tripped", "reason": f"9 A {SLY}", "hint": "look at it", "exit_code": 4}
     (run / "stop.json").write_text(json.dumps(stop))
+    (run / "verdict.json").unlink()
     told = plain(seen(dashboard(lab), address(run, lab)))
     for text in ("An interlock stopped the robot", "→ look at it", "hil resume", "exit code 4"):
         assert text in told

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from hil.campaign.attempt import Recorded
 from hil.campaign.experiment import Experiment
-from hil.campaign.judging import judge_run
-from hil.campaign.studies import run_studies
+from hil.campaign.judging import judge_run, missing_models
+from hil.campaign.studies import not_made, run_studies
 from hil.campaign.trainings import are_kept
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.errors import HilError, Stopped
+from hil.spec.experiment import StudyEntry
 from hil.study.base import Ended
 
 
 def judge_and_study(
     experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> HilError | None:
-    """Fit, judge and study a completed run; returns what ended it early, or what is missing."""
-    error = _judge(experiment, recorded, signals, watching)
+    """Fit, judge and study a completed run; returns what ended it early, or what is missing.
+
+    Of a run that was judged before, and whose process died then, only missing studies are made.
+    """
+    entries = experiment.spec.study
+    if recorded.directory.is_judged:
+        error = missing_models(recorded.directory)
+        entries = not_made(recorded.directory.path, entries)
+    else:
+        error = _judge(experiment, recorded, signals, watching)
     if signals.seen or not _is_whole(recorded):
         return error
-    return _both(error, _study(experiment, recorded, signals, watching))
+    return _both(error, _study(entries, recorded, signals, watching))
 
 
 def _judge(
@@ -68,9 +78,9 @@ def _is_whole(recorded: Recorded) -> bool:
 
 
 def _study(
-    experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
+    entries: Sequence[StudyEntry], recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> HilError | None:
-    """Make the studies of the spec; returns what ended them early, or why some are missing."""
+    """Make studies of the spec; returns what ended them early, or why some are missing."""
 
     def watch(name: str, what: str, done: int, total: int) -> None:
         event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}
@@ -79,7 +89,7 @@ def _study(
     def fitted(name: str, ended: Ended) -> None:
         watching.publish({"kind": "study_fit", "study": name, "ended": asdict(ended)})
 
-    path, entries = recorded.directory.path, experiment.spec.study
+    path = recorded.directory.path
     if not entries:
         return None
     names = ", ".join(entry.study for entry in entries)

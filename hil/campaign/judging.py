@@ -17,6 +17,7 @@ from hil.dynamics import load_model
 from hil.errors import DataError, FitError, HilError
 from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
+from hil.record.files import read_json
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit
 from hil.validation import EVALUATION_FILE
@@ -64,7 +65,7 @@ def judge_run(
         under, missing = judge_under_loads(directory.path, spec, data, tell)
         problems += missing
     document = _verdict_document(judged, problems, spec, counts, under)
-    directory.write_json("verdict.json", document)
+    directory.write_verdict(document)
     forget(directory.path)
     if problems:
         raise _all_in_one(problems, directory)
@@ -81,7 +82,7 @@ def judge_recording(
         False when a criterion is missed; else None: no model was judged.
     """
     document = verdict_document(recording_rows(spec.accept, counts), ())
-    directory.write_json("verdict.json", document)
+    directory.write_verdict(document)
     passed: bool | None = document["passed"]
     return passed
 
@@ -143,6 +144,19 @@ def _as_fit_error(name: str, error: Exception) -> FitError:
     )
     told.__cause__ = error
     return told
+
+
+def missing_models(directory: RunDirectory) -> HilError | None:
+    """Return the error that judging a run ended with, from its verdict; None if there was none.
+
+    Raises:
+        DataError: The verdict is damaged.
+    """
+    rows = read_json(directory.path / "verdict.json").get("problems") or []
+    told = [": ".join(filter(None, (row["estimator"], row["error"]))) for row in rows]
+    hints = list(dict.fromkeys(row["hint"] for row in rows if row["hint"]))
+    hint = "; ".join(hints) or f"hil show {directory.path}"
+    return FitError("; ".join(told), hint=hint) if told else None
 
 
 def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:

@@ -44,9 +44,15 @@ def listen(
         try:
             require_listener(robot, entry.driver).listen()
             with signals.guard():
-                directory = RunDirectory.create(runs, wanted.robot, wanted.name)
+                directory = RunDirectory.create(
+                    runs,
+                    wanted.robot,
+                    wanted.name,
+                    begin=lambda draft: write_start(
+                        draft, wanted, robot, entry, text or f"# {BUILT_IN}\n", source
+                    ),
+                )
                 with hold_run(directory.path):
-                    write_start(directory, wanted, robot, entry, text or f"# {BUILT_IN}\n", source)
                     tell(f"recording → {directory.path}")
                     return ListeningRun(directory, wanted, robot, signals, tell).run()
         finally:

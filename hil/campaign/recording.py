@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from hil.campaign.extras import require_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.robots import held, plan_for
-from hil.errors import HilError
+from hil.preflight import require_room_to_begin
 from hil.record.rundir import RunDirectory
 from hil.robot import Robot
 from hil.spec.judgeable import require_judgeable
@@ -34,7 +33,8 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
 
     Raises:
         SpecError, PlanError, PluginError, RobotError: Before a run directory exists.
-        PreflightFailed: It asks for something to be done, and nobody could answer.
+        PreflightFailed: It asks for something to be done, and nobody could answer; or the disk has
+            no room for what a run begins with.
         NotConfirmed: The robot is a real one, and its motion was not confirmed.
         RecordingError: The run directory cannot be made.
     """
@@ -54,27 +54,27 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
             plan = part.of(plan)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
+        require_room_to_begin(runs)
         confirmed = confirmation_of(
             robot, partial(motion_facts, experiment, robot, plan), attendance.confirm
         )
         with attendance.signals.guard():
-            directory = RunDirectory.create(runs, experiment.spec.robot, experiment.spec.name)
-            attendance.until_judged.enter_context(hold_attempt(directory.path))
-            lease.note_run(directory.path)
-            try:
-                write_beginning(
-                    directory,
+            directory = RunDirectory.create(
+                runs,
+                experiment.spec.robot,
+                experiment.spec.name,
+                begin=lambda draft: write_beginning(
+                    draft,
                     experiment,
                     robot,
                     plan,
                     attendance.operator,
                     attendance.waivers,
                     confirmed,
-                )
-            except BaseException as error:
-                with contextlib.suppress(HilError):
-                    directory.write_stop("failed", str(error) or type(error).__name__)
-                raise
+                ),
+            )
+            attendance.until_judged.enter_context(hold_attempt(directory.path))
+            lease.note_run(directory.path)
             attendance.stage(f"running {plan.name} → {directory.path}")
             return execute(Attempt(directory, 0, experiment, plan, plan), robot, attendance)
 

@@ -89,10 +89,11 @@ def replay(source: Path, log: Path, runs: Path) -> Replayed:
         )
     require_arm_as_recorded(source)
     opened, plan = _opened(run, log), read_plan(run.path / "plan.json")
-    directory = RunDirectory.create(runs, str(run.start["robot_name"]), _name(run))
+    directory = RunDirectory.create(
+        runs, str(run.start["robot_name"]), _name(run), begin=lambda draft: _begin(draft, run, log)
+    )
     stop = run.stop or {}
     with hold_run(directory.path):
-        _begin(directory, run, log)
         found = _record(directory, opened, _span(stop))
         counts = counts_of(found)
         problem = _finish(directory, plan, found, stop, log)

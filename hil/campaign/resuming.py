@@ -46,6 +46,8 @@ from hil.spec.load import spec_hash
 COLD_AFTER_S = 600.0
 """An arm that has stood still for longer is warmed up again before it measures on [s]."""
 
+DIED_AFTER = "the process died after the last measurement; the end was written later"
+
 SAME_IDENTITY = ("model", "serial", "firmware", "driver")
 SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
 """What of `start.json:robot` must be as it was."""
@@ -105,7 +107,7 @@ def open_unfinished(path: Path) -> Unfinished:
 
     Raises:
         DataError: See `require_resumable`; or its plan or spec is not the one it was begun with,
-            or it was judged already.
+            or it was judged and reported already.
     """
     directory = require_resumable(path)
     start = directory.start
@@ -205,19 +207,23 @@ def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str
 
 
 def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
-    """A verdict is about the recording as it was; nothing is added to it afterwards."""
-    if not (directory.path / "verdict.json").exists():
+    """Raise if a run is judged and reported, or judged and not complete any more.
+
+    A verdict is about the recording as it was; nothing is added to it afterwards.
+    """
+    if not directory.is_judged:
         return
     forget(directory.path)  # a kill between the verdict and this left it
-    if not complete.missing:
+    if complete.missing:
         raise DataError(
-            f"{directory.path} is complete ({complete}) and judged",
+            f"{directory.path} was judged when it was complete, and now only {complete} are whole",
+            hint="its recording was damaged since: take it from a copy, or run the experiment anew",
+        )
+    if directory.is_reported:
+        raise DataError(
+            f"{directory.path} is complete ({complete}), judged and reported",
             hint=f"look at it: hil show {directory.path}",
         )
-    raise DataError(
-        f"{directory.path} was judged when it was complete, and now only {complete} are whole",
-        hint="its recording was damaged since: take it from a copy, or run the experiment anew",
-    )
 
 
 def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
@@ -313,11 +319,28 @@ def _document(
 
 
 def recorded_before(unfinished: Unfinished) -> Recorded:
-    """A run whose measuring steps are all complete, as if its motion had just come to its end."""
+    """Return a run whose measuring steps are all complete, as if its motion had just ended.
+
+    A process that died after its last measurement wrote no stop document: it is written now.
+
+    Raises:
+        RecordingError: The disk refuses.
+    """
     directory = unfinished.directory
     before = _before(directory, unfinished.plan.rate_hz)
     steps = len(unfinished.plan)
     unsettled = tuple(sorted(unfinished.complete.unsettled))
     samples = before.counts["samples"]
+    if directory.stop is None:
+        document = {
+            **before.counts,
+            "steps_done": steps,
+            "unsettled": list(unsettled),
+            "complete": unfinished.complete.to_dict(),
+            "device_s": before.device_s,
+            "exit_code": 0,
+            "problems": [DIED_AFTER],
+        }
+        directory.write_stop("completed", "", document, attempt=directory.attempts - 1)
     result = RunResult(Outcome.COMPLETED, "", None, steps, unsettled, samples, before.device_s, 0.0)
     return Recorded(directory, result, before.counts)

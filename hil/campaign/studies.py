@@ -21,7 +21,14 @@ from hil.spec.experiment import ExperimentSpec, StudyEntry
 from hil.spec.load import load_spec
 from hil.study.base import GROUP, Ended, Study, study
 from hil.study.result import StudyResult
-from hil.study.store import STUDIES, folder_of, write_problem, write_study
+from hil.study.store import (
+    PROBLEM_FILE,
+    STUDIES,
+    STUDY_FILE,
+    folder_of,
+    write_problem,
+    write_study,
+)
 from hil.throttle import Throttle
 
 if TYPE_CHECKING:
@@ -110,6 +117,25 @@ def entries_for(
     if entry.study == STUDY and spec is not None:
         asked = as_in_spec(spec, asked)
     return (StudyEntry(study=entry.study, **asked),)
+
+
+def not_made(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
+    """Return the studies that were neither made nor failed: those a kill has left out.
+
+    Raises:
+        SpecError, PluginError: A study or a parameter does not exist.
+    """
+
+    def folder(entry: StudyEntry) -> Path:
+        made = study(entry.study, **entry.parameters)
+        return run / STUDIES / folder_of(entry.study, made.get_params())
+
+    folders = [(entry, folder(entry)) for entry in entries]
+    return tuple(
+        entry
+        for entry, at in folders
+        if not ((at / STUDY_FILE).is_file() or (at / PROBLEM_FILE).is_file())
+    )
 
 
 def run_studies(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from hil.record.catalogue import list_runs as listings_of
 from hil.record.files import read_json
 from hil.record.lock import is_live
 from hil.record.parts import name_of_attempt
-from hil.record.rundir import RunDirectory
+from hil.record.rundir import PRUNED, RunDirectory
 from hil.record.span import recorded_s
 
 _STUDY_FILES = "study/*/study.json"
@@ -24,9 +25,26 @@ _STUDY_FILES = "study/*/study.json"
 def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
     """One entry per run directory, damaged and interrupted ones included, oldest first.
 
-    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`.
+    Keys: `run`, `status`, `robot`, `date`, `uid`, `duration_s`, `verdict`, `studies`, `problem`,
+    `next` (the command that brings a run to its end; empty where nothing is left to do).
     """
-    return [entry_of(listing) for listing in listings_of(Path(runs))]
+    return [
+        entry_of(listing) | {"next": next_command(listing)} for listing in listings_of(Path(runs))
+    ]
+
+
+def next_command(listing: RunListing) -> str:
+    """Return the command that brings a run to its end; empty where nothing is left to do."""
+    run = RunDirectory(listing.path)
+    if listing.status in ("running", "damaged") or run.is_reported:
+        return ""
+    start, path = _optional(run.path / "start.json") or {}, shlex.quote(str(run.path))
+    has = [(run.path / name).exists() for name in ("spec.yaml", "plan.json", PRUNED)]
+    if "replayed" in start:
+        return ""
+    if not start.keys() & {"passive", "commissioning"} and has == [True, True, False]:
+        return f"hil resume {path}"
+    return "" if (run.path / "report.html").is_file() else f"hil report {path}"
 
 
 def describe_run(run: str | Path) -> dict[str, Any]:

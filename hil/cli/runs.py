@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
@@ -74,7 +77,7 @@ def runs(
     else:
         from hil.campaign.view import list_runs
 
-        entries, table = list_runs(runs), _listed
+        entries, table = list_runs(runs), partial(_listed, runs=runs)
     if json:
         print_json(entries)
     elif entries:
@@ -85,20 +88,35 @@ def runs(
         say(f"no runs under {runs}; make one with: hil run SPEC")
 
 
-def _listed(entries: list[dict[str, Any]]) -> _Table:
-    header: tuple[str, ...] = ("run", "status", "duration", "verdict", "studies")
-    rows: list[tuple[str, ...]] = [
-        (
-            e["run"],
-            e["status"],
-            duration(e["duration_s"] or 0.0),
-            e["verdict"],
-            ", ".join(e["studies"]),
-        )
-        for e in entries
+def _listed(entries: list[dict[str, Any]], runs: Path) -> _Table:
+    columns: dict[str, list[str]] = {
+        "run": [e["run"] for e in entries],
+        "status": [e["status"] for e in entries],
+        "duration": [duration(e["duration_s"] or 0.0) for e in entries],
+        "verdict": [e["verdict"] for e in entries],
+        "studies": [", ".join(e["studies"]) for e in entries],
+        "next": _short([e["next"] for e in entries], [Path(e["run"]) for e in entries], runs),
+    }
+    shown = [name for name, cells in columns.items() if name not in _OPTIONAL or any(cells)]
+    return tuple(shown), list(zip(*(columns[name] for name in shown), strict=True))
+
+
+_OPTIONAL = ("studies", "next")
+"""Columns that are shown where one of the runs has something in them."""
+
+
+def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:
+    """Return the commands with the number of the run, which is in the first column, if unique."""
+    from hil.record.numbering import number_of
+
+    numbers = [number_of(path) for path in paths]
+    elsewhere = "" if runs == Path("runs") else f" --runs {shlex.quote(str(runs))}"
+    return [
+        f"{' '.join(command.split()[:2])} {number}{elsewhere}"
+        if command and number and numbers.count(number) == 1
+        else command
+        for command, number in zip(commands, numbers, strict=True)
     ]
-    shown = slice(None) if any(e["studies"] for e in entries) else slice(4)
-    return header[shown], [row[shown] for row in rows]
 
 
 def _found(entries: list[dict[str, Any]]) -> _Table:

@@ -26,6 +26,7 @@ from hil.engine.pausing import nobody_goes_on
 from hil.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
+from hil.spec.experiment import StudyEntry
 from hil.spec.hashing import spec_hash
 
 BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
@@ -68,7 +69,7 @@ class Measuring:
             return self._judged(run_experiment(begun, runs=self.runs, **self._attendance()))
         if _is_done(found):
             self._require_its_robot(found, experiment)
-            _complete_views(found)
+            _complete_views(found, experiment.spec.study)
             return found
         _require_harmless(found)
         return self._judged(resume_experiment(found, **self._attendance()))
@@ -124,18 +125,18 @@ class _NoConsole(Console):
 
 def _is_done(run: Path) -> bool:
     """Only what was measured to its end is judged; whoever judged it after a crash ended no run."""
-    return (run / "verdict.json").is_file()
+    return RunDirectory(run).is_judged
 
 
-def _complete_views(run: Path) -> None:
-    """Studies and page of a run whose process died after its verdict."""
-    if (run / "report.html").is_file():
+def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
+    """Make what is missing of the studies and the page of a run that died after its verdict."""
+    if RunDirectory(run).is_reported:
         return
-    from hil.campaign.studies import entries_for, run_studies, unwatched
+    from hil.campaign.studies import not_made, run_studies
     from hil.report import render_report
 
-    with contextlib.suppress(HilError):  # there are none, or they cannot be made: the run is whole
-        run_studies(run, entries_for(run), unwatched)
+    with contextlib.suppress(HilError):  # they cannot be made: the run is whole
+        run_studies(run, not_made(run, entries))
     with contextlib.suppress(HilError):
         render_report(run)
 

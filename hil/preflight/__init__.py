@@ -7,6 +7,7 @@ from hil.preflight.preflight import (
     preflight,
     preflight_context,
     require_preflight,
+    require_room_to_begin,
     require_waivable,
 )
 
@@ -20,5 +21,6 @@ __all__ = [
     "preflight",
     "preflight_context",
     "require_preflight",
+    "require_room_to_begin",
     "require_waivable",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
 from hil.preflight import plan_checks, robot_checks
 from hil.preflight.check import Check, CheckResult, Context, Situation
+from hil.record.reserve import BYTES as RESERVE_BYTES
 from hil.robot import Robot
 from hil.spec.station import StationRobot
 from hil.suggest import did_you_mean
@@ -41,6 +43,9 @@ BUILT_IN: dict[str, Check] = {
 NEVER_WAIVED = frozenset({"identity", "fault", "rest", "pose", "first-move", "limits"})
 """Checks whose failure means that motion would be dangerous whoever says otherwise."""
 
+TO_BEGIN_BYTES = 2 * RESERVE_BYTES
+"""Of the disk, for a run to begin: its reserve, and as much for the documents before motion."""
+
 
 def preflight_context(
     station_robot: StationRobot, folder: Path, *, waivers: Sequence[str] = ()
@@ -59,6 +64,29 @@ def preflight_context(
         clearance_m=surroundings.clearance_m,
         waivers=tuple(waivers),
     )
+
+
+def require_room_to_begin(runs: Path) -> None:
+    """Raise if the disk has no room for what a run begins with: reserve and documents.
+
+    For before the run has a directory; the recording's own size is checked with everything else.
+
+    Args:
+        runs: The folder of runs; it need not exist yet.
+
+    Raises:
+        PreflightFailed: There is too little.
+    """
+    there = next(folder for folder in (runs, *runs.absolute().parents) if folder.is_dir())
+    try:
+        free = shutil.disk_usage(there).free
+    except OSError:
+        return  # whatever is wrong: making the directory says it
+    if free < TO_BEGIN_BYTES:
+        raise PreflightFailed(
+            f"disk: {free / 1e6:.1f} MB are free, a run begins with {TO_BEGIN_BYTES / 1e6:.1f} MB",
+            hint=f"make room on the disk of {there}, or record elsewhere: --runs",
+        )
 
 
 def preflight(plan: Plan, robot: Robot, context: Context) -> list[CheckResult]:

@@ -13,6 +13,7 @@ from hil.record.lock import hold_run, run_holder
 from hil.record.parts import recordings_in
 from hil.record.recover import recover_file
 from hil.record.recovery import Recovery
+from hil.record.reserve import release
 from hil.record.rundir import RunDirectory
 from hil.record.torn_names import TORN_SUFFIX
 from hil.record.writer import PARTIAL_SUFFIX
@@ -76,6 +77,8 @@ def recover(source: Path, out: Path | None = None, *, discard: bool = False) -> 
     with _held(source, writing=out is None) as run:
         done, problems = _all_of(source / "recording", out, discard)
         _log(run, done)
+        if run is not None:
+            release(run)  # a kill left it; an attempt that goes on takes another one
     return Recoveries(source, tuple(done), tuple(problems))
 
 

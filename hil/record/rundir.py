@@ -21,7 +21,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -30,14 +30,13 @@ from typing import Any, Literal, get_args
 from hil.errors import DataError, RecordingError
 from hil.record.events import EventLog, foreign_lines, read_events
 from hil.record.files import (
-    fsync_directory,
     json_document,
     read_json,
     require_known_version,
     sha256_of,
     write_once,
 )
-from hil.record.numbering import claim, name_for_path, number_of
+from hil.record.numbering import claimed, name_for_path, number_of
 from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now
 from hil.record.reserve import release, reserve
@@ -54,6 +53,7 @@ PRUNED = "pruned.json"
 
 _EVENTS = "events.jsonl"
 _REPORT = Path("report.html")
+_VERDICT = "verdict.json"
 _STUDIES = "study"
 _RESUME = re.compile(r"resume-(\d\d+)\.json").fullmatch
 
@@ -72,27 +72,41 @@ class RunDirectory:
     path: Path
 
     @classmethod
-    def create(cls, runs_root: Path, robot: str, name: str) -> RunDirectory:
+    def create(
+        cls,
+        runs_root: Path,
+        robot: str,
+        name: str,
+        begin: Callable[[RunDirectory], None] | None = None,
+    ) -> RunDirectory:
         """Make the directory of a new run, with the next free number under `runs_root`.
 
-        Processes may do this at the same time: no two runs get the same number.
+        Processes may do this at the same time: no two runs get the same number. The directory gets
+        its name when `begin` has returned: a kill or a full disk before that leaves no run.
 
         Args:
             runs_root: The folder of all runs; made when missing.
             robot: Name of the robot in the station.
             name: What people shall call the run.
+            begin: Writes the documents that the run begins with, `start.json` above all, into the
+                directory, which has another name until then.
 
         Raises:
             RecordingError: The directory cannot be made.
+            Exception: What `begin` raises; nothing is left then.
         """
         folder = (
             Path(runs_root) / datetime.now().astimezone().date().isoformat() / name_for_path(robot)
         )
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            path = claim(Path(runs_root), folder, name_for_path(name))
-            _begin(path)
-            fsync_directory(folder)
+            with claimed(Path(runs_root)) as claim:
+                (claim.draft / "recording").mkdir()
+                reserve(claim.draft)
+                if begin is not None:
+                    begin(cls(claim.draft))
+                path = folder / f"{claim.number:04d}-{name_for_path(name)}"
+                claim.become(path)
         except OSError as error:
             raise RecordingError(
                 f"cannot create a run directory in {folder}: {error.strerror or error}",
@@ -160,6 +174,26 @@ class RunDirectory:
             f"{self.path / name_of_attempt('stop.json', self.attempts - 1)} names no known outcome",
             hint="the run directory is damaged or was edited: take it from a copy",
         )
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether there is a verdict: it is about all that the run was to record."""
+        return (self.path / _VERDICT).is_file()
+
+    @property
+    def is_reported(self) -> bool:
+        """Whether there is a verdict, and a report that shows it."""
+        return self.is_judged and (self.path / _REPORT).is_file()
+
+    def write_verdict(self, document: Mapping[str, Any]) -> None:
+        """Store the verdict; a report from before it goes, so that one that is there shows it.
+
+        Raises:
+            RecordingError: There is a verdict already, or the disk refuses.
+        """
+        with contextlib.suppress(FileNotFoundError):
+            (self.path / _REPORT).unlink()
+        self.write_json(_VERDICT, document)
 
     @property
     def recordings(self) -> tuple[Path, ...]:
@@ -299,21 +333,6 @@ class RunDirectory:
                 f"cannot read {self.path} back: {error}",
                 hint="hil recover RUN makes whole what is left of it",
             ) from error
-
-
-def _begin(path: Path) -> None:
-    """What a new run needs; nothing is left of one that has no room."""
-    recording = path / "recording"
-    try:
-        recording.mkdir()
-        reserve(path)
-        fsync_directory(path)
-    except OSError:
-        release(path)
-        with contextlib.suppress(OSError):
-            recording.rmdir()
-            path.rmdir()
-        raise
 
 
 def _changed(path: Path, name: str, digest: object, length: object) -> str:

@@ -7,6 +7,7 @@ import math
 import shlex
 from collections.abc import Sequence
 
+from hil.record.rundir import RunDirectory
 from hil.report.blocks import Badge, Mark
 from hil.report.commissioning import next_commissioning
 from hil.report.documents import Document, as_float, as_object, as_objects
@@ -59,7 +60,7 @@ def next_command(facts: RunFacts, run: str) -> str:
         return next_commissioning(facts)
     if facts.start.get("passive"):
         return "" if facts.fits else f"hil fit {run} --estimator {_fitting(facts)}"
-    if facts.status in RESUMABLE and facts.whole:
+    if _can_be_resumed(facts):
         return f"hil resume {run}"
     if facts.status == "completed" and wanted and not facts.fits:
         return f"hil fit {run} --estimator {wanted[0]}{_parameters_of_first(facts)}"
@@ -69,6 +70,14 @@ def next_command(facts: RunFacts, run: str) -> str:
         weigh, fit = f"hil payload MODEL {run}", f"hil fit {run} --estimator rigid-wls"
         return weigh if _stands(facts) else fit
     return ""
+
+
+def _can_be_resumed(facts: RunFacts) -> bool:
+    """Whether `hil resume` has something left to measure or to judge."""
+    if not facts.whole or RunDirectory(facts.path).is_judged:
+        return False
+    unjudged = facts.status == "completed" and "replayed" not in facts.start
+    return unjudged or facts.status in RESUMABLE
 
 
 def _stands(facts: RunFacts) -> bool:
