@@ -214,6 +214,45 @@ def registry_log(folder: Path) -> str:
 
 # ---- B2 code from a git configuration -----------------------------------------------------------
 
+
+@finding("B2", "code from a git configuration")
+def code_from_git(folder: Path) -> str:
+    """Run a spec in repositories that would each run a program; none may leave its mark."""
+    from git_parts import TRAPS, program, repository_with
+
+    from hil.record.git import git_state
+
+    for number, (name, trap) in enumerate(TRAPS.items()):
+        home = folder / str(number)
+        home.mkdir()
+        path, mark = program(home)
+        specs = home / "specs"
+        specs.mkdir()
+        repository_with(specs, "a.yaml")
+        trap(specs, str(path))
+        mark.unlink(missing_ok=True)
+        assert git_state(specs), name
+        assert not mark.exists(), f"{name}: a program of the repository was run"
+    specs = folder / "all"
+    specs.mkdir()
+    path, mark = program(folder)
+    sha = repository_with(specs, "a.yaml")
+    for name in ("file system monitor", "hooks", "pager", "include", "alias", "filter process"):
+        TRAPS[name](specs, str(path))
+    mark.unlink(missing_ok=True)
+    shutil.copy(REPOSITORY / "experiments" / "ci_dwell_12.yaml", specs / "a.yaml")
+    done = hil("run", "a.yaml", cwd=specs)
+    assert done.returncode == 0, done.stderr
+    assert not mark.exists(), "hil run ran a program of the repository"
+    (start,) = specs.glob("runs/*/*/*/start.json")
+    git = json.loads(start.read_text())["spec_git"]
+    assert git == {"sha": sha, "dirty": None}, git
+    return (
+        f"{len(TRAPS)} ways to have git run a program, and `hil run` with six of them at once: "
+        f"none was run; recorded are commit {sha[:7]} and, for a changed filtered file, no `dirty`"
+    )
+
+
 # ---- B3 names that are not UTF-8 ----------------------------------------------------------------
 
 # ---- B4 speed slider ----------------------------------------------------------------------------

@@ -51,6 +51,18 @@ def test_a_started_run_waits_for_its_answer_and_is_known_by_its_process(tmp_path
         assert any("not judged" in line or "completed" in line for line in started.last_words)
 
 
+def test_modules_in_the_working_folder_are_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that was opened may hold a `hil.py` of its author's."""
+    mark = tmp_path / "mark"
+    (tmp_path / "hil.py").write_text(f"open({str(mark)!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    with begun(tmp_path, wall=False):
+        pass
+    assert not mark.exists()
+
+
 def test_what_is_wrong_is_told_before_anything_is_started(tmp_path: Path) -> None:
     spec, station = written(tmp_path)
     wrong = tmp_path / "wrong.yaml"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from git_parts import repository_with
 from in_time import InTime, measured_again
 
 import hil.record.provenance as provenance
@@ -98,48 +99,6 @@ def test_a_disk_error_surfaces_in_the_next_append(
 
 def test_events_of_a_run_without_any_are_none(tmp_path: Path) -> None:
     assert read_events(tmp_path / "events.jsonl") == []
-
-
-def git(directory: Path, *arguments: str) -> str:
-    identity = ["-c", "user.name=t", "-c", "user.email=t@t", "-c", "commit.gpgsign=false"]
-    done = subprocess.run(
-        ["git", *identity, *arguments], cwd=directory, check=True, capture_output=True, text=True
-    )
-    return done.stdout.strip()
-
-
-def test_git_state_is_the_commit_and_whether_tracked_files_differ(tmp_path: Path) -> None:
-    git(tmp_path, "init", "-q")
-    (tmp_path / "a").write_text("1")
-    git(tmp_path, "add", "a")
-    git(tmp_path, "commit", "-qm", "one")
-    sha = git(tmp_path, "rev-parse", "HEAD")
-    (tmp_path / "untracked").write_text("x")
-    assert provenance.git_state(tmp_path) == {"sha": sha, "dirty": False}
-    (tmp_path / "a").write_text("2")
-    assert provenance.git_state(tmp_path) == {"sha": sha, "dirty": True}
-
-
-def test_a_hanging_git_does_not_hold_up_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    slow = tmp_path / "git"
-    slow.write_text("#!/bin/sh\nexec sleep 30\n")
-    slow.chmod(0o755)
-    monkeypatch.setattr(provenance, "_GIT_TIMEOUT_S", 0.1)
-    monkeypatch.setattr(provenance.shutil, "which", lambda name: str(slow))
-    began = time.perf_counter()
-    assert provenance.git_state(tmp_path) is None
-    assert time.perf_counter() - began < 2.0
-
-
-def repository_with(directory: Path, file: str) -> str:
-    """Make `directory` a repository that tracks `file`; returns its commit."""
-    git(directory, "init", "-q")
-    (directory / file).write_text("1")
-    git(directory, "add", "-f", file)
-    git(directory, "commit", "-qm", "one")
-    return git(directory, "rev-parse", "HEAD")
 
 
 def test_the_revision_of_hil_and_that_of_the_spec_are_recorded_apart(

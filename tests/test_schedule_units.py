@@ -36,7 +36,7 @@ def test_systemd_finds_nothing_wrong(tmp_path: Path, timer: bool, user: bool) ->
 def test_a_service_stays_and_a_timer_calls_once(tmp_path: Path) -> None:
     (service,) = units_of("nightly", ("/n.yaml",), tmp_path, timer=False, user=False)
     assert service.name == "hil-nightly.service"
-    assert f"ExecStart={sys.executable} -m hil schedule run /n.yaml\n" in service.text
+    assert f"ExecStart={sys.executable} -P -m hil schedule run /n.yaml\n" in service.text
     for wanted in ("Type=exec", "Restart=on-failure", "KillSignal=SIGTERM", "User=",
                    "SuccessExitStatus=130", f"WorkingDirectory={tmp_path}"):  # fmt: skip
         assert f"\n{wanted}" in service.text

@@ -62,6 +62,17 @@ def check(folder: Path) -> tuple[int, str]:
     return answer.status_code, unescape(re.sub("<[^>]+>", " ", answer.text))
 
 
+def test_modules_in_the_working_folder_are_not_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mark = tmp_path / "mark"
+    (tmp_path / "numpy.py").write_text(f"open({str(mark)!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    status, text = check(tmp_path)
+    assert status == 200, text
+    assert not mark.exists()
+
+
 def test_a_plan_that_takes_too_long_is_ended_and_said(
     tmp_path: Path, plans_as: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

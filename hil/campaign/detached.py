@@ -79,7 +79,7 @@ def ticks_of(pid: int) -> int:
 
 
 def is_ours(pid: int, name: str) -> bool:
-    """Whether a process is a `python -m hil …` that `begin` has started under a name.
+    """Whether a process is a `python -P -m hil …` that `begin` has started under a name.
 
     What a record says is no proof: others may write in its folder. False where we may not look.
     """
@@ -88,7 +88,7 @@ def is_ours(pid: int, name: str) -> bool:
         given = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:
         return False
-    return words[1:3] == [b"-m", b"hil"] and os.fsencode(f"{STARTED_ID}={name}") in given
+    return words[1:4] == [b"-P", b"-m", b"hil"] and os.fsencode(f"{STARTED_ID}={name}") in given
 
 
 def own_environment() -> dict[str, str]:

@@ -145,7 +145,7 @@ def _start(
         folder.mkdir(parents=True, exist_ok=True)
         write_replacing(folder / f"{name}{CONFIRMED}", json_document(answer))
         options = [*options, f"--confirmed={folder / name}{CONFIRMED}"]
-    command = [sys.executable, "-m", "hil", verb, f"--runs={runs}", "--elsewhere", *options]
+    command = [sys.executable, "-P", "-m", "hil", verb, f"--runs={runs}", "--elsewhere", *options]
     command += [f"--operator={operator}"] if operator else []
     command += ["--", str(what)]  # its name may begin as an option does
     if any("\0" in word for word in command):

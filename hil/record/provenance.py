@@ -7,17 +7,16 @@ import importlib.metadata
 import os
 import platform
 import re
-import shutil
-import subprocess
 import uuid
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from hil.record.git import git_state, is_tracked
+
 STARTED_ID = "HIL_STARTED_ID"
 """In the environment of a process that somebody without a console has started: names it."""
 
-_GIT_TIMEOUT_S = 2.0
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -70,40 +69,7 @@ def package_versions() -> dict[str, str]:
 def source_revision() -> dict[str, Any] | None:
     """`git_state` of the checkout hil runs from, None when it is installed from a wheel."""
     # A virtual environment often lies in somebody else's repository: that one must track hil.
-    tracked = _git(_PACKAGE, "ls-files", "--error-unmatch", "__init__.py")
-    return git_state(_PACKAGE) if tracked else None
-
-
-def git_state(directory: Path) -> dict[str, Any] | None:
-    """Commit and whether tracked files differ from it, or None outside a repository.
-
-    `dirty` is None when git does not answer within two seconds.
-    """
-    sha = _git(directory, "rev-parse", "HEAD")
-    if not sha:
-        return None
-    changes = _git(directory, "status", "--porcelain", "--untracked-files=no")
-    return {"sha": sha, "dirty": None if changes is None else bool(changes)}
-
-
-def _git(directory: Path, *arguments: str) -> str | None:
-    git = shutil.which("git")
-    if git is None:
-        return None
-    try:
-        answer = subprocess.run(  # noqa: S603 - fixed arguments, no shell
-            [git, *arguments],
-            cwd=directory,
-            # A look at the repository must not take its index lock from the person using it.
-            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
-            capture_output=True,
-            text=True,
-            timeout=_GIT_TIMEOUT_S,
-            check=False,
-        )
-    except (OSError, subprocess.SubprocessError, UnicodeDecodeError):
-        return None
-    return answer.stdout.strip() if answer.returncode == 0 else None
+    return git_state(_PACKAGE) if is_tracked(_PACKAGE / "__init__.py") else None
 
 
 def operator() -> str:

@@ -51,7 +51,7 @@ def units_of(
     Raises:
         SpecError: A path has characters that a unit cannot have.
     """
-    command = (sys.executable, "-m", "hil", "schedule", "run", *arguments)
+    command = (sys.executable, "-P", "-m", "hil", "schedule", "run", *arguments)
     words = " ".join(_quoted(word) for word in (*command, *(("--once",) if timer else ())))
     wanted = "default.target" if user else "multi-user.target"
     unit = f"hil-{name}"

@@ -48,7 +48,7 @@ async def plan_apart(
         Gone: Whoever asked has left.
     """
     process = subprocess.Popen(  # noqa: S603 - our own module
-        [sys.executable, "-m", MODULE],
+        [sys.executable, "-P", "-m", MODULE],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         start_new_session=True,
