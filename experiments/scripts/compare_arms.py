@@ -61,8 +61,7 @@ def tells_errors(estimator: str, parameters: dict[str, Any]) -> bool:
 
 def measure(name: str, experiment: hil.Experiment, out: Path) -> Arm:
     """Run the program on one arm and fit it."""
-    # The name was given on the command line, which confirms that a real arm may move.
-    report = hil.run(experiment, runs=out / "runs", robot=name)
+    report = hil.run(experiment, runs=out / "runs", robot=name)  # the caller has named the arm
     if report.error is not None:
         raise report.error
     document = out / f"{name}.json"
