@@ -79,6 +79,11 @@ def test_yes_confirms_and_no_refuses_and_both_have_a_name(typed: str, yes: bool)
     assert MOUNT in console.told[1]
 
 
+def test_what_is_shown_steers_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    Console().show(["serial number 7\x1b[2J\r", "wrist_1_joint  -80° to 12°"])
+    assert capsys.readouterr().err == "serial number 7?[2J?\nwrist_1_joint  -80° to 12°\n"
+
+
 def test_a_slip_of_the_fingers_is_asked_again() -> None:
     asks, console = operator("", "yess", "yes")
     assert asks(MOUNT, lambda: None) == Reply(True, "anna")

@@ -67,9 +67,10 @@ class Console:
         sys.stderr.flush()
 
     def show(self, lines: Iterable[str]) -> None:
-        """Write lines as they are."""
+        """Write lines as they are; what a robot says of itself steers no terminal."""
         start = "\r\x1b[K" if sys.stderr.isatty() else ""
-        sys.stderr.write(start + "".join(f"{line}\n" for line in lines))
+        plain = ("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+        sys.stderr.write(start + "".join(f"{line}\n" for line in plain))
         sys.stderr.flush()
 
     @staticmethod
