@@ -15,6 +15,7 @@ import contextlib
 import json
 import os
 import pty
+import re
 import select
 import shutil
 import signal
@@ -26,6 +27,8 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from ur_mock import mock_ur
 
 Finding = Callable[[Path], str]
 
@@ -67,6 +70,35 @@ def last_line(text: str) -> str:
 
 
 # ---- A1 commissioning ---------------------------------------------------------------------------
+
+
+def tutorial_file(name: str) -> str:
+    """Return a file as the tutorial of the first run on a real arm has it."""
+    text = (REPOSITORY / "docs/tutorial/first-real-ur5.md").read_text("utf-8")
+    match = re.search(rf"<!-- file: {re.escape(name)} -->\n```yaml\n(.*?)```", text, re.DOTALL)
+    assert match, f"the tutorial has no {name}"
+    return match[1]
+
+
+@finding("A1", "commissioning run of the tutorial")
+def commissioning(folder: Path) -> str:
+    (folder / "first.yaml").write_text(tutorial_file("first.yaml"))
+    with mock_ur("--speed", "4") as mock:
+        at_mock = f"address: {mock.address}, watchdog_hz: 0.2, late_s: 5.0, lag_s: 1.0"
+        station = tutorial_file("station.yaml").replace("address: 192.168.0.5", at_mock)
+        (folder / "station.yaml").write_text(station)
+        options = ("--station", "station.yaml", "--speed", "10%", "--first", "3")
+        done = hil("run", "first.yaml", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    before, begins, _ = done.stderr.partition("running first-ur5")
+    assert begins
+    swept = [" ".join(line.split()) for line in before.splitlines() if line.startswith("  ")]
+    assert [line.split()[0] for line in swept[-2:]] == ["flange", "elbow"], swept
+    (stop,) = (folder / "runs").glob("*/ur5/*/stop.json")
+    robot_s = json.loads(stop.read_text())["device_s"]
+    assert robot_s <= 120, f"{robot_s:.0f} s of robot time"
+    return f"three poses in {robot_s:.0f} s of robot time; printed first: {'; '.join(swept)}"
+
 
 # ---- A2 confirmation of a real robot ------------------------------------------------------------
 

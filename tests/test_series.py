@@ -14,7 +14,9 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.series import Series, load_series, run_series
 from hil.campaign.series_folder import SeriesFolder
 from hil.cli.app import app
+from hil.cli.series import resume_series
 from hil.errors import DataError, FitError, HilError, InterlockTripped, Rejected, Stopped
+from hil.plan.commissioning import Commissioning
 from hil.report.series_page import side_by_side
 from hil.study.result import Part, StudyResult, Table
 from hil.study.store import write_study
@@ -185,6 +187,30 @@ def test_a_series_on_the_command_line(pair: Path, tmp_path: Path) -> None:
     listed = CliRunner().invoke(app, ["runs", "--runs", str(runs), "--json"])
     assert len(json.loads(listed.stdout)) == 2
     assert CliRunner().invoke(app, ["report", told["series"]]).exit_code == 0
+
+
+def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path: Path) -> None:
+    slow = Commissioning(speed=0.1)
+    folder = SeriesFolder.create(tmp_path, series.spec, series.source, None, slow)
+    run_series(series, folder, Robot(second=InterlockTripped("hot")))
+    asked: list[Commissioning | None] = []
+
+    def begin(experiment: Experiment) -> Any:
+        asked.append(experiment.commissioning)
+        raise Stopped("enough seen")
+
+    with pytest.raises(Stopped):
+        resume_series(folder.path, begin, lambda run: begin(series.experiments[0]), False)
+    assert asked == [slow]
+
+
+def test_a_series_is_planned_with_the_options_it_is_run_with(pair: Path) -> None:
+    durations = []
+    for options in ((), ("--speed", "10%")):
+        done = CliRunner().invoke(app, ["plan", str(pair), *options, "--json"])
+        assert done.exit_code == 0, done.output
+        durations.append(json.loads(done.stdout)["duration_s"])
+    assert durations[1] > 5 * durations[0]
 
 
 def test_a_plan_of_a_series_tells_how_long_all_of_it_takes(pair: Path) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from hil.arms import load_arm
 from hil.campaign.arm_view import ArmView
 from hil.campaign.attempt import Attempt, Recorded, finish
 from hil.campaign.beginning import open_recorder
@@ -24,6 +25,8 @@ from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError
 from hil.excite.setting import Advance
+from hil.plan.plan import Plan
+from hil.plan.swept import swept
 from hil.preflight import preflight_context, require_preflight
 from hil.record.parts import name_of_attempt
 from hil.record.recorder import Recorder
@@ -59,6 +62,11 @@ class Attendance:
     def stage(self, text: str) -> None:
         """Tell observers what is being done."""
         self.observers.publish({"kind": "stage", "stage": text})
+
+    def planned(self, plan: Plan) -> None:
+        """Tell observers where the motions of `plan` take the arm, before anything moves."""
+        space = swept(plan, load_arm(plan.robot_model))
+        self.observers.publish({"kind": "plan", **space.to_dict(), "lines": space.lines()})
 
     def computing(self, advance: Advance) -> None:
         """Tell observers how far trajectories are that take long to compute."""

@@ -51,10 +51,10 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         plan = plan_for(experiment, robot, attendance.computing)
         if (part := experiment.commissioning) is not None:
             experiment = replace(experiment, commissioning=part.within(plan))
-            plan = part.of(plan)
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
         require_room_to_begin(runs)
+        attendance.planned(plan)
         confirmed = confirmation_of(
             robot, partial(motion_facts, experiment, robot, plan), attendance.confirm
         )

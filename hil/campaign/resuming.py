@@ -151,6 +151,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         weighed = weighed_before(plan, directory.recordings, robot.capabilities)
         todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
+        attendance.planned(todo)
         confirmed = confirmation_of(
             robot, partial(motion_facts, experiment, robot, todo), attendance.confirm, before
         )

@@ -130,7 +130,13 @@ def planned(
     with opened(experiment.spec.robot, experiment.robot) as robot:
         can = robot.capabilities
         if can.clock == "wall" and not connect:
-            plan = build_plan(experiment.spec, experiment.robot, rate_hz=can.rate_hz, watch=watch)
+            plan = build_plan(
+                experiment.spec,
+                experiment.robot,
+                rate_hz=can.rate_hz,
+                watch=watch,
+                part=experiment.commissioning,
+            )
             yield robot, plan, False
             return
         with _held(experiment, robot):
@@ -185,6 +191,7 @@ def plan_for(experiment: Experiment, robot: Robot, watch: Watch = unwatched) -> 
         start_q=standing_at(newest),
         rate_hz=robot.capabilities.rate_hz,
         watch=watch,
+        part=experiment.commissioning,
     )
 
 

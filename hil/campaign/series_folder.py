@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, HilError
+from hil.plan.commissioning import Commissioning
 from hil.record.files import json_document, read_json, require_known_version, write_replacing
 from hil.record.numbering import name_for_path
 from hil.spec.series import SeriesSpec
@@ -37,7 +38,12 @@ class SeriesFolder:
 
     @classmethod
     def create(
-        cls, runs: Path, spec: SeriesSpec, source: Path, station: Path | None = None
+        cls,
+        runs: Path,
+        spec: SeriesSpec,
+        source: Path,
+        station: Path | None = None,
+        part: Commissioning | None = None,
     ) -> SeriesFolder:
         """Make the folder of a series that begins now.
 
@@ -46,6 +52,7 @@ class SeriesFolder:
             spec: The series.
             source: Its file, to go on with it later.
             station: Named in place of those in the files.
+            part: What of each experiment is executed, and how fast; None for all of it.
         """
         now = datetime.now().astimezone()
         above = runs / now.date().isoformat() / "series"
@@ -56,8 +63,15 @@ class SeriesFolder:
             "source": str(source.resolve()),
             "station": str(station.resolve()) if station else None,
             "started": now.isoformat(timespec="seconds"),
+            **({"commissioning": part.to_dict()} if part else {}),
         }
         return cls(new_folder(above, f"series-{name_for_path(spec.name)}"), head)
+
+    @property
+    def commissioning(self) -> Commissioning | None:
+        """What of each experiment is executed, and how fast; None for all of it."""
+        recorded = self.head.get("commissioning")
+        return Commissioning.from_dict(recorded) if recorded else None
 
     @classmethod
     def open(cls, path: Path) -> tuple[SeriesFolder, list[dict[str, Any]]]:

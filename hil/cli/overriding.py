@@ -1,4 +1,4 @@
-"""`--set PATH=VALUE` of verbs that are given an experiment."""
+"""Options that change what `hil run` executes and `hil plan` shows: --set, --speed, --first."""
 
 from __future__ import annotations
 
@@ -19,6 +19,24 @@ SetOption = Annotated[
         "--set",
         metavar="PATH=VALUE",
         help="Another value in the spec (YAML), such as excitation.waypoints=12; may be repeated.",
+    ),
+]
+SpeedOption = Annotated[
+    str,
+    typer.Option(
+        "--speed",
+        metavar="SHARE",
+        help="Commissioning: the same program slower, such as 10%, without its warm-up; neither "
+        "fitted nor judged.",
+    ),
+]
+FirstOption = Annotated[
+    str,
+    typer.Option(
+        "--first",
+        metavar="N|SECONDSs",
+        help="Commissioning: only so many poses or trajectories (10), the nearest poses first, or "
+        "seconds (30s); neither fitted nor judged.",
     ),
 ]
 

@@ -68,6 +68,9 @@ class ProgressLines:
             self._line(fit_ended(*_which(event), event["seconds"], failed=event["failed"]))
         elif kind == "stage":
             self._line(f"{self._standing.stage} …")
+        elif kind == "plan":
+            for line in ("this run sweeps", *(f"  {line}" for line in event["lines"])):
+                self._line(line)
         elif kind == "state":
             self._state()
         elif kind == "preflight":

@@ -13,14 +13,13 @@ from hil.cli import reidentify, series
 from hil.cli.attended import Attended, rejected
 from hil.cli.live_view import LiveFlag, LiveHost, LivePort
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json
-from hil.cli.overriding import SetOption, load_with, refuse_set
+from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, refuse_set
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
 from hil.cli.simulating import SimulateOption, simulate_schedule
 from hil.errors import SpecError
 
 if TYPE_CHECKING:
-    from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
 
 OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
@@ -49,22 +48,6 @@ WaitOption = Annotated[
         min=0,
         metavar="SECONDS",
         help="How long to wait for a robot that somebody else holds.",
-    ),
-]
-SpeedOption = Annotated[
-    str,
-    typer.Option(
-        "--speed",
-        metavar="SHARE",
-        help="Commissioning: the same plan slower, such as 10%; neither fitted nor judged.",
-    ),
-]
-FirstOption = Annotated[
-    str,
-    typer.Option(
-        "--first",
-        metavar="N|SECONDSs",
-        help="Commissioning: only the first poses or trajectories (10), or seconds (30s).",
     ),
 ]
 YesFlag = Annotated[
@@ -149,17 +132,14 @@ def run(
         operator, answers, tuple(waive or ()), wait, views, elsewhere, yes, confirmed
     )
 
-    def begin(experiment: Experiment) -> RunReport:
-        return attended.run(replace(experiment, commissioning=part), runs)
-
     if is_series(spec):
         refuse_set(set_, "a series")
-        series.run_series(spec, station, runs, begin, json)
+        series.run_series(spec, station, runs, part, lambda each: attended.run(each, runs), json)
         return
-    experiment = load_with(spec, station, set_)
+    experiment = replace(load_with(spec, station, set_), commissioning=part)
     if not json:
-        typer.echo(replace(experiment, commissioning=part).title, err=True)
-    report = begin(experiment)
+        typer.echo(experiment.title, err=True)
+    report = attended.run(experiment, runs)
     ignore_from_now_on()
     _tell_report(report, json)
 

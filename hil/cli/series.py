@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from hil.campaign.run import RunReport
     from hil.campaign.series import Series, SeriesReport
     from hil.campaign.series_folder import SeriesFolder
+    from hil.plan.commissioning import Commissioning
 
 Document = dict[str, Any]
 Outcome = tuple[Document, HilError | None]
@@ -49,14 +51,17 @@ def validate_series(path: Path, station: Path | None, json: bool) -> None:
     print_warnings(missing)
 
 
-def plan_series(path: Path, station: Path | None, connect: bool, json: bool) -> None:
+def plan_series(
+    path: Path, station: Path | None, part: Commissioning | None, connect: bool, json: bool
+) -> None:
     """What each experiment of a series would do, and how long all of them take."""
     from hil.campaign.preview import preview_experiment
     from hil.campaign.series import load_series
     from hil.cli.excitation_line import ExcitationLine
 
     told = []
-    for experiment in load_series(path, station).experiments:
+    for each in load_series(path, station).experiments:
+        experiment = replace(each, commissioning=part)
         with ExcitationLine() as line:
             _, preview = preview_experiment(experiment, connect=connect, watch=line)
         told.append((experiment, preview.to_dict()))
@@ -78,13 +83,21 @@ def _planned(name: str, robot: str, facts: dict[str, Any]) -> tuple[str, ...]:
     return name, robot, duration(facts["duration_s"]), size(facts["recording_bytes"])
 
 
-def run_series(path: Path, station: Path | None, runs: Path, begin: Begin, json: bool) -> None:
+def run_series(
+    path: Path,
+    station: Path | None,
+    runs: Path,
+    part: Commissioning | None,
+    begin: Begin,
+    json: bool,
+) -> None:
     """Run a series from its beginning.
 
     Args:
         path: Its file.
         station: In place of every station the files name.
         runs: Where run directories are kept.
+        part: What of each experiment is executed, and how fast; None for all of it.
         begin: Runs an experiment.
         json: Whether to print one document and nothing else.
     """
@@ -97,8 +110,12 @@ def run_series(path: Path, station: Path | None, runs: Path, begin: Begin, json:
     for experiment in series.experiments:
         check_driver(experiment)
         require_extras(experiment.spec)
-    folder = SeriesFolder.create(runs, series.spec, path, station)
-    _run(series, folder, [], lambda experiment, _: _told(begin(experiment)), json)
+    folder = SeriesFolder.create(runs, series.spec, path, station, part)
+
+    def execute(experiment: Experiment, told: Document) -> Outcome:
+        return _told(begin(replace(experiment, commissioning=part)))
+
+    _run(series, folder, [], execute, json)
 
 
 def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
@@ -122,7 +139,7 @@ def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
     def execute(experiment: Experiment, told: Document) -> Outcome:
         run = Path(told["run"]) if told.get("run") else None
         if run is None:
-            return _told(begin(experiment))
+            return _told(begin(replace(experiment, commissioning=folder.commissioning)))
         if told.get("outcome") == "completed" and (run / "verdict.json").is_file():
             return _studied(run, told)
         return _told(resume(run))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,7 +19,7 @@ from hil.cli.output import (
     print_warnings,
     size,
 )
-from hil.cli.overriding import SetOption, load_with, refuse_set
+from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, refuse_set
 from hil.errors import SpecError
 
 
@@ -73,6 +74,8 @@ def plan(
     spec: SpecPath,
     station: StationOption = None,
     set_: SetOption = None,
+    speed: SpeedOption = "",
+    first: FirstOption = "",
     picture: Annotated[
         Path | None,
         typer.Option(
@@ -93,20 +96,22 @@ def plan(
     ] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Show what would happen: steps, duration, bytes, margin to every limit; move nothing."""
+    """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
     _require_svg(picture)
     from hil.campaign.driver_check import check_driver
     from hil.campaign.preview import preview_experiment
     from hil.cli.excitation_line import ExcitationLine
+    from hil.plan.commissioning import commissioning_of
     from hil.plan.picture import plan_picture
     from hil.record.files import json_document, write_replacing
     from hil.spec.series import is_series
 
+    part = commissioning_of(speed, first)
     if is_series(spec):
         refuse_set(set_, "a series")
-        series.plan_series(spec, station, connect, json)
+        series.plan_series(spec, station, part, connect, json)
         return
-    experiment = load_with(spec, station, set_)
+    experiment = replace(load_with(spec, station, set_), commissioning=part)
     check_driver(experiment)
     with ExcitationLine() as line:
         made, facts = preview_experiment(experiment, connect=connect, watch=line)
@@ -117,13 +122,15 @@ def plan(
     if json:
         print_json({**shown, "picture": str(drawn)})
         return
-    typer.echo(experiment.title)
+    typer.echo(replace(experiment, commissioning=part and part.within(made)).title)
+    condition = [("condition number", _figure(shown["condition_number"]))]
     rows = [
         ("waypoints", str(shown["waypoints"])),
         ("steps", str(len(made))),
         ("duration", duration(shown["duration_s"])),
         ("recording", size(shown["recording_bytes"])),
-        ("condition number", _figure(shown["condition_number"])),
+        *facts.swept.narrow_rows(),
+        *(condition if part is None else []),  # a commissioning run is not fitted
         *((f"margin: {key}", f"{value:.4g}") for key, value in shown["margins"].items()),
         *(
             (f"interlock: {one['name']}", f"{one['limit']} → {one['action']}")

@@ -33,12 +33,15 @@ class Arrangement:
         reference: The visit that is repeated to see drift; None for none.
         every: Visits of the program between two visits to the reference.
         weighing: Visits at which every load is weighed.
+        nearest_first: Whether visits come in the order of their distance from where the arm is,
+            unless the program says an order; else in random order.
     """
 
     roadmap: Roadmap
     reference: Visit | None = None
     every: int = 50
     weighing: Sequence[Visit] = ()
+    nearest_first: bool = False
 
     @property
     def workspace(self) -> Workspace:
@@ -88,6 +91,8 @@ class Arrangement:
             if since_reference >= self.every and (group := self._see_reference(here)):
                 yield from group
                 here, since_reference = group[-1].motion.q_end, 0
+            if self.nearest_first and program.shuffle_seed is not None:
+                remaining = _by_distance(remaining, here)
             ahead = remaining if program.shuffle_seed is not None else remaining[:1]
             found = self._next(here, ahead)
             if found is None:
@@ -167,6 +172,11 @@ def _ordered(program: Program) -> list[Visit]:
         return list(program.visits)
     order = np.random.default_rng(program.shuffle_seed).permutation(len(program.visits))
     return [program.visits[i] for i in order]
+
+
+def _by_distance(visits: Sequence[Visit], here: FloatArray) -> list[Visit]:
+    """Return the visits in the order of the way that the joint with furthest to go has to go."""
+    return sorted(visits, key=lambda visit: float(np.abs(visit.entry - here).max()))
 
 
 def _replaced(

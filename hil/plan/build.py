@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Watch, unwatched
 from hil.excite.visit import Action, Program, Visit, pose_visit
 from hil.excite.workspace import Workspace
+from hil.plan.commissioning import Commissioning
 from hil.plan.exciting import program_of, setting_of
 from hil.plan.interlocks import interlock_margins
 from hil.plan.limits import excesses
@@ -38,6 +39,7 @@ def build_plan(
     rate_hz: float | None = None,
     folder: Path | None = None,
     watch: Watch = unwatched,
+    part: Commissioning | None = None,
 ) -> Plan:
     """The plan for an experiment; the same arguments give the same plan.
 
@@ -48,11 +50,12 @@ def build_plan(
         rate_hz: The robot's own rate; by default that of the arm's description.
         folder: Where relative paths in the spec start; by default the working directory.
         watch: Is told how far trajectories are that take long to compute.
+        part: For a commissioning run: what of the program, and how fast; None for all of it.
 
     Raises:
         SpecError: The spec asks for more than the arm can do, or its waypoint file has mistakes;
             everything that is wrong is listed.
-        PlanError: No clear motion does what the spec asks for.
+        PlanError: No clear motion does what the spec asks for, or nothing of it would be measured.
         PluginError: The excitation is missing or does not load.
     """
     arm = plannable_arm(station_robot)
@@ -66,41 +69,44 @@ def build_plan(
     start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
     setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
     program = program_of(spec, roadmap, setting, folder or Path())
-    reference = _reference(spec, roadmap, program)
-    weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
-    arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)
-    steps = tuple(_steps(spec, arrangement, program, start))
-    loads = tuple(LoadStep(load.payload(), load.prompt, load.size_m) for load in spec.loads)
-    return _complete(spec, station_robot, arm, workspace, steps, loads)
-
-
-def _complete(
-    spec: ExperimentSpec,
-    station_robot: StationRobot,
-    arm: ArmDescription,
-    workspace: Workspace,
-    steps: tuple[Step, ...],
-    loads: tuple[LoadStep, ...],
-) -> Plan:
-    """The plan with its margins; refuses a negative one."""
-    measured = [step.motion for step in steps if step.measures and step.motion]
-    weighed = any(step.kind == "weigh" for step in steps)
-    margins = margins_of(steps, loads, arm, station_robot.gravity_m_s2, workspace)
-    motions = [step.motion for step in steps if step.motion]
-    sizes = [load.size_m for load in loads]
-    margins |= interlock_margins(
-        spec.interlocks, arm, sizes, motions, workspace.rate_hz, margins["clearance_m"]
-    )
-    assert workspace.condition is not None
-    return Plan(
+    if part is not None and part.shortened:
+        arrangement = Arrangement(roadmap, nearest_first=True)
+    else:
+        reference = _reference(spec, roadmap, program)
+        weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
+        arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)
+    warm_up_s = spec.warm_up.duration_s if part is None else 0.0
+    plan = Plan(
         name=spec.name,
         robot_model=station_robot.model,
         joint_names=arm.joint_names,
         rate_hz=workspace.rate_hz,
-        steps=steps,
-        loads=loads,
+        steps=tuple(_steps(spec, arrangement, program, start, warm_up_s)),
+        loads=tuple(LoadStep(load.payload(), load.prompt, load.size_m) for load in spec.loads),
         dwell=_dwell_rule(spec),
-        weigh_dwell=weigh_dwell(_dwell_rule(spec), workspace.rate_hz) if weighed else None,
+    )
+    return _complete(plan if part is None else part.of(plan), spec, station_robot, arm, workspace)
+
+
+def _complete(
+    plan: Plan,
+    spec: ExperimentSpec,
+    station_robot: StationRobot,
+    arm: ArmDescription,
+    workspace: Workspace,
+) -> Plan:
+    """The plan with its margins; refuses a negative one."""
+    measured = [step.motion for step in plan if step.measures and step.motion]
+    weighed = any(step.kind == "weigh" for step in plan)
+    margins = margins_of(plan.steps, plan.loads, arm, station_robot.gravity_m_s2, workspace)
+    sizes = [load.size_m for load in plan.loads]
+    margins |= interlock_margins(
+        spec.interlocks, arm, sizes, plan.motions, workspace.rate_hz, margins["clearance_m"]
+    )
+    assert workspace.condition is not None
+    return replace(
+        plan,
+        weigh_dwell=weigh_dwell(plan.dwell, workspace.rate_hz) if weighed else None,
         margins=margins,
         condition_number=condition_number(workspace.condition, measured, workspace.rate_hz),
     )
@@ -131,10 +137,14 @@ def _reference(spec: ExperimentSpec, roadmap: Roadmap, program: Program) -> Visi
 
 
 def _steps(
-    spec: ExperimentSpec, arrangement: Arrangement, program: Program, start: FloatArray
+    spec: ExperimentSpec,
+    arrangement: Arrangement,
+    program: Program,
+    start: FloatArray,
+    warm_up_s: float,
 ) -> Iterator[Step]:
     """The sequence as numbered steps."""
-    sequence = _sequence(spec, arrangement, program, start)
+    sequence = _sequence(spec, arrangement, program, start, warm_up_s)
     for index, (load, action) in enumerate(sequence):
         if action is None:
             yield Step(index, "payload", load=load, checkpoint=True)
@@ -145,7 +155,11 @@ def _steps(
 
 
 def _sequence(
-    spec: ExperimentSpec, arrangement: Arrangement, program: Program, here: FloatArray
+    spec: ExperimentSpec,
+    arrangement: Arrangement,
+    program: Program,
+    here: FloatArray,
+    warm_up_s: float,
 ) -> Iterator[tuple[int, Action | None]]:
     """Load and action, the whole program once per load; None stands for changing the load.
 
@@ -162,9 +176,9 @@ def _sequence(
             actions += arrangement.go_home(here)
             actions += arrangement.tour(arrangement.weighing, home)
             here = actions[-1].motion.q_end
-        if load == 0 and spec.warm_up.duration_s > 0:
+        if load == 0 and warm_up_s > 0:
             actions += arrangement.go_home(here)
-            actions += arrangement.warm_up(home, spec.warm_up.duration_s)
+            actions += arrangement.warm_up(home, warm_up_s)
             here = actions[-1].motion.q_end
         actions += arrangement.measure(program, here)
         yield from ((load, action) for action in actions)

@@ -1,9 +1,15 @@
-"""The first runs on a real arm: the same plan slower, and only its beginning."""
+"""The first runs on a real arm: the same program slower, and only the poses nearest to the arm.
+
+Such a run is neither fitted nor judged, so it leaves out what only serves the measurement: the
+warm-up always, and with `--first` also reference visits and payload check. What remains is as
+little motion as possible.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -20,8 +26,9 @@ class Commissioning:
     """What of a plan is executed, and how fast.
 
     Attributes:
-        speed: Share of every motion's speed; its path stays the same, and what stands still
-            stands still as long as before.
+        speed: Share of the limits of speed, acceleration and jerk of every move, and of the speed
+            of every trajectory; paths stay the same, and what stands still stands still as long as
+            before.
         first: So many poses or trajectories are measured; None for all of them.
         first_s: Measurements that are over within this estimated time; None for all [s].
         whole: Poses or trajectories of the whole plan; None when it is not known yet.
@@ -44,9 +51,19 @@ class Commissioning:
             return str(self.first)
         return f"{min(self.first, self.whole)} of {self.whole}"
 
+    @property
+    def shortened(self) -> bool:
+        """Whether only a part of the program is measured."""
+        return self.first is not None or self.first_s is not None
+
     def within(self, plan: Plan) -> Commissioning:
-        """The same, knowing how much there is in the whole plan."""
-        return replace(self, whole=len({_place(s) for s in plan if s.kind in MEASURED}))
+        """Return the same with the size of the program that `plan` is a part of."""
+        return replace(self, whole=plan.whole)
+
+    @staticmethod
+    def from_dict(raw: Mapping[str, Any]) -> Commissioning:
+        """Inverse of `to_dict`."""
+        return Commissioning(**{name: value for name, value in raw.items() if name != "text"})
 
     def to_dict(self) -> dict[str, Any]:
         """For the start document; `text` says it to people."""
@@ -54,21 +71,21 @@ class Commissioning:
         return given | {"text": str(self)}
 
     def of(self, plan: Plan) -> Plan:
-        """The plan as it is executed; a motion that is slower and shorter needs no other checks.
+        """Return the plan slower and cut after what is to be measured.
 
         Raises:
             PlanError: Nothing would be measured.
         """
+        whole = len({_place(step) for step in plan if step.kind in MEASURED})
         steps = tuple(_slower(step, self.speed) for step in plan.steps)
-        slower = replace(plan, steps=steps)
+        slower = replace(plan, steps=steps, whole=whole)
         kept = steps[: self._end(slower)]
         if not any(step.kind in MEASURED for step in kept):
             raise PlanError(
                 f"nothing is measured {self}",
                 hint=f"the whole plan takes {slower.duration_s:.0f} s: allow more of it",
             )
-        condition = plan.condition_number if len(kept) == len(steps) else math.inf
-        return replace(slower, steps=kept, condition_number=condition)
+        return replace(slower, steps=kept)
 
     def _end(self, plan: Plan) -> int:
         """Number of steps to keep: up to the last measurement that is still wanted."""
@@ -133,13 +150,17 @@ def _slower(step: Step, share: float) -> Step:
 
 
 def _motion(motion: Motion, share: float) -> Motion:
-    """The same path, passed `share` times as fast."""
+    """Return the same path at `share` of the speed.
+
+    Lines keep their path at any limits. With all limits scaled alike, starting and stopping take
+    as long as at full speed: slower acceleration would make short moves a crawl.
+    """
     if isinstance(motion, Line):
         return replace(
             motion,
             velocity=motion.velocity * share,
-            acceleration=motion.acceleration * share**2,
-            jerk=motion.jerk * share**3,
+            acceleration=motion.acceleration * share,
+            jerk=motion.jerk * share,
         )
     if isinstance(motion, FourierSeries):
         a, b = (tuple(tuple(c * share for c in row) for row in m) for m in (motion.a, motion.b))

@@ -115,6 +115,8 @@ class Plan:
         margins: Smallest distance to every limit (see `hil plan`), all ≥ 0.
         condition_number: Column-scaled condition number of the base regressor on the plan's
             measuring samples; infinite where they do not determine the parameters.
+        whole: Poses or trajectories of the program that this plan is a commissioning run of; None
+            for the program itself. Not stored.
     """
 
     name: str
@@ -127,6 +129,7 @@ class Plan:
     weigh_dwell: DwellRule | None = None
     margins: dict[str, float] = field(default_factory=dict)
     condition_number: float = math.inf
+    whole: int | None = field(default=None, compare=False)
 
     def __iter__(self) -> Iterator[Step]:
         return iter(self.steps)

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hil.arms import load_arm
 from hil.plan.concerns import concerns
 from hil.plan.plan import Plan, number_or_none
+from hil.plan.swept import Swept, swept
 from hil.plan.weighing import is_sweep, why_not_weighed
 from hil.robot import state_dtype
 
@@ -33,6 +35,7 @@ class PlanPreview:
         hash: The plan's identity.
         steps: Number of steps of each kind, in the order in which they first occur.
         samples: State rows to be recorded.
+        swept: Where the motions take the arm.
         warnings: What is allowed and still worth a second look, a sentence each.
         interlocks: What will watch, as `Interlocks.describe` puts it; empty when nobody said.
     """
@@ -45,6 +48,7 @@ class PlanPreview:
     hash: str
     steps: dict[str, int]
     samples: int
+    swept: Swept
     warnings: tuple[str, ...] = ()
     interlocks: tuple[Mapping[str, str], ...] = ()
 
@@ -59,6 +63,7 @@ class PlanPreview:
             "hash": self.hash,
             "steps": dict(self.steps),
             "samples": self.samples,
+            "swept": self.swept.to_dict(),
             "warnings": list(self.warnings),
             "interlocks": [dict(interlock) for interlock in self.interlocks],
         }
@@ -69,7 +74,11 @@ def preview(
 ) -> PlanPreview:
     """What `plan` amounts to, what will watch over it, and what nobody has asked the robot."""
     size = recording_bytes(plan)
-    worries = (*concerns(plan.condition_number, plan.duration_s, size), *_not_weighed(plan))
+    # A commissioning run is not fitted: its condition number and its loads are no concern.
+    commissioning = plan.whole is not None
+    condition = 1.0 if commissioning else plan.condition_number
+    worries = [*concerns(condition, plan.duration_s, size)]
+    worries += [] if commissioning else _not_weighed(plan)
     return PlanPreview(
         waypoints=plan.waypoints,
         duration_s=plan.duration_s,
@@ -79,6 +88,7 @@ def preview(
         hash=plan.hash,
         steps=dict(Counter(step.kind for step in plan)),
         samples=_samples(plan),
+        swept=swept(plan, load_arm(plan.robot_model)),
         warnings=(*unasked, *worries),
         interlocks=tuple(interlocks),
     )

@@ -16,6 +16,9 @@ from hil.typing import FloatArray
 BLOCK = 16_384
 """Joint positions per forward kinematics: enough to amortise it, few enough for the cache."""
 
+NOISE_DEG = 0.01
+"""An encoder's noise about a whole degree does not show as another degree."""
+
 
 class Box(NamedTuple):
     """An axis-aligned box in base coordinates: its least and greatest corner, each (3,) [m]."""
@@ -24,12 +27,15 @@ class Box(NamedTuple):
     high: FloatArray
 
     def __str__(self) -> str:
+        return ", ".join(f"{axis} {text}" for axis, text in self.ranges())
+
+    def ranges(self) -> list[tuple[str, str]]:
+        """Return each axis and its range as text."""
         # Rounded outwards: nothing swept lies beyond the figures that are shown.
-        sides = zip("xyz", self.low, self.high, strict=True)
-        return ", ".join(
-            f"{axis} {math.floor(100 * a) / 100:.2f} to {math.ceil(100 * b) / 100:.2f} m"
-            for axis, a, b in sides
-        )
+        return [
+            (axis, f"{math.floor(100 * a) / 100:.2f} to {math.ceil(100 * b) / 100:.2f} m")
+            for axis, a, b in zip("xyz", self.low, self.high, strict=True)
+        ]
 
     def to_dict(self) -> dict[str, list[float]]:
         """JSON form."""
@@ -63,13 +69,18 @@ class Swept:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the name and the text of every fact; see `lines`."""
-        ranges = zip(self.joint_names, np.degrees(self.q_min), np.degrees(self.q_max), strict=True)
         return [
             ("duration", _minutes(self.duration_s)),
-            *((name, f"{_floor(low)}° to {_ceil(high)}°") for name, low, high in ranges),
-            (self._tool, str(self.tool)),
-            ("elbow", str(self.elbow)),
+            *self._joints,
+            *((name, str(box)) for name, box in self._boxes),
         ]
+
+    def narrow_rows(self) -> list[tuple[str, str]]:
+        """Return the ranges of joints and boxes, each axis by itself, for narrow tables."""
+        boxes = [
+            (f"{name} {axis}", text) for name, box in self._boxes for axis, text in box.ranges()
+        ]
+        return [*self._joints, *boxes]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form; radians and metres in base coordinates."""
@@ -84,8 +95,13 @@ class Swept:
         }
 
     @property
-    def _tool(self) -> str:
-        return "flange and load" if self.payload else "flange"
+    def _joints(self) -> list[tuple[str, str]]:
+        ranges = zip(self.joint_names, np.degrees(self.q_min), np.degrees(self.q_max), strict=True)
+        return [(name, f"{_floor(low)}° to {_ceil(high)}°") for name, low, high in ranges]
+
+    @property
+    def _boxes(self) -> list[tuple[str, Box]]:
+        return [("flange and load" if self.payload else "flange", self.tool), ("elbow", self.elbow)]
 
 
 def aligned(rows: Sequence[tuple[str, str]]) -> list[str]:
@@ -167,9 +183,9 @@ def _minutes(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
 
 
-def _floor(angle_deg: float) -> str:
-    return f"{math.floor(angle_deg + 1e-6):d}"
+def _floor(angle_deg: float) -> int:
+    return math.floor(angle_deg + NOISE_DEG)
 
 
-def _ceil(angle_deg: float) -> str:
-    return f"{math.ceil(angle_deg - 1e-6):d}"
+def _ceil(angle_deg: float) -> int:
+    return math.ceil(angle_deg - NOISE_DEG)

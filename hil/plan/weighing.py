@@ -66,6 +66,8 @@ def is_sweep(plan: Plan) -> bool:
 def why_plan_not_weighed(plan: Plan, robot: Capabilities) -> str:
     """Why the loads of `plan` are not weighed on this robot; empty when they are."""
     planned = sum(step.kind == "weigh" for step in plan)
+    if plan.whole is not None and not planned:
+        return "this is a commissioning run"
     if reason := why_not_weighed([load.payload.mass for load in plan.loads], planned):
         return reason
     if robot.effort_kind == "current" and not len(robot.drive_gains):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import starmap
 from typing import Any
 
@@ -13,7 +14,7 @@ from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
 from hil.plan.commissioning import Commissioning
 from hil.plan.picture import picture_of
 from hil.plan.plan import Plan
-from hil.plan.preview import PlanPreview, preview
+from hil.plan.preview import PlanPreview
 from hil.report.measures import measure, named, size
 from hil.report.words import duration
 
@@ -38,18 +39,15 @@ def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, 
         PlanError: No safe plan follows from the spec, or nothing of it would be measured.
         RobotError: A robot on a virtual clock cannot be asked where it stands.
     """
-    plan, whole = preview_experiment(experiment)
-    facts = whole
-    if part is not None:
-        part, plan = part.within(plan), part.of(plan)
-        facts = preview(plan)
+    plan, facts = preview_experiment(replace(experiment, commissioning=part))
+    part = part and part.within(plan)
     return {
         "title": experiment.title,
         "description": experiment.spec.description,
         "rows": list(_rows(facts, part)),
-        "interlocks": whole.interlocks,
-        "warnings": [text for text in whole.warnings if text != WITHOUT_THE_ROBOT],
-        "notes": list(_notes(whole, part)),
+        "interlocks": facts.interlocks,
+        "warnings": [text for text in facts.warnings if text != WITHOUT_THE_ROBOT],
+        "notes": list(_notes(facts, part)),
         "prompts": prompts_of(plan),
         "picture": _picture(plan),
     }
@@ -59,6 +57,7 @@ def _rows(facts: PlanPreview, part: Commissioning | None) -> Iterator[tuple[str,
     if part is not None:
         yield "part of the program", str(part)
     yield "time", duration(facts.duration_s)
+    yield from facts.swept.rows()[1:]
     yield "steps", ", ".join(f"{count} {kind}" for kind, count in facts.steps.items())
     yield "poses", str(facts.waypoints)
     yield "recording", size(facts.recording_bytes)
@@ -68,11 +67,11 @@ def _rows(facts: PlanPreview, part: Commissioning | None) -> Iterator[tuple[str,
         yield f"margin: {name}", text
 
 
-def _notes(whole: PlanPreview, part: Commissioning | None) -> Iterator[str]:
+def _notes(facts: PlanPreview, part: Commissioning | None) -> Iterator[str]:
     """In words for somebody who has no command line before them."""
     if part is not None:
         yield "A trial of the arm: nothing is fitted or judged, and it cannot be gone on with."
-    if WITHOUT_THE_ROBOT in whole.warnings:
+    if WITHOUT_THE_ROBOT in facts.warnings:
         yield UNASKED
 
 
