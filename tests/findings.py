@@ -469,6 +469,32 @@ def _mock_behind(folder: Path) -> str:
 
 # ---- B12 single bag file ------------------------------------------------------------------------
 
+BAG_MAP = """\
+hil_map: 1
+format: ros2bag
+robot: three-link
+joint_names: [base, shoulder, elbow]
+effort_kind: torque
+topic: /joint_states
+columns: {q: {unit: rad}, qd: {unit: rad/s}, effort: {unit: N·m}}
+"""
+
+
+@finding("B12", "single bag file")
+def single_bag_file(folder: Path) -> str:
+    from test_data_import_formats import bag
+
+    (file,) = bag(folder).glob("*.db3")
+    file.rename(folder / "run.db3")
+    (folder / "map.yaml").write_text(BAG_MAP, "utf-8")
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {relative_file_paths: [another.db3]}\n", "utf-8"
+    )
+    done = hil("import", "run.db3", "--map", "map.yaml", "-o", "out.mcap", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return f"beside the metadata.yaml of another bag: {' '.join(done.stdout.split())}"
+
+
 # ---- B13 rest pose of the recommended model -----------------------------------------------------
 
 

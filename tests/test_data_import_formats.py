@@ -160,6 +160,44 @@ def test_bag_file_without_its_folder_is_enough(tmp_path, plugin) -> None:
     assert data["q"] == pytest.approx(Q)
 
 
+UNRELATED = {
+    "of nothing": "author: somebody\n",
+    "no mapping": "3\n",
+    "no YAML": "[: {",
+    "no files": "rosbag2_bagfile_information: {relative_file_paths: 3}\n",
+    "of a bag that is gone": "rosbag2_bagfile_information:\n  relative_file_paths: [other.db3]\n",
+}
+
+
+@pytest.mark.parametrize("metadata", UNRELATED.values(), ids=UNRELATED)
+def test_bag_file_next_to_an_unrelated_metadata_file_is_enough(tmp_path, metadata) -> None:
+    (file,) = bag(tmp_path).glob("*.db3")
+    alone = file.rename(tmp_path / "alone.db3")
+    (tmp_path / "metadata.yaml").write_text(metadata, "utf-8")
+    data, _ = imported(alone, layout("ros2bag", BAG), tmp_path)
+    assert data["q"] == pytest.approx(Q)
+
+
+def test_the_file_named_is_read_and_not_the_bag_it_lies_in(tmp_path) -> None:
+    """Where a bag lies complete in the same folder it must not be taken for the file."""
+    (tmp_path / "longer").mkdir()
+    (file,) = bag(tmp_path / "longer").glob("*.db3")
+    here = bag(tmp_path, orders={k: ["gripper"] for k in range(ROWS)})  # none of our joints
+    data, _ = imported(file.rename(here / "named.db3"), layout("ros2bag", BAG), tmp_path)
+    assert data["q"] == pytest.approx(Q)
+
+
+def test_one_file_of_a_bag_whose_others_are_missing_is_read_by_itself(tmp_path) -> None:
+    path = bag(tmp_path)
+    (file,) = path.glob("*.db3")
+    text = (path / "metadata.yaml").read_text("utf-8")
+    (path / "metadata.yaml").write_text(
+        text.replace(f"- {file.name}", f"- {file.name}\n  - gone.db3", 1)
+    )
+    data, _ = imported(file, layout("ros2bag", BAG), tmp_path)
+    assert data["q"] == pytest.approx(Q)
+
+
 def test_messages_of_other_devices_and_short_ones_are_bad_rows(tmp_path) -> None:
     path = bag(tmp_path, orders={5: ["gripper"]}, spoil=[11])
     with pytest.raises(DataError, match="2 of 40") as caught:

@@ -12,10 +12,12 @@ from hil import plugins
 from hil.data.importing.import_map import ImportMap
 from hil.data.importing.raw import Raw
 from hil.errors import DataError
+from hil.quick_yaml import look_into
 from hil.suggest import did_you_mean
 from hil.typing import FloatArray, IntArray
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
+METADATA = "metadata.yaml"
 FIELDS = {"q": "position", "qd": "velocity", "effort": "effort"}
 
 
@@ -62,9 +64,10 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise plugins.not_installed("reading ROS 2 bags", ["rosbags"], "bags") from error
-    bag = path.parent if path.suffix in (".db3", ".mcap") and _is_bag(path.parent) else path
     try:
-        with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with AnyReader(
+            [_bag_of(path)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as reader:
             found = [c for c in reader.connections if c.topic == topic]
             if not found:
                 topics = sorted({c.topic for c in reader.connections})
@@ -83,8 +86,19 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         ) from error
 
 
-def _is_bag(folder: Path) -> bool:
-    return (folder / "metadata.yaml").is_file()
+def _bag_of(path: Path) -> Path:
+    """Return the folder of the bag that `path` is a file of, or `path` itself.
+
+    A `metadata.yaml` beside a file says nothing about it unless it lists it: files of several
+    bags end up in one folder, where another bag would be read in its place.
+    """
+    try:
+        about = look_into((path.parent / METADATA).read_bytes())
+        listed = about["rosbag2_bagfile_information"]["relative_file_paths"]
+        whole = path.name in listed and all((path.parent / name).is_file() for name in listed)
+    except (OSError, ValueError, LookupError, TypeError):
+        return path  # there is none, or it is no bag's
+    return path.parent if whole else path
 
 
 def _order(names: tuple[str, ...], wanted: tuple[str, ...]) -> IntArray | str:
