@@ -22,6 +22,7 @@ from types import TracebackType
 from typing import Any
 
 from hil.holder import Holder
+from hil.text import json_text
 
 HEARTBEAT_S = 1.0
 FRESH_S = 15.0
@@ -102,8 +103,7 @@ class HeldFile:
         self.release()
 
     def _write(self) -> None:
-        text = json.dumps(self.content, ensure_ascii=False, indent=1) + "\n"
-        raw = text.encode("utf-8", "backslashreplace")
+        raw = json_text(self.content, indent=1).encode() + b"\n"
         os.pwrite(self._descriptor, raw, 0)
         os.ftruncate(self._descriptor, len(raw))
 

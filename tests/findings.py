@@ -27,6 +27,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from ur_mock import mock_ur
 
@@ -286,6 +287,34 @@ def code_from_git(folder: Path) -> str:
 
 
 # ---- B3 names that are not UTF-8 ----------------------------------------------------------------
+
+
+@finding("B3", "names that are not UTF-8")
+def odd_names(folder: Path) -> str:
+    """Run and list a spec, a folder of runs and a run whose names have a byte 0xff."""
+    from starlette.testclient import TestClient
+
+    from hil.web.app import create_app
+    from hil.web.settings import Settings
+
+    spec, runs = folder / os.fsdecode(b"d\xff.yaml"), folder / os.fsdecode(b"runs-\xff")
+    spec.write_bytes((REPOSITORY / "experiments" / "ci_dwell_12.yaml").read_bytes())
+    ended = hil("run", spec, "--runs", runs, "--operator", "ada", cwd=folder)
+    assert ended.returncode == 0, f"hil run: {last_line(ended.stderr)}"
+    (run,) = runs.glob("*/*/0*")
+    assert (run / "report.html").is_file(), "no report"
+    run = run.rename(run.with_name(os.fsdecode(b"0001-\xff")))
+    for verb in (["show", run], ["runs", "--runs", runs], ["validate", spec]):
+        said = json.loads(hil(*verb, "--json", cwd=folder).stdout)
+        assert verb[0] != "show" or Path(said["run"]) == run, f"{verb[0]} --json names another run"
+    settings = Settings(runs=runs, registry=folder / "registry", specs=folder, port=8350)
+    client = TestClient(create_app(settings), base_url="http://127.0.0.1:8350")
+    where = f"/runs/{quote(os.fsencode(run.relative_to(runs)))}"
+    pages = ["/", "/runs", "/start", "/models", "/schedules", "/fleets", where, f"{where}/report"]
+    wrong = {page: code for page in pages if (code := client.get(page).status_code) != 200}
+    assert not wrong, f"pages that fail: {wrong}"
+    return f"the run has its report, --json its name, and all {len(pages)} pages answer 200"
+
 
 # ---- B4 speed slider ----------------------------------------------------------------------------
 

@@ -120,7 +120,7 @@ def load_experiment(
         spec_text=resolved_text(spec_path, overrides)
         if overrides
         else spec_path.read_text("utf-8"),
-        station_text=text or f"# {BUILT_IN}\n" + station.model_dump_json(indent=1) + "\n",
+        station_text=text or station.as_text(BUILT_IN),
         station_source=source,
         folder=spec_path.resolve().parent,
         spec_source=str(spec_path),

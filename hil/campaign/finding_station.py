@@ -52,7 +52,7 @@ def find_station(folder: Path, named: Path | None = None) -> tuple[Station, str,
     text = chosen.read_text("utf-8")
     if any(is_path(robot.model) for robot in station.robots.values()):
         # A copy is read from the folder of a run, where a relative path means something else.
-        text = f"# {chosen.name}, with whole paths\n{station.model_dump_json(indent=1)}\n"
+        text = station.as_text(f"{chosen.name}, with whole paths")
     return station, text, str(chosen)
 
 

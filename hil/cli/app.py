@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import signal
 import sys
@@ -52,6 +51,7 @@ from hil.errors import (
     Stopped,
     exit_code_of,
 )
+from hil.text import json_text
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "
@@ -178,4 +178,4 @@ def _print_error(out: Stream | None, kind: str, message: str, hint: str, code: i
         return
     told = {"kind": kind, "message": message, "hint": hint, "exit_code": code}
     with contextlib.suppress(OSError):  # standard output may be what has failed
-        typer.echo(json.dumps({"error": told}, ensure_ascii=False))
+        typer.echo(json_text({"error": told}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_table
+from hil.text import json_text
 
 if TYPE_CHECKING:
     from hil.campaign.bench import BenchRobot
@@ -120,7 +120,7 @@ def watch(
     try:
         for item in _while_read(follow(path)):
             if json:
-                typer.echo(json_module.dumps(item, ensure_ascii=False))
+                typer.echo(json_text(item))
             else:
                 lines.show(item)
             code = item.get("exit_code", code)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 import sys
@@ -13,6 +12,8 @@ from textwrap import indent, wrap
 from typing import Annotated, Any, TextIO
 
 import typer
+
+from hil.text import json_text, name_text
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 SpecPath = Annotated[Path, typer.Argument(help="Experiment spec (YAML).", show_default=False)]
@@ -37,7 +38,7 @@ LEAST_PROSE = 20
 
 def print_json(document: Any) -> None:
     """Print a document; NaN and infinity become null, since JSON has neither."""
-    typer.echo(json.dumps(_finite(document), ensure_ascii=False, indent=1))
+    typer.echo(json_text(_finite(document), indent=1))
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -47,7 +48,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     not enough it comes in blocks of columns, each with the names; where these leave no room for
     that, or are shared by rows, row by row, without what is empty.
     """
-    table = [list(header), *[list(row) for row in rows]]
+    table = [[_cell(text) for text in row] for row in (header, *rows)]
     padded = [
         [cell.ljust(max(map(len, column))) for cell in column]
         for column in zip(*table, strict=True)
@@ -55,6 +56,11 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     width = out_width()
     for line in _table_lines(table, padded, width):
         typer.echo(line)
+
+
+def _cell(text: str) -> str:
+    """Names of files stand in tables, and may have line breaks and worse."""
+    return text if text.isprintable() else name_text(text)
 
 
 def _table_lines(

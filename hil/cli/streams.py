@@ -6,6 +6,8 @@ import os
 import sys
 from typing import Any, TextIO, cast
 
+from hil.text import utf8_text
+
 
 class Stream:
     """A text stream that survives what is at its other end.
@@ -31,7 +33,7 @@ class Stream:
             return 0
         self.used = True
         try:
-            return self._stream.write(text)
+            return self._stream.write(utf8_text(text))
         except OSError as error:
             self._give_up(error)
             return len(text)

@@ -13,6 +13,7 @@ import pinocchio as pin
 from hil.arms import ArmDescription
 from hil.dynamics.urdf import read_serial_arm
 from hil.errors import SpecError
+from hil.text import utf8_text
 from hil.typing import BoolArray, FloatArray
 
 UNLIMITED = 1e9
@@ -30,7 +31,7 @@ def model_from_arm(arm: ArmDescription) -> pin.Model:
     """
     limits = (arm.effort_max, arm.qd_max, arm.q_min, arm.q_max)
     model = model_of_dh(arm.dh, arm.mass, arm.com, arm.inertia, arm.joint_names, limits)
-    model.name = arm.name
+    model.name = utf8_text(arm.name)
     return model
 
 

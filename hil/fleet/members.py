@@ -87,7 +87,7 @@ def experiment_for(text: str, folder: Path, station: Path | None, source: Path) 
         station=bench,
         robot=resolve_robot(spec, bench),
         spec_text=text,
-        station_text=station_text or f"# {where}\n" + bench.model_dump_json(indent=1) + "\n",
+        station_text=station_text or bench.as_text(where),
         station_source=where,
         folder=folder,
         spec_source=str(source),

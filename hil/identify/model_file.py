@@ -21,6 +21,7 @@ from hil.identify.model_folder import MODEL_FILE, only_model
 from hil.identify.robot_file import URDF_FILE, restore_robot, store_robot
 from hil.identify.sound import require_sound, text
 from hil.identify.training import ROWS_ARRAY, Training
+from hil.text import json_text
 from hil.typing import FloatArray
 
 MODEL_FORMAT = 1
@@ -108,8 +109,7 @@ _GARBLED = (
 
 def json_bytes(document: Mapping[str, Any]) -> bytes:
     """Strict, indented JSON; NaN and infinity become null, settings become their values."""
-    text = json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False)
-    return text.encode() + b"\n"
+    return json_text(plain(document), indent=2, allow_nan=False).encode() + b"\n"
 
 
 def plain(value: Any) -> Any:

@@ -24,5 +24,5 @@ def with_options(experiment: Experiment, options: Mapping[str, Any]) -> Experime
     station = experiment.station.model_copy(
         update={"robots": {**experiment.station.robots, name: robot}}
     )
-    text = f"# {experiment.station_source}\n{station.model_dump_json(indent=1)}\n"
+    text = station.as_text(experiment.station_source)
     return replace(experiment, robot=robot, station=station, station_text=text)

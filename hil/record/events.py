@@ -109,7 +109,7 @@ class EventLog:
             if line is _CLOSE:
                 self._ended = True
             else:
-                lines.append(line.encode("utf-8", "backslashreplace") + b"\n")
+                lines.append(line.encode() + b"\n")
         return lines
 
     def _run(self) -> None:

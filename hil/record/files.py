@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import DataError, RecordingError
+from hil.text import json_text
 
 
 def write_once(path: Path, content: bytes) -> None:
@@ -80,13 +81,12 @@ def sha256_of(path: Path, length: int | None = None) -> str:
 
 def json_line(value: Any) -> str:
     """One line of strict JSON; what JSON has no word for becomes its nearest (NaN → null)."""
-    return json.dumps(_plain(value), ensure_ascii=False, allow_nan=False)
+    return json_text(_plain(value), allow_nan=False)
 
 
 def json_document(value: Any) -> bytes:
     """An indented, strict JSON document."""
-    text = json.dumps(_plain(value), ensure_ascii=False, allow_nan=False, indent=2)
-    return text.encode("utf-8", "backslashreplace") + b"\n"
+    return json_text(_plain(value), allow_nan=False, indent=2).encode() + b"\n"
 
 
 _DAMAGED = "it is damaged, or no file of hil: take it from a copy that is whole"
@@ -99,7 +99,8 @@ def read_json(path: Path) -> dict[str, Any]:
         DataError: The file is missing, unreadable, not JSON, or holds something else.
     """
     try:
-        document = json.loads(path.read_bytes())
+        with open(path, "rb", opener=_at_once) as file:
+            document = json.loads(file.read())
     except OSError as error:
         raise DataError(
             f"cannot read {path}: {error.strerror or error}",
@@ -111,6 +112,11 @@ def read_json(path: Path) -> dict[str, Any]:
         kind = type(document).__name__
         raise DataError(f"{path} holds a {kind}, not a JSON object", hint=_DAMAGED)
     return document
+
+
+def _at_once(path: str, flags: int) -> int:
+    """Open a file; a pipe of that name in a foreign folder is empty, and keeps nobody waiting."""
+    return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
 
 
 def require_known_version(where: Path, document: Mapping[str, Any], key: str, known: int) -> None:

@@ -15,7 +15,7 @@ from hil.record.files import fsync_directory
 from hil.record.lock import LOCK
 
 _CLAIM = ".claim-"
-_NUMBERED = re.compile(r"(\d{4,})-.+")
+_NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)
 
 
 def number_of(run: Path) -> int:

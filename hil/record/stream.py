@@ -34,6 +34,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from hil.text import utf8_text
 from hil.typing import IntArray, StructArray
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -88,7 +89,8 @@ class McapStream:
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Write a named record of text → text."""
         self.end_chunk()
-        content = _bytes_of(Metadata(name=name, metadata=dict(record)))
+        told = {utf8_text(key): utf8_text(value) for key, value in record.items()}
+        content = _bytes_of(Metadata(name=name, metadata=told))
         self._metadata.append(MetadataIndex(offset=self.size, length=len(content), name=name))
         self._write(content)
 

@@ -24,6 +24,7 @@ from hil.identify.model_file import json_bytes, write_whole
 from hil.record.files import fsync_directory
 from hil.record.provenance import operator, utc_now
 from hil.registry.version import numbers_in, read_version
+from hil.text import json_text
 
 LOG_FILE = "log.jsonl"
 HEAD_FILE = "head.json"
@@ -383,7 +384,7 @@ def read_lines(path: Path) -> list[tuple[int, bytes]]:
 
 def _json_line(document: Mapping[str, Any]) -> bytes:
     """Return a document on one line, whatever line breaks are in it."""
-    return json.dumps(document, ensure_ascii=False, allow_nan=False).encode()
+    return json_text(document, allow_nan=False).encode()
 
 
 def _append_bytes(path: Path, line: bytes) -> None:

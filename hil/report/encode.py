@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import base64
-import json
 import math
 from typing import Any
 
 import numpy as np
+
+from hil.text import json_text
 
 
 def figure_json(figure: dict[str, Any]) -> str:
@@ -16,7 +17,7 @@ def figure_json(figure: dict[str, Any]) -> str:
     Seven significant digits are more than a plot shows and less than half the size of text. `<`,
     `>` and `&` are escaped, so no text inside can end the script element it stands in.
     """
-    text = json.dumps(_plain(figure), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = json_text(_plain(figure), separators=(",", ":"), allow_nan=False)
     return text.translate(_HTML_SAFE)
 
 

@@ -11,6 +11,7 @@ from hil.record.files import write_replacing
 from hil.report import colours
 from hil.report.blocks import Page, Section
 from hil.report.encode import figure_json
+from hil.text import utf8_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -41,7 +42,7 @@ def write_page(page: Page, path: Path) -> Path:
     Raises:
         RecordingError: The file cannot be written.
     """
-    write_replacing(path, page_html(page).encode())
+    write_replacing(path, utf8_text(page_html(page)).encode())
     return path
 
 

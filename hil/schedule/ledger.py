@@ -31,6 +31,7 @@ from hil.holder import Holder, this_process
 from hil.record.files import json_line
 from hil.registry.log import append_line, read_lines
 from hil.schedule.occasion import Job, Occasion
+from hil.text import json_text
 
 LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
 
@@ -152,8 +153,7 @@ class Ledger:
         """
         with self._alone():
             said = {"event": event, "at": time_text(at), **more, "before": self._digest()}
-            # As it will be read again: no NaN, no text that UTF-8 cannot say.
-            line: Line = json.loads(json_line(said).encode("utf-8", "replace"))
+            line: Line = json.loads(json_line(said))  # as it will be read again: no NaN
             if self.folder is not None:
                 append_line(self.folder / LEDGER_FILE, line)
                 self._seen = _size(self.folder / LEDGER_FILE)
@@ -269,7 +269,7 @@ def time_text(moment: datetime) -> str:
 
 
 def _digest(line: Line) -> str:
-    return hashlib.sha256(json.dumps(line, ensure_ascii=False).encode()).hexdigest()
+    return hashlib.sha256(json_text(line).encode()).hexdigest()
 
 
 @contextmanager

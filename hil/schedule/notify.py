@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.holder import plain
+from hil.text import json_text
 
 WITHIN_S = 60.0
 
@@ -35,9 +35,9 @@ class Command:
         if not self.words:
             return ""
         told = {key: value for key, value in line.items() if key != "before"}
-        text = json.dumps({"schedule": self.schedule, **told}, ensure_ascii=False)
+        text = json_text({"schedule": self.schedule, **told})
         try:
-            return self._run(text.encode("utf-8", "replace"))
+            return self._run(text.encode())
         except subprocess.TimeoutExpired:
             return f"{self.words[0]} did not end within {self.within_s:g} s"
         except (OSError, ValueError) as error:

@@ -17,6 +17,7 @@ from hil.spec.quantities import (
     Vector3,
     mistake,
 )
+from hil.text import json_text, name_text
 
 
 def _has_a_direction(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -92,3 +93,11 @@ class Station(Strict):
     robots: dict[Name, StationRobot] = Field(
         min_length=1, description="The robots by the names that experiments use."
     )
+
+    def as_text(self, title: str) -> str:
+        """Return its file, as it is copied into a run directory.
+
+        Args:
+            title: Where it comes from, in the first line.
+        """
+        return f"# {name_text(title)}\n{json_text(self.model_dump(mode='json'), indent=1)}\n"

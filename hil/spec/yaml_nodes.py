@@ -125,7 +125,8 @@ _CONSTRUCT: dict[str, Any] = {
 
 
 def _has_surrogate(text: str) -> bool:
-    return any("\ud800" <= c <= "\udfff" for c in text)
+    """Whether UTF-8 cannot hold it; U+DC80 to U+DCFF stand for bytes of names (`hil.text`)."""
+    return any("\ud800" <= c <= "\udfff" and not "\udc80" <= c <= "\udcff" for c in text)
 
 
 def _tag(node: yaml.Node) -> str:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import Response
@@ -19,6 +17,7 @@ from hil.held_file import holder_of
 from hil.record.catalogue import listing_of
 from hil.record.numbering import folders_in
 from hil.report.words import counted, when
+from hil.text import shell_word
 from hil.web.catalogue_pages import status_mark
 from hil.web.places import address_of, name_of, run_at
 from hil.web.registered import run_named
@@ -69,7 +68,7 @@ def _folders(runs: Path) -> Iterator[Path]:
 def _row(path: Path, settings: Settings, problems: list[str]) -> dict[str, Any] | None:
     try:
         opened, members = FleetFolder.open(path)
-        address = f"/fleets/{quote(name_of(path, settings))}"
+        address = f"/fleets{address_of(path, settings).removeprefix('/runs')}"
     except HilError as error:
         problems.append(error.message)
         return None
@@ -133,7 +132,7 @@ def _page_address(path: Path, settings: Settings) -> str:
 def _commands(
     path: Path, rows: list[dict[str, Any]], live: bool, settings: Settings
 ) -> list[tuple[str, str]]:
-    where, registry = shlex.quote(str(path)), f"--registry {shlex.quote(str(settings.registry))}"
+    where, registry = shell_word(path), f"--registry {shell_word(settings.registry)}"
     found = []
     if not live and any(row["status"] != "completed" for row in rows):
         found.append(("Go on with what ended early or was not begun:", f"hil fleet resume {where}"))
@@ -145,5 +144,5 @@ def _commands(
 
 routes = [
     Route("/fleets", fleets),
-    Route("/fleets/{name:path}", fleet),
+    Route("/fleets/{name:place}", fleet),
 ]

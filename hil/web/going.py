@@ -12,6 +12,7 @@ from hil.campaign.starting import Started, started_runs
 from hil.errors import HilError
 from hil.record.lock import is_live
 from hil.spec.series import load_series_spec
+from hil.text import name_text
 from hil.web.live_facts import header_of
 from hil.web.places import address_of, live_runs, name_of
 from hil.web.settings import Settings
@@ -35,7 +36,7 @@ def being_planned(settings: Settings) -> list[dict[str, str]]:
     return [
         {
             "id": one.id,
-            "spec": Path(one.spec).name,
+            "spec": name_text(Path(one.spec).name),
             "text": words_of(one),
             "address": f"/start/{one.id}",
         }

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from starlette.requests import Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from hil.campaign.steering import (
@@ -22,7 +22,7 @@ from hil.errors import DataError
 from hil.record.lock import is_live
 from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
 from hil.web.places import address_of, name_of, run_at
-from hil.web.rendering import page, settings_of, who_of
+from hil.web.rendering import as_json, page, settings_of, who_of
 from hil.web.resume_pages import way_on
 from hil.web.run_details import is_virtual
 from hil.web.run_facts import facts_of_run
@@ -112,7 +112,7 @@ async def _asked(
         raise
     if page_wanted:
         return RedirectResponse(address, 303)
-    return JSONResponse(reacted.to_dict())
+    return as_json(reacted.to_dict())
 
 
 def _heard(ask: Callable[[], Reaction], run: Path) -> Reaction:
@@ -130,10 +130,10 @@ def _heard(ask: Callable[[], Reaction], run: Path) -> Reaction:
 
 routes = [
     Route("/events", events),
-    Route("/runs/{name:path}/events", run_events),
+    Route("/runs/{name:place}/events", run_events),
     *(
-        Route(f"/runs/{{name:path}}/{one.__name__}", one, methods=["POST"])
+        Route(f"/runs/{{name:place}}/{one.__name__}", one, methods=["POST"])
         for one in (stop, pause, resume, answer)
     ),
-    Route("/runs/{name:path}", run_page),
+    Route("/runs/{name:place}", run_page),
 ]

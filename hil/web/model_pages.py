@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from typing import Any
 
 from starlette.requests import Request
@@ -13,6 +12,7 @@ from hil.registry.log import CHAMPION_EVENTS, Aliases
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 from hil.report.words import when
+from hil.text import shell_word
 from hil.web.drawing import timeline
 from hil.web.model_facts import (
     deed,
@@ -100,7 +100,7 @@ def _commands(
     name: str, aliases: Aliases, broken: bool, settings: Settings
 ) -> list[tuple[str, str]]:
     """What is done in a terminal: there it says what it rests on, and asks nobody twice."""
-    where = f"--registry {shlex.quote(str(settings.registry))}"
+    where = f"--registry {shell_word(settings.registry)}"
     if broken:
         repair = f"hil models repair {name} {where}"
         return [("Rebuild the log from the versions and what is left of it:", repair)]

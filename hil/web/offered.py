@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from hil.errors import SpecError
+from hil.text import name_read, name_text
 from hil.web.settings import Settings
 
 LOOKED_AT = 2000
@@ -20,12 +21,15 @@ _WORDS = {b"hil": "experiment", b"hil_series": "series", b"hil_station": "statio
 
 
 def offered(settings: Settings, *kinds: str) -> list[str]:
-    """Names of the files of some kinds (`experiment`, `series`, `station`), from the folder on."""
+    """Return the names of the files of some kinds (`experiment`, `series`, `station`).
+
+    From the folder on, as text that a form can hold (`hil.text.name_text`).
+    """
     if settings.specs is None:
         return []
     found = islice(_files(settings.specs), LOOKED_AT)
     return sorted(
-        path.relative_to(settings.specs).as_posix() for path in found if _kind_in(path) in kinds
+        name_text(path.relative_to(settings.specs)) for path in found if _kind_in(path) in kinds
     )
 
 
@@ -39,7 +43,7 @@ def file_offered(name: str, settings: Settings, *kinds: str) -> Path:
         raise SpecError(
             f"{name!r} is not offered here", hint=f"offered is what {settings.specs} has"
         )
-    return settings.specs / name
+    return settings.specs / name_read(name)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -3,21 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from urllib.parse import quote
+
+from starlette.convertors import PathConvertor, register_url_convertor
 
 from hil.errors import DataError
 from hil.record.known_runs import known_runs
+from hil.text import name_text, quoted
 from hil.web.settings import Settings
 
 
+class Place(PathConvertor):
+    """Part of an address, such as `2026-11-22/ur5/0042-dwell`: names may have line breaks, too."""
+
+    regex = r"[\s\S]*"
+
+
+register_url_convertor("place", Place())
+
+
 def name_of(run: Path, settings: Settings) -> str:
-    """A run below the folder of runs, such as `2026-11-22/ur5/0042-dwell`."""
-    return run.resolve().relative_to(settings.runs.resolve()).as_posix()
+    """Return where a run is below the folder of runs, such as `2026-11-22/ur5/0042-dwell`.
+
+    As text that a page can show; `hil.text.name_read` gives the name on the disk.
+
+    Raises:
+        ValueError: It is elsewhere, such as behind a link.
+    """
+    return name_text(_below(run, settings))
 
 
 def address_of(run: Path, settings: Settings) -> str:
     """Path of the page of a run."""
-    return f"/runs/{quote(name_of(run, settings))}"
+    return f"/runs/{quoted(_below(run, settings))}"
+
+
+def _below(folder: Path, settings: Settings) -> Path:
+    return folder.resolve().relative_to(settings.runs.resolve())
 
 
 def run_at(name: str, settings: Settings) -> Path:

@@ -5,20 +5,20 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from hil.errors import HilError
 from hil.identify.model_folder import MODEL_FILE
 from hil.record.files import read_json
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, read_version
+from hil.text import quoted
 from hil.web.places import address_of
 from hil.web.settings import Settings
 
 
 def model_address(name: str, number: int = 0) -> str:
     """Path of the page of a name, or of one of its versions."""
-    return f"/models/{quote(name)}" + (f"/v{number}" if number else "")
+    return f"/models/{quoted(name)}" + (f"/v{number}" if number else "")
 
 
 def versions_of(registry: Registry, name: str, problems: list[str]) -> list[ModelVersion]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import shlex
 from functools import cache
 from html import escape
 from http import HTTPStatus
@@ -13,10 +12,11 @@ from urllib.parse import unquote, urlsplit
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import HTMLResponse, Response
 
 from hil import __version__
 from hil.errors import HilError
+from hil.text import json_text, shell_word, utf8_text
 from hil.web.going import being_planned, going_on
 from hil.web.security import Forbidden
 from hil.web.settings import Settings
@@ -84,20 +84,25 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
             **context,
         )
     )
-    return HTMLResponse(html, status)
+    return HTMLResponse(utf8_text(html), status)
+
+
+def as_json(document: Any, status: int = 200) -> Response:
+    """Return an answer to a program."""
+    return Response(json_text(document), status, media_type="application/json")
 
 
 def refused(request: Request, error: Exception) -> Response:
     """What went wrong, as a page or, for programs, as JSON."""
     status, message, hint = _told(error)
     if "text/html" not in request.headers.get("accept", ""):
-        return JSONResponse({"error": message, "hint": hint}, status)
+        return as_json({"error": message, "hint": hint}, status)
     title = HTTPStatus(status).phrase
     told = {"title": title, "message": message, "hint": hint}
     try:
         return page(request, "error.html.j2", status=status, **told)
     except Exception:  # what every page shows is itself what cannot be read
-        return HTMLResponse(_bare(**told), status)
+        return HTMLResponse(utf8_text(_bare(**told)), status)
 
 
 def _bare(title: str, message: str, hint: str) -> str:
@@ -142,7 +147,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters["quoted"] = lambda told: shlex.quote(str(told))  # for commands to be copied
+    made.filters["quoted"] = lambda told: shell_word(str(told))  # for commands to be copied
     return made
 
 

@@ -61,4 +61,4 @@ async def go_on(request: Request) -> Response:
     return RedirectResponse(f"/start/{await in_thread('starting', begun)}", 303)
 
 
-routes = [Route("/runs/{name:path}/go-on", go_on, methods=["POST"])]
+routes = [Route("/runs/{name:place}/go-on", go_on, methods=["POST"])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +27,7 @@ from hil.report.words import (
     joint_title,
     number,
 )
+from hil.text import shell_word
 from hil.web.registered import registered_models
 from hil.web.run_details import completeness_of, details_of, virtual_clock
 from hil.web.run_files import listed_files, report_address, require_run
@@ -66,7 +66,7 @@ def _facts(run: Path, settings: Settings) -> dict[str, Any]:
         "sentence": sentence_of(facts),
         "virtual": virtual_clock(facts.start),
         "hint": str(facts.stop.get("hint") or ""),
-        "command": next_command(facts, shlex.quote(str(run))),
+        "command": next_command(facts, shell_word(run)),
         "warnings": _warnings(facts),
         "details": [(label, text) for label, text in details_of(facts) if text],
         "complete": list(completeness_of(facts)),

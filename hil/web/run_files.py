@@ -10,7 +10,6 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
@@ -20,6 +19,7 @@ from hil.errors import DataError
 from hil.record.numbering import number_of
 from hil.report.measures import size
 from hil.report.report import REPORT_FILE
+from hil.text import name_read, name_text, quoted
 from hil.web.places import address_of, run_at
 from hil.web.rendering import settings_of
 from hil.web.settings import Settings
@@ -55,10 +55,10 @@ def file_of(request: Request) -> Response:
     """A file of a run, to be kept."""
     run = require_run(request.path_params["name"], settings_of(request))
     named = request.query_params.get("path", "")
-    if named not in {path.relative_to(run).as_posix() for path in files_in(run)}:
+    path = run / name_read(named)
+    if path not in files_in(run):
         raise DataError(f"{run.name} has no file {named!r}", hint="its page lists those it has")
-    path = run / named
-    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+    return FileResponse(path, media_type="application/octet-stream", filename=name_text(path.name))
 
 
 def require_run(name: str, settings: Settings) -> Path:
@@ -102,8 +102,8 @@ def listed_files(run: Path, settings: Settings) -> list[dict[str, Any]]:
     where = address_of(run, settings)
     found = []
     for path in files_in(run)[:MOST_LISTED]:
-        name = path.relative_to(run).as_posix()
-        address = f"{where}/file?path={quote(name)}"
+        name = name_text(path.relative_to(run))
+        address = f"{where}/file?path={quoted(name)}"
         found.append({"name": name, "size": _size(path), "address": address})
     return found
 
@@ -146,7 +146,7 @@ def _size(path: Path) -> str:
 
 
 routes = [
-    Route("/runs/{name:path}/report", report_of),
-    Route("/runs/{name:path}/file", file_of),
-    Route("/runs/{page:path}.html", page_of),
+    Route("/runs/{name:place}/report", report_of),
+    Route("/runs/{name:place}/file", file_of),
+    Route("/runs/{page:place}.html", page_of),
 ]

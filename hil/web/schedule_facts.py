@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from datetime import UTC, datetime, timedelta
 from itertools import islice, takewhile
 from typing import Any
@@ -14,6 +13,7 @@ from hil.schedule.motions import Motions
 from hil.schedule.times import occasions
 from hil.spec.durations import duration_text
 from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
+from hil.text import shell_word
 from hil.web.registered import run_link
 from hil.web.schedules_known import Known, moment_words
 from hil.web.settings import Settings
@@ -168,10 +168,10 @@ def _blackout(one: Blackout) -> dict[str, str]:
 
 def commands_for(one: Known, settings: Settings) -> list[tuple[str, str]]:
     """What is done in a terminal: words and command."""
-    file = shlex.quote(str(one.file or "FILE"))
-    state = f"--state {shlex.quote(str(one.folder))}"
-    where = f"--registry {shlex.quote(str(settings.registry))}"
-    runs = f"--runs {shlex.quote(str(settings.runs))}"
+    file = shell_word(one.file or "FILE")
+    state = f"--state {shell_word(one.folder)}"
+    where = f"--registry {shell_word(settings.registry)}"
+    runs = f"--runs {shell_word(settings.runs)}"
     return [
         ("Do what is due, whenever it is:", f"hil schedule run {file} {state} {where} {runs}"),
         ("Foresee it, with the time its programs take:", f"hil schedule plan {file} {state}"),

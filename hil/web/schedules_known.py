@@ -11,7 +11,6 @@ from functools import lru_cache
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 from zoneinfo import ZoneInfo
 
 from hil.errors import HilError
@@ -23,6 +22,7 @@ from hil.schedule.times import occasions
 from hil.spec.schedule import KEY, ScheduleSpec, load_schedule_spec
 from hil.spec.yaml_nodes import MOST_BYTES
 from hil.spec.yaml_source import read_source
+from hil.text import quoted
 from hil.web.settings import Settings
 
 LOOKED_AT = 2000
@@ -57,7 +57,7 @@ class Known:
     @property
     def address(self) -> str:
         """Path of its page."""
-        return f"/schedules/{quote(self.name)}"
+        return f"/schedules/{quoted(self.name)}"
 
     @property
     def zone(self) -> ZoneInfo:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import hmac
 import logging
+import os
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import parse_qsl, unquote_to_bytes, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from hil.text import quoted
 from hil.web.settings import Settings
 
 _LOG = logging.getLogger(__name__)
@@ -63,6 +65,9 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        # Names are bytes of any kind, and the server has put U+FFFD for what is not UTF-8.
+        if raw := scope.get("raw_path"):
+            scope["path"] = os.fsdecode(unquote_to_bytes(raw))
         try:
             refusal = self._refusal(scope)
         except Exception:  # a page for that would show runs to whoever has shown no token
@@ -96,7 +101,7 @@ class Guard:
             # Lax: a link in a report, shown in its sandbox, counts as another site's.
             # Out of the address, so that it stays neither in the history nor in bookmarks.
             left = f"?{urlencode(query)}" if query else ""
-            answer = RedirectResponse(f"{scope['path']}{left}", 303)
+            answer = RedirectResponse(f"{quoted(scope['path'])}{left}", 303)
             answer.set_cookie(
                 cookie, token, max_age=MONTH_S, httponly=True, samesite="lax",
                 secure=scope["scheme"] == "https",

@@ -16,6 +16,7 @@ from starlette.routing import Route
 
 from hil.campaign.starting import Started, start_run, started_runs
 from hil.errors import DataError, HilError, SpecError
+from hil.text import name_text
 from hil.web.going import words_of
 from hil.web.held_by import held_by
 from hil.web.offered import offered
@@ -154,7 +155,7 @@ def _told(started: Started, settings: Settings) -> dict[str, Any]:
     unmade = words_of(started) if started.alive else "did not go on" if again else "did not begin"
     return {
         "id": started.id,
-        "spec": Path(started.spec).name,
+        "spec": name_text(Path(started.spec).name),
         "operator": started.operator,
         "alive": started.alive,
         "text": ("goes on" if again else "has begun") if made else unmade,

@@ -20,6 +20,7 @@ from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 
 from hil.errors import HilError
+from hil.text import name_read
 from hil.web.going import being_planned, going_on
 from hil.web.live_facts import LiveRun
 from hil.web.rendering import settings_of
@@ -55,7 +56,7 @@ async def events(request: Request) -> EventSourceResponse:
     lines of its log are known.
     """
     settings = settings_of(request)
-    names = request.query_params.getlist("run")[:MOST_RUNS]
+    names = [name_read(name) for name in request.query_params.getlist("run")[:MOST_RUNS]]
     known = request.query_params.getlist("after")[: len(names)]
     looking = []
     for name, after in zip_longest(names, known, fillvalue=""):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, read_version
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, in_words, joint_title, number, when
+from hil.text import shell_word
 from hil.web.model_facts import deed, log_of, readable_versions, role_of, run_of, unit_of
 from hil.web.registered import model_address
 from hil.web.rendering import page, settings_of
@@ -38,7 +38,7 @@ def version(request: Request) -> Response:
         run=run_of(found, settings), evaluation=_evaluation(found.facts),
         files=sorted(found.files.items()),
         log=[deed(name, one) for one in reversed(log) if one.version == found.number],
-        commands=_exports(found), evaluate=f"hil evaluate {shlex.quote(str(found.folder))} RUN",
+        commands=_exports(found), evaluate=f"hil evaluate {shell_word(found.folder)} RUN",
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def _part(part: Document, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _exports(one: ModelVersion) -> list[str]:
-    folder = shlex.quote(str(one.folder))
+    folder = shell_word(one.folder)
     return [f"hil export {folder} --to {target} -o OUT" for target in TARGETS]
 
 

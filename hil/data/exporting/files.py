@@ -64,8 +64,9 @@ def parquet_file(out: Path, table: Table) -> None:
     ]
     schema = pa.schema(fields, metadata={METADATA: json_line(table.about)})
     whole = pa.table([values for _, _, values in columns], schema=schema)
-    with _whole(out) as draft:
-        pq.write_table(whole, draft, compression="zstd")
+    # Opened here: pyarrow takes no path that is not UTF-8.
+    with _whole(out) as draft, draft.open("wb") as file:
+        pq.write_table(whole, file, compression="zstd")
 
 
 @contextlib.contextmanager
