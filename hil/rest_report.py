@@ -19,7 +19,7 @@ from hil.deploy.resting import RestingArm
 from hil.errors import PlanError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
-from hil.identify.standstill import dry_friction, gravity_torque, require_torque
+from hil.identify.standstill import gravity_torque, holding_friction, require_torque
 from hil.payload import Payload
 from hil.plan.surroundings import collision_model
 from hil.rest_place import place_of
@@ -32,8 +32,8 @@ LIMIT_MARGIN_DEG = 2.0
 """Kept from the limits of the joints."""
 
 NO_FRICTION = (
-    "the model knows no dry friction, so nobody can say what the joints hold by themselves; "
-    "estimators with a friction part (rigid-wls, static-coulomb) do"
+    "the model has no dry friction, so it is not known what the joints hold by themselves; "
+    "estimators with a friction part (rigid-hysteresis, rigid-wls, static-coulomb) have one"
 )
 UNCHECKED = "clearance was not checked: see for yourself that the arm can be there"
 
@@ -50,7 +50,8 @@ class RestReport:
         clearance_m: Distance that was kept.
         payload: What is mounted.
         limit: (n,) torque limits [N·m].
-        friction: (n,) dry friction [N·m], None where the model does not know it.
+        friction: (n,) what the joints hold by friction [N·m] (`holding_friction`), None where the
+            model does not know it.
         deviation: (n,) of what the model was fitted to from it [N·m], one standard deviation;
             stick friction is part of it.
         poses: The poses found, the best first.
@@ -168,7 +169,7 @@ def _resting(
         limit=model.robot_.effort_max,
         low=model.robot_.q_min + margin,
         high=model.robot_.q_max - margin,
-        friction=dry_friction(model),
+        friction=holding_friction(model),
         around=bodies,
         clearance_m=clearance_m,
     )

@@ -527,6 +527,24 @@ def single_bag_file(folder: Path) -> str:
 # ---- B13 rest pose of the recommended model -----------------------------------------------------
 
 
+@finding("B13", "rest pose of the recommended model")
+def rest_pose_with_memory(folder: Path) -> str:
+    done = hil("run", REPOSITORY / "experiments/ci_fourier_2.yaml", "--runs", "runs", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (run,) = (folder / "runs").glob("*/ur5/*")
+    done = hil("fit", run, "-e", "rigid-hysteresis", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (model,) = (folder / "models").glob("rigid-hysteresis-*")
+    done = hil("rest-pose", model, "--json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    held = report["dry_friction_nm"]
+    assert held is not None, report["notes"]
+    assert min(held) > 0.0, held
+    assert not any("friction" in note and "known" in note for note in report["notes"])
+    return f"its joints hold {', '.join(f'{level:.1f}' for level in held)} N·m by friction"
+
+
 def main(numbers: list[str]) -> int:
     """Repeat the entries with these numbers, or all, and return the exit code."""
     if unknown := [number for number in numbers if number not in FINDINGS]:

@@ -166,6 +166,10 @@ class RigidHysteresis(RobotEstimator):
 
         return RememberingStream(torque, self.law_, self.torque_scale_)
 
+    def break_away(self) -> FloatArray:
+        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m]."""
+        return self.law_.break_away()
+
     def _rigid_torques(
         self, data: Dataset, load: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

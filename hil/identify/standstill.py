@@ -35,6 +35,14 @@ class HasDryFriction(Protocol):
         """(n,) level of dry friction [N·m], forth and back averaged."""
 
 
+@runtime_checkable
+class HasBreakAway(Protocol):
+    """What a model also offers when it tells sticking from sliding."""
+
+    def break_away(self) -> FloatArray:
+        """(n,) friction that an unloaded joint at rest holds before it slides [N·m]."""
+
+
 def gravity_torque(
     model: RobotEstimator, q: FloatArray, payload: Payload | None = None
 ) -> FloatArray:
@@ -92,6 +100,17 @@ def dry_friction(model: RobotEstimator) -> FloatArray | None:
         return np.abs(model.dry_friction())
     level = _per_joint(model, COULOMB)
     return None if level is None else np.abs(level)
+
+
+def holding_friction(model: RobotEstimator) -> FloatArray | None:
+    """Return what the joints at rest hold before they move, (n,) [N·m]; None where not known.
+
+    It is the break-away level of a model whose friction has a memory. A model without one has the
+    friction of a joint that slides in its place (`dry_friction`).
+    """
+    if knows_torque(model) and isinstance(model, HasBreakAway):
+        return model.break_away()
+    return dry_friction(model)
 
 
 def knows_torque(model: RobotEstimator) -> bool:

@@ -15,6 +15,9 @@ from hil.typing import FloatArray
 PARTS = {"ripple": "ripple", "drive": "drive"}
 """First word of a group → the part of the effort it belongs to; all others are friction."""
 
+_TURN = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+"""Angles of a joint at which its friction at rest is looked at [rad]."""
+
 
 @dataclass(frozen=True, eq=False)
 class FrictionLaw:
@@ -64,6 +67,25 @@ class FrictionLaw:
             for column, weight in zip(self._library[name](motion), weights, strict=True):
                 torque += column * weight
         return found
+
+    def break_away(self) -> FloatArray:
+        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m].
+
+        At rest the speed laws vanish, and what is left is carried by the states. A joint slides
+        once all of them are wound up; forth and back are averaged, which leaves out offset and
+        asymmetry. Friction that changes with the angle of a joint counts where it is least.
+        """
+        q = np.broadcast_to(_TURN[:, None], (len(_TURN), len(self.chosen)))
+        still = np.zeros_like(q)
+        celsius = None if self.celsius is None else np.broadcast_to(self.celsius, q.shape)
+
+        def wound_up(sign: float) -> FloatArray:
+            states = dict.fromkeys(MULTIPLES, np.full_like(q, sign))
+            rest = FrictionMotion(q, still, still, self.shapes, celsius=celsius, given=states)
+            return self.torques(rest)["friction"]
+
+        level: FloatArray = 0.5 * (wound_up(1.0) - wound_up(-1.0)).min(axis=0)
+        return np.maximum(level, 0.0)
 
     @property
     def multiples(self) -> tuple[float, ...]:
