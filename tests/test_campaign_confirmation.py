@@ -143,6 +143,20 @@ def test_a_real_robot_is_not_even_connected_to_when_nobody_can_confirm(
     assert not (experiment.folder / "runs").exists()
 
 
+def test_what_a_driver_says_once_it_is_connected_takes_no_confirmation_back(
+    real: Callable[[str], None], experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connect = MockRobot.connect
+
+    def connecting(robot: MockRobot) -> None:
+        monkeypatch.setattr(MockRobot, "address", Address("this process", real=False))
+        connect(robot)
+
+    monkeypatch.setattr(MockRobot, "connect", connecting)
+    answer = document(run(experiment, Granted("--yes")))["confirmation"]
+    assert answer["facts"]["address"] == AT
+
+
 def test_its_name_moves_it_and_what_was_shown_is_recorded(
     real: object, experiment: hil.Experiment
 ) -> None:

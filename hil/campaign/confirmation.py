@@ -12,14 +12,14 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from hil.arms import is_described, load_arm
+from hil.arms import load_arm
 from hil.campaign.console import Console
 from hil.campaign.experiment import Experiment
 from hil.errors import DataError, NotConfirmed
@@ -35,6 +35,8 @@ ANSWER_WITHIN_S = 300.0
 in: later answers do not count [s]."""
 
 LOOK_EVERY_S = 0.05
+
+TYPED = "typed"
 
 JOINT_SLACK_RAD = math.radians(1.0)
 BOX_SLACK_M = 0.01
@@ -57,8 +59,7 @@ class MotionFacts:
         speed_share: Share of the speeds that the spec asks for; below 1 in commissioning runs.
         speed_rad_s: Largest speed of any joint [rad/s].
         speed_limit_rad_s: Largest joint speed that the robot allows [rad/s].
-        swept: Duration, ranges of the joints, boxes of tool and elbow; None for an arm whose bodies
-            are described nowhere.
+        swept: Duration, ranges of the joints, boxes of tool and elbow.
         checklist: What must be so before the robot moves.
     """
 
@@ -71,7 +72,7 @@ class MotionFacts:
     speed_share: float
     speed_rad_s: float
     speed_limit_rad_s: float
-    swept: Swept | None
+    swept: Swept
     checklist: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
@@ -86,8 +87,7 @@ class MotionFacts:
             ("payload", "; then ".join(_load_words(load) for load in self.loads)),
             ("speed", f"joints up to {most:.3g}°/s{share}; the robot allows {limit:.3g}°/s"),
         ]
-        goes = self.swept.rows() if self.swept else [("space", "not known: no description")]
-        return aligned([*rows, *goes])
+        return aligned([*rows, *self.swept.rows()])
 
     def to_dict(self) -> Document:
         """JSON form; SI units."""
@@ -101,7 +101,7 @@ class MotionFacts:
             "speed_share": self.speed_share,
             "speed_rad_s": self.speed_rad_s,
             "speed_limit_rad_s": self.speed_limit_rad_s,
-            "swept": self.swept.to_dict() if self.swept else None,
+            "swept": self.swept.to_dict(),
             "checklist": list(self.checklist),
         }
 
@@ -130,7 +130,7 @@ def motion_facts(experiment: Experiment, robot: Robot, plan: Plan) -> MotionFact
         speed_share=commissioning.speed if commissioning else 1.0,
         speed_rad_s=float(plan.extremes.qd_max.max()),
         speed_limit_rad_s=float(np.max(robot.limits.qd_max)),
-        swept=swept(plan, load_arm(model)) if is_described(model) else None,
+        swept=swept(plan, load_arm(model)),
         checklist=experiment.robot.checklist,
     )
 
@@ -223,7 +223,7 @@ class TypedName:
                 f"{facts.robot} was not confirmed ({said}); nothing has moved",
                 hint=f"run it again and type {facts.robot}",
             )
-        return {"how": "typed", "by": self.who or this_user()}
+        return {"how": TYPED, "by": self.who or this_user()}
 
     def _show(self, facts: MotionFacts) -> None:
         must = [f"  [ ] {item}" for item in facts.checklist]
@@ -311,7 +311,7 @@ def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
     if "speed_rad_s" in both and now["speed_rad_s"] > confirmed["speed_rad_s"] * 1.01:
         was, is_ = (f"{math.degrees(one['speed_rad_s']):.3g}°/s" for one in (confirmed, now))
         told.append(f"joint speed was {was}, is {is_}")
-    if "swept" in both and confirmed["swept"] and now["swept"]:
+    if "swept" in both:
         told += _beyond(confirmed["swept"], now["swept"])
     return told
 
@@ -331,54 +331,63 @@ def _beyond(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     return told
 
 
-def require_confirmable(
-    robot: Robot, name: str, confirm: Confirm, confirmed: Mapping[str, Any] | None = None
-) -> None:
-    """Raise `NotConfirmed` if a real robot could not be confirmed later; nothing is connected yet.
+class Gate:
+    """Where a run asks whether its robot may move.
 
     Args:
-        robot: Not yet connected.
-        name: In its station.
-        confirm: Who would confirm.
-        confirmed: Facts that were confirmed before and still hold if they name this address.
-    """
-    at = address_of(robot)
-    if at.real and not _still(confirmed, name, at):
-        confirm.admit(name, at.text)
-
-
-def confirmation_of(
-    robot: Robot,
-    facts: Callable[[], MotionFacts],
-    confirm: Confirm,
-    confirmed: Mapping[str, Any] | None = None,
-) -> Document | None:
-    """Return the record of the confirmation of a motion; None where none is needed.
-
-    Args:
-        robot: Connected, at rest.
-        facts: Of the motion.
-        confirm: Who confirms.
+        experiment: Says which robot of which station.
+        confirm: Who confirms the motion of a real robot.
         confirmed: Facts that were confirmed before, and hold unless robot, address or payload is
             another one now.
-
-    Raises:
-        NotConfirmed: The motion was not confirmed.
     """
-    at = address_of(robot)
-    if not at.real:
-        return None
-    shown = facts()
-    known = ("robot", "address", "loads")
-    if confirmed and not differences({key: confirmed.get(key) for key in known}, shown.to_dict()):
-        return None
-    answer = confirm(shown, lambda: _keep_reading(robot))
-    return {**answer, "time": utc_now(), "facts": shown.to_dict(), "digest": shown.digest}
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        confirm: Confirm,
+        confirmed: Mapping[str, Any] | None = None,
+    ) -> None:
+        self._experiment, self._confirm = experiment, confirm
+        self._confirmed = confirmed or {}
+        self._at = Address("unknown")
+
+    def admit(self, robot: Robot) -> None:
+        """Raise `NotConfirmed` if a real robot could not be confirmed later.
+
+        Args:
+            robot: Not yet connected: its options alone decide whether it is real.
+        """
+        name, self._at = self._experiment.spec.robot, address_of(robot)
+        if self._at.real and not self._holds({"robot": name, "address": self._at.text}):
+            self._confirm.admit(name, self._at.text)
+
+    def confirmation(self, robot: Robot, plan: Plan) -> Document | None:
+        """Return the record of the confirmation of a motion; None where none is needed.
+
+        Args:
+            robot: Admitted and connected, at rest.
+            plan: Exactly what is executed.
+
+        Raises:
+            NotConfirmed: The motion was not confirmed.
+        """
+        if not self._at.real:
+            return None
+        facts = replace(motion_facts(self._experiment, robot, plan), address=self._at.text)
+        shown = facts.to_dict()
+        if self._holds({key: shown[key] for key in ("robot", "address", "loads")}):
+            return None
+        answer = self._confirm(facts, lambda: _keep_reading(robot))
+        return {**answer, "time": utc_now(), "facts": shown, "digest": facts.digest}
+
+    def _holds(self, now: Mapping[str, Any]) -> bool:
+        """Return whether what was confirmed before says the same."""
+        return all(self._confirmed.get(key) == value for key, value in now.items())
 
 
-def _still(confirmed: Mapping[str, Any] | None, name: str, at: Address) -> bool:
-    now = {"robot": name, "address": at.text}
-    return bool(confirmed) and {key: (confirmed or {}).get(key) for key in now} == now
+def shown_by(confirmation: Mapping[str, Any] | None) -> bool:
+    """Return whether a person has just read the facts at the console."""
+    return confirmation is not None and confirmation["how"] == TYPED
 
 
 def _keep_reading(robot: Robot) -> None:

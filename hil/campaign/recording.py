@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from hil import plugins
 from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
-from hil.campaign.confirmation import confirmation_of, motion_facts, require_confirmable
+from hil.campaign.confirmation import Gate, shown_by
 from hil.campaign.control_files import hold_attempt
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment
@@ -38,11 +37,8 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         NotConfirmed: The robot is a real one, and its motion was not confirmed.
         RecordingError: The run directory cannot be made.
     """
-
-    def admit(robot: Robot) -> None:
-        require_confirmable(robot, experiment.spec.robot, attendance.confirm)
-
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=admit) as (
+    gate = Gate(experiment, attendance.confirm)
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=gate.admit) as (
         robot,
         lease,
     ):
@@ -54,10 +50,9 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         require_attended(plan, prompt_on(robot, attendance.prompt))
         interlocks_for(experiment, robot, plan)  # one that cannot be judged is refused now
         require_room_to_begin(runs)
-        attendance.planned(plan)
-        confirmed = confirmation_of(
-            robot, partial(motion_facts, experiment, robot, plan), attendance.confirm
-        )
+        confirmed = gate.confirmation(robot, plan)
+        if not shown_by(confirmed):
+            attendance.planned(plan)
         with attendance.signals.guard():
             directory = RunDirectory.create(
                 runs,

@@ -8,7 +8,6 @@ import socket
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import numpy as np
 from hil.arms import require_same_arm
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
-from hil.campaign.confirmation import confirmation_of, motion_facts, require_confirmable
+from hil.campaign.confirmation import Gate, shown_by
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
@@ -135,12 +134,8 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     """
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
-    before = _confirmed_before(directory)
-
-    def admit(robot: Robot) -> None:
-        require_confirmable(robot, experiment.spec.robot, attendance.confirm, before)
-
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=admit) as (
+    gate = Gate(experiment, attendance.confirm, _confirmed_before(directory))
+    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=gate.admit) as (
         robot,
         lease,
     ):
@@ -151,11 +146,10 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         weighed = weighed_before(plan, directory.recordings, robot.capabilities)
         todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
-        attendance.planned(todo)
-        confirmed = confirmation_of(
-            robot, partial(motion_facts, experiment, robot, todo), attendance.confirm, before
-        )
-        measured = replace(_before(directory, plan.rate_hz), first_load=weighed)
+        confirmed = gate.confirmation(robot, todo)
+        if not shown_by(confirmed):
+            attendance.planned(todo)
+        before = replace(_before(directory, plan.rate_hz), first_load=weighed)
         with attendance.signals.guard():
             lease.note_run(directory.path)
             number = directory.next_attempt()
@@ -169,7 +163,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
             )
             for text in _repeated(unfinished, todo, cold=cold):
                 attendance.stage(text)
-            attempt = Attempt(directory, number, experiment, plan, todo, measured)
+            attempt = Attempt(directory, number, experiment, plan, todo, before)
             return execute(attempt, robot, attendance)
 
 
