@@ -23,6 +23,8 @@ FILES = (
     "tests/test_proof_fleet_mock.py",
     "tests/test_proof_identification.py",
     "tests/test_proof_inverse_dynamics.py",
+    "tests/test_proof_kill_whole_runs.py",
+    "tests/kill_whole_runs.py",
     "tests/test_proof_loads.py",
     "tests/test_proof_networks.py",
     "tests/test_proof_notebooks.py",
