@@ -266,7 +266,7 @@ def with_a_nan():
 @pytest.mark.parametrize(
     ("spoiled", "message"),
     [
-        (lambda: data().select(lambda c: c.pose < 7), "7 poses are too few: .* at least 8"),
+        (lambda: data().select(lambda c: c.pose < 7), "7 poses are too few: at least 8"),
         (with_wrist_still, "wrist_2_joint never moved"),
         (with_gripper_level, "joint3.phi1, joint4.phi1 is the same at every pose"),
         (with_a_nan, "effort.*not finite|not finite.*effort|effort"),

@@ -45,12 +45,12 @@ def fit_notes(found: Mapping[str, int], robot: Mapping[str, Any]) -> tuple[str, 
 
 
 def dwells_needed(robot: Mapping[str, Any]) -> int:
-    """Gravity's parameters and an offset per joint: what static-wls fits; 0 where unknown."""
+    """Return the fewest dwells that static-wls needs; 0 where the robot is unknown."""
     from hil.dynamics import load_model
-    from hil.identify.gravity import BaseGravity
+    from hil.identify.static import StaticWls
 
     try:
         model = load_model(str(robot["model"]), gravity=robot["gravity_m_s2"])
     except (HilError, KeyError):
         return 0
-    return len(BaseGravity(model).names) + model.n
+    return StaticWls().needs(model).least["dwells"]

@@ -19,6 +19,7 @@ from hil.dynamics import RobotModel
 from hil.dynamics.regressor import COMPILED_FROM
 from hil.dynamics.same_robot import may_be
 from hil.errors import DataError, FitError, SpecError
+from hil.identify.checks import Needs
 from hil.identify.parameters import Parametrised, require_known
 from hil.identify.training import Training
 from hil.payload import Payload
@@ -79,6 +80,20 @@ class RobotEstimator(Parametrised):
     def extras(self) -> Mapping[str, str]:
         """Extras of this distribution that a fit needs, and what for; asked before any motion."""
         return {}
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without; `fit` requires it, and a run is refused before it.
+
+        An estimator that states nothing is not refused before a run.
+
+        Args:
+            robot: What would be fitted.
+            loaded: Whether a load is mounted in any of the data.
+
+        Raises:
+            FitError: No data of this robot can be fitted.
+        """
+        return Needs()
 
     @abstractmethod
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
@@ -165,6 +180,17 @@ class RobotEstimator(Parametrised):
                 f"frame, the data were recorded under {list(dataset.gravity)} m/s²",
                 hint="a model of an arm mounted differently needs a fit of its own",
             )
+
+
+def needs_of(plug_in: Any, robot: RobotModel, *, loaded: bool = False) -> Needs:
+    """Return what an estimator or study states that it needs; plug-ins need not state anything.
+
+    Raises:
+        FitError: No data of this robot will do.
+    """
+    stated = getattr(plug_in, "needs", None)
+    needs: Needs = Needs() if stated is None else stated(robot, loaded=loaded)
+    return needs
 
 
 def prepared(dataset: Dataset, settings: FilterSettings) -> Dataset:

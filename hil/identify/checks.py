@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,31 +21,98 @@ STILL_RAD = 1e-3
 """A joint whose position spans less than this never moved."""
 
 
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What a fit or a study cannot do without.
+
+    Stated once: `require` refuses data that have less, and a program is refused before it moves
+    if its recording would have less.
+
+    Attributes:
+        least: Fewest `samples`, `dwells`, `poses` or `trajectories`, by these words.
+        gains: Whether motor currents must come with drive gains.
+        effort: `current` or `torque` if no other effort will do; empty for either.
+    """
+
+    least: Mapping[str, int] = field(default_factory=dict)
+    gains: bool = False
+    effort: str = ""
+
+    def also(self, other: Needs) -> Needs:
+        """Return what both need together."""
+        words = {**self.least, **other.least}
+        most = {what: max(self.least.get(what, 0), other.least.get(what, 0)) for what in words}
+        return Needs(most, self.gains or other.gains, self.effort or other.effort)
+
+    def shortages(self, have: Mapping[str, int]) -> list[str]:
+        """Return one message for every amount that is too small; amounts not in `have` pass.
+
+        Args:
+            have: Count by the words of `least`.
+        """
+        return [
+            f"{have[what]} {what} are too few: at least {need} are needed"
+            for what, need in self.least.items()
+            if have.get(what, need) < need
+        ]
+
+    def require(self, **have: int) -> None:
+        """Refuse data that have less.
+
+        Raises:
+            FitError: An amount is too small.
+        """
+        if short := self.shortages(have):
+            raise FitError(
+                "; ".join(short),
+                hint="record more: a longer program, more waypoints or trajectories, more sources",
+            )
+
+
+def gains_fault(
+    effort_kind: str, gains: Sequence[float] | FloatArray | None, joint_names: Sequence[str]
+) -> tuple[str, str] | None:
+    """Return why efforts cannot be set against torques, and the remedy; None if they can.
+
+    Args:
+        effort_kind: `current` or `torque`.
+        gains: (n,) drive gains [N·m/A]; None or empty if unknown.
+        joint_names: Length n.
+    """
+    if effort_kind == "torque":
+        return None
+    if gains is None or not len(gains):
+        return (
+            "the effort is a motor current [A], but the drive gains [N·m/A] are unknown, so it "
+            "cannot be set against torques",
+            "add drive_gains_nm_a and drive_gains_source to the import map or the station",
+        )
+    wrong = [
+        f"{name} has {gain:g}"
+        for name, gain in zip(joint_names, gains, strict=False)
+        if not (np.isfinite(gain) and gain > 0)
+    ]
+    if not wrong:
+        return None
+    return (
+        f"drive gains [N·m/A] must be finite and above 0, but {', '.join(wrong)}",
+        "correct drive_gains_nm_a of the import map or the station; where a current "
+        "counts in the other direction, give its effort the scale -1 in the import map",
+    )
+
+
 def torque_scale(dataset: Dataset) -> FloatArray:
     """(n,) torque per unit of the recorded effort: 1 for torques, the drive gains for currents.
 
     Raises:
-        FitError: The effort is a current and nobody said how much torque it makes, or what was
-            said cannot be.
+        FitError: The effort is a current and its drive gains are unknown or cannot be.
     """
+    fault = gains_fault(dataset.effort_kind, dataset.drive_gains, dataset.joint_names)
+    if fault is not None:
+        raise FitError(fault[0], hint=fault[1])
     if dataset.effort_kind == "torque":
         return np.ones(dataset.n_joints)
-    if dataset.drive_gains is None:
-        raise FitError(
-            "the effort is a motor current [A], but the drive gains [N·m/A] are unknown, so it "
-            "cannot be set against torques",
-            hint="add drive_gains_nm_a and drive_gains_source to the import map or the station",
-        )
-    gains = np.asarray(dataset.drive_gains, dtype=np.float64)
-    wrong = np.flatnonzero(~(np.isfinite(gains) & (gains > 0)))
-    if len(wrong):
-        told = ", ".join(f"{dataset.joint_names[j]} has {gains[j]:g}" for j in wrong)
-        raise FitError(
-            f"drive gains [N·m/A] must be finite and above 0, but {told}",
-            hint="correct drive_gains_nm_a of the import map or the station; where a current "
-            "counts in the other direction, give its effort the scale -1 in the import map",
-        )
-    return gains
+    return np.asarray(dataset.drive_gains, dtype=np.float64)
 
 
 def require_robot(dataset: Dataset, robot: RobotModel) -> None:
@@ -131,19 +199,6 @@ def require_varied(change: FloatArray, span: FloatArray, names: Sequence[str]) -
             f"the regressor of {', '.join(constant[:3])} is the same at every pose, so the "
             "parameter cannot be told from the offset",
             hint="record poses that differ in more joints, and not all by the same angles",
-        )
-
-
-def require_samples(have: int, need: int, what: str) -> None:
-    """Refuse fewer than `need` samples (or dwells).
-
-    Raises:
-        FitError: There are too few.
-    """
-    if have < need:
-        raise FitError(
-            f"{have} {what} are too few: the model needs at least {need}",
-            hint="record more: a longer program, more waypoints or trajectories, more sources",
         )
 
 

@@ -20,10 +20,10 @@ from hil.data.parts import BY_SAMPLE, told_by_sample
 from hil.dynamics import RobotModel
 from hil.identify.base import HONEST, prepared
 from hil.identify.checks import (
+    Needs,
     require_clean,
     require_motion,
     require_robot,
-    require_samples,
     torque_scale,
 )
 from hil.identify.lagrangian import choices
@@ -34,13 +34,11 @@ from hil.identify.lagrangian.task import Preparation
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share
 from hil.identify.plausible import require_plausible
-from hil.identify.training_loop.extra import LEARN, require_torch
+from hil.identify.training_loop.extra import LEARN, TO_TRAIN, require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 
 if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
-
-FEWEST_ROWS = 100
 
 
 class LagrangianEstimator(LagrangianModel):
@@ -125,6 +123,10 @@ class LagrangianEstimator(LagrangianModel):
         """PyTorch."""
         return LEARN
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: samples to train with, and drive gains."""
+        return TO_TRAIN
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are subtracted from the target.
 
@@ -139,7 +141,7 @@ class LagrangianEstimator(LagrangianModel):
         scale = torque_scale(dataset)
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
-        require_samples(len(dataset), FEWEST_ROWS, "samples")
+        self.needs(robot).require(samples=len(dataset))
         require_motion(dataset)
         self._remember(dataset, robot, scale)
         self.filters_ = self.filters or choices.filters_for(dataset)

@@ -21,12 +21,12 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.parts import told_by_sample
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator, prepared
+from hil.identify.base import RobotEstimator, needs_of, prepared
 from hil.identify.checks import (
+    Needs,
     require_clean,
     require_motion,
     require_robot,
-    require_samples,
     torque_scale,
 )
 from hil.identify.lm.settings import whole
@@ -40,7 +40,7 @@ from hil.identify.residual.settings import GROUP, TRAINING, ResidualSettings
 from hil.identify.residual.stored import made, require_base, told
 from hil.identify.residual.words import filters_for, words
 from hil.identify.training_loop.attached import attach_inside
-from hil.identify.training_loop.extra import LEARN, require_torch
+from hil.identify.training_loop.extra import LEARN, TO_TRAIN, require_torch
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import require_groups
 
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Watch
 
 BASE = {"estimator": "rigid-hysteresis"}
-
-FEWEST_ROWS = 100
 
 
 class ResidualNetwork(CorrectedModel):
@@ -120,6 +118,14 @@ class ResidualNetwork(CorrectedModel):
         name, needs = self.base["estimator"], made(self.base).extras()
         physics = {extra: f"by its base {name} {why}" for extra, why in needs.items()}
         return {**physics, **LEARN}
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: samples to train with, and what its physics needs.
+
+        Raises:
+            FitError: The physics is not for this robot.
+        """
+        return TO_TRAIN.also(needs_of(made(self.base), robot, loaded=loaded))
 
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit the physics, once more without each fold, then networks to what they leave.
@@ -208,6 +214,6 @@ class ResidualNetwork(CorrectedModel):
         torque_scale(dataset)
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
-        require_samples(len(dataset), FEWEST_ROWS, "samples")
+        TO_TRAIN.require(samples=len(dataset))
         require_motion(dataset)
         require_one_rate(dataset)

@@ -109,6 +109,10 @@ class RigidDiffnea(RigidLinear):
         self.inertial_, self.gear_rigid_ = arrays["inertial"], arrays["gear_rigid"]
         require_sizes(self, gear_rigid=self._base.rank, inertial=11 * self.robot_.n)
 
+    def _joint_terms(self) -> tuple[str, ...]:
+        form = FORMS[self.friction]
+        return (*form.terms, *(shape.name for shape in form.shapes))
+
     def _open(self) -> None:
         super()._open()
         form, joints = FORMS[self.friction], self.joint_names_

@@ -22,10 +22,10 @@ from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, base_parameters
 from hil.identify.base import RobotEstimator, chunks, payload_torque, prepared
 from hil.identify.checks import (
+    Needs,
     require_clean,
     require_motion,
     require_robot,
-    require_samples,
     require_sizes,
     torque_scale,
 )
@@ -42,6 +42,9 @@ from hil.payload import Payload
 from hil.typing import FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
+
+FRICTION_SAMPLES = 10
+"""Samples per joint for its friction, beside those for the links."""
 
 
 class RigidHysteresis(RobotEstimator):
@@ -92,6 +95,11 @@ class RigidHysteresis(RobotEstimator):
         purpose = f"{IDENTIFY['identify']}; consistent: false does without"
         return {"identify": purpose} if self.consistent else {}
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: samples for links and friction, and drive gains."""
+        rank = base_parameters(robot, rotor=True).rank
+        return Needs({"samples": rank + FRICTION_SAMPLES * robot.n}, gains=True)
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are part of what the gears transmit.
 
@@ -106,7 +114,7 @@ class RigidHysteresis(RobotEstimator):
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
         self._base = base_parameters(robot, rotor=True)
-        require_samples(len(dataset), self._base.rank + 10 * robot.n, "samples")
+        self.needs(robot).require(samples=len(dataset))
         require_motion(dataset)
         self.filters_ = self.filters or filters_for(dataset)
         data = prepared(dataset, self.filters_)

@@ -20,10 +20,10 @@ from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel, base_parameters, friction_terms, joint_columns
 from hil.identify.base import chunks, payload_torque, prepared, training_rows
 from hil.identify.checks import (
+    Needs,
     require_clean,
     require_motion,
     require_robot,
-    require_samples,
     torque_scale,
 )
 from hil.identify.compress import JointwiseQR
@@ -65,6 +65,11 @@ class RigidLinear(WlsEstimator):
     def _estimate(self, observed: JointwiseQR) -> Solution:
         """The step in which methods differ: coefficients from compressed observations."""
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: as many samples as parameters, and drive gains."""
+        links = base_parameters(robot, rotor=True).rank
+        return Needs({"samples": links + robot.n * len(self._joint_terms())}, gains=True)
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to every series given; declared loads are subtracted from the target.
 
@@ -78,7 +83,7 @@ class RigidLinear(WlsEstimator):
         require_clean(dataset, ("t", "q", "effort"))
         require_plausible(dataset, robot)
         self._open()
-        require_samples(len(dataset), len(self.parameter_names_), "samples")
+        self.needs(robot).require(samples=len(dataset))
         require_motion(dataset)
         data = self._training_rows(dataset)
         self.samples_ = len(data)
@@ -112,6 +117,10 @@ class RigidLinear(WlsEstimator):
     def _learn(self, data: Dataset) -> None:
         """Fit to prepared data; sets the fitted attributes."""
         self._adopt(data, self._estimate(self._compressed(data)))
+
+    def _joint_terms(self) -> tuple[str, ...]:
+        """Names of what every joint has for itself."""
+        return TERMS
 
     def _open(self) -> None:
         self._base = base_parameters(self.robot_, rotor=True)

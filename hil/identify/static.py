@@ -22,7 +22,6 @@ from typing import ClassVar, Self
 
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.checks import require_samples
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.parameters import choice, flag, number
 from hil.identify.static_model import (
@@ -72,6 +71,6 @@ class StaticWls(StaticModel):
         """
         dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
-        require_samples(self.samples_, len(self.parameter_names_), "dwells")
+        self.needs(robot).require(dwells=self.samples_)
         self._solve(one_row_each(dwells), weighted=self.weighted)
         return self

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.checks import require_motion, require_samples, require_varied
+from hil.identify.checks import Needs, require_motion, require_varied
 from hil.identify.dwell_rows import pose_numbers, short_dwells
 from hil.identify.gravity import reach_of
 from hil.identify.static_model import StaticModel
@@ -60,6 +61,18 @@ class PoseClustered(StaticModel):
         self.covariance_, self.degrees_ = arrays["covariance"], arrays["degrees"]
         self.poses_ = int(facts["poses"])
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: a pose more than the widest regression has columns.
+
+        Raises:
+            FitError: `form: paper` is not for this robot.
+        """
+        form, terms = self._form_of(robot), len(self._own_terms())
+        widest = len(form.names) + robot.n * terms
+        if self.form == "paper":
+            widest = terms + max(form.joint.count(joint) for joint in range(robot.n))
+        return replace(super().needs(robot, loaded=loaded), least={"poses": widest + 1})
+
     def _std_error_facts(self) -> dict[str, Any]:
         return {"given": STD_ERROR_GIVEN, "leaves_out": STD_ERROR_LEAVES_OUT}
 
@@ -73,8 +86,7 @@ class PoseClustered(StaticModel):
         dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
         self.poses_ = len(set(pose_numbers(dwells).tolist()))
-        widest = max(len(self._columns_of(joints)) for joints in self._joint_groups())
-        require_samples(self.poses_, widest + 1, "poses")
+        self.needs(robot).require(poses=self.poses_)
         self.notes_ = tuple(short_dwells(dwells))
         return dwells
 

@@ -15,8 +15,8 @@ from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError
 from hil.identify.base import payload_torque
-from hil.identify.checks import require_samples
-from hil.identify.rest_friction import GAIN, Rest
+from hil.identify.checks import Needs
+from hil.identify.rest_friction import GAIN, SMOOTHED, Rest
 from hil.identify.rest_rows import (
     celsius,
     dwells_in,
@@ -74,6 +74,16 @@ class StaticFriction(StaticModel):
         """Columns (N, n) by name of what drives do at positions q and loads, both (N, n)."""
         return {}
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: two dwells for each of a joint's own terms.
+
+        Each pose gives a row to every joint, and every joint has terms of its own.
+        """
+        still = np.zeros((1, 1))
+        unmoved = Rest(still, still, np.zeros((1, SMOOTHED, 2, 1)), still)
+        terms = {"offset", *self._drive_terms(still, still), *self._terms(unmoved)}
+        return Needs({"dwells": 2 * len(terms)}, gains=True)
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the dwells of the data.
 
@@ -91,8 +101,7 @@ class StaticFriction(StaticModel):
         self.load_gravity_ = np.zeros(len(self._form.names))
         self.load_limit_ = np.full(rows.n_joints, np.inf)
         self._choose_terms(rows, only=FIRST_TERMS)
-        # Each pose gives a row to every joint, and every joint has terms of its own.
-        require_samples(self.samples_, 2 * len(self._names), "dwells")
+        self.needs(robot).require(dwells=self.samples_)
         self._solve(rows, weighted=True)
         self.load_gravity_ = self.coefficients_[: len(self._form.names)]
         self.load_limit_ = FARTHEST_LOAD * np.max(np.abs(self.rest(rows).load), axis=0)

@@ -17,6 +17,7 @@ left out (`square: auto`), and the model says so, joint by joint (`joint_notes_`
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -26,7 +27,7 @@ from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.identify.base import payload_torque
-from hil.identify.checks import require_rank
+from hil.identify.checks import Needs, require_rank
 from hil.identify.current_fit import (
     CurrentFit,
     Currents,
@@ -83,6 +84,14 @@ class StaticInverse(PoseClustered):
         self.square = choice("square", square, ("auto", "free", "zero"))
         self.rest_speed = number("rest_speed", rest_speed, above=0.0)
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: poses as `PoseClustered`, and motor currents.
+
+        Raises:
+            FitError: `form: paper` is not for this robot.
+        """
+        return replace(super().needs(robot, loaded=loaded), effort="current")
+
     def fit(self, dataset: Dataset, robot: RobotModel) -> Self:
         """Fit to the mean currents of dwells, or of the stays found in motions without a plan.
 
@@ -91,12 +100,6 @@ class StaticInverse(PoseClustered):
                 move did not, a parameter is not determined, or data are not finite or of another
                 robot or unit.
         """
-        if dataset.effort_kind != "current":
-            raise FitError(
-                f"static-inverse inverts the torque of a motor current, the data hold a "
-                f"{dataset.effort_kind}",
-                hint="use static-linear or static-wls for torques",
-            )
         dwells = self._enough_dwells(dataset, robot)
         data = one_row_each(dwells)
         gravity = self._form.columns(data["q"]).reshape(len(data), data.n_joints, -1)
@@ -136,6 +139,14 @@ class StaticInverse(PoseClustered):
         """Take over what `fitted_arrays` and `fitted_facts` wrote."""
         super().restore(arrays, facts)
         self.joint_notes_ = tuple(str(facts["joints"][name]) for name in self.joint_names_)
+
+    def _require_effort(self, dataset: Dataset, needed: str) -> None:
+        if dataset.effort_kind != needed:
+            raise FitError(
+                f"static-inverse inverts the torque of a motor current, the data hold a "
+                f"{dataset.effort_kind}",
+                hint="use static-linear or static-wls for torques",
+            )
 
     def _own_terms(self) -> tuple[str, ...]:
         return ("square", "offset")

@@ -13,7 +13,7 @@ from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
 from hil.errors import FitError, SpecError
 from hil.identify.base import HONEST, load_of, payload_torque
-from hil.identify.checks import require_clean, require_robot, torque_scale
+from hil.identify.checks import Needs, require_clean, require_robot, torque_scale
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
@@ -59,6 +59,20 @@ class StaticModel(WlsEstimator):
         without = not self.gains_source_ and bool(np.all(self.torque_scale_ == 1.0))
         return self.effort_kind_ == "torque" or not without
 
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what a fit cannot do without: as many dwells as parameters.
+
+        Currents need no gains when every joint is on its own and nothing is mounted.
+
+        Raises:
+            FitError: `form: paper` is not for this robot.
+        """
+        return Needs(
+            {"dwells": len(self._form_of(robot).names) + robot.n * len(self._own_terms())},
+            gains=loaded or self.form != "paper",
+            effort="current" if self.current_term else "",
+        )
+
     def _dwells(self, dataset: Dataset, robot: RobotModel) -> Dataset:
         """The dwells to fit to, or the stays found in motions without a plan; sets the regressor.
 
@@ -67,8 +81,12 @@ class StaticModel(WlsEstimator):
                 cannot be; or `current_term` meets efforts that are no currents.
         """
         require_robot(dataset, robot)
-        self._require_current(dataset)
-        self._remember(dataset, robot, self._scale(dataset))
+        loaded = any(not load_of(condition).is_empty for condition in dataset.conditions)
+        needs = self.needs(robot, loaded=loaded)
+        self._require_effort(dataset, needs.effort)
+        known = needs.gains or dataset.drive_gains is not None
+        scale = torque_scale(dataset) if known else np.ones(dataset.n_joints)
+        self._remember(dataset, robot, scale)
         require_clean(dataset, ("t", "q", "effort"))
         self._open()
         dwells = dwells_of(dataset, DwellRule(speed=self.rest_speed / 2))
@@ -120,15 +138,8 @@ class StaticModel(WlsEstimator):
                 hint="add form: paper, or leave current_term out",
             )
 
-    def _scale(self, dataset: Dataset) -> FloatArray:
-        """Currents need no gains when every joint is on its own and nothing is mounted."""
-        loaded = any(not load_of(condition).is_empty for condition in dataset.conditions)
-        if self.form == "paper" and dataset.drive_gains is None and not loaded:
-            return np.ones(dataset.n_joints)
-        return torque_scale(dataset)
-
-    def _require_current(self, dataset: Dataset) -> None:
-        if self.current_term and dataset.effort_kind != "current":
+    def _require_effort(self, dataset: Dataset, needed: str) -> None:
+        if needed and dataset.effort_kind != needed:
             raise FitError(
                 f"current_term needs motor currents, the data hold a {dataset.effort_kind}",
                 hint="fit without current_term, or on a recording of currents",
@@ -143,12 +154,12 @@ class StaticModel(WlsEstimator):
             )
 
     def _open(self) -> None:
-        robot = self.robot_
-        self._form: GravityForm = (
-            PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
-        )
+        self._form = self._form_of(self.robot_)
         own = (f"{joint}.{term}" for joint in self.joint_names_ for term in self._own_terms())
         self.parameter_names_ = (*self._form.names, *own)
+
+    def _form_of(self, robot: RobotModel) -> GravityForm:
+        return PaperGravity(robot) if self.form == "paper" else BaseGravity(robot)
 
     def _own_terms(self) -> tuple[str, ...]:
         """What every joint has for itself beside gravity, the offset last."""

@@ -21,7 +21,6 @@ from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.errors import FitError, SpecError
-from hil.identify.checks import require_samples
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.network import Mlp
@@ -140,7 +139,7 @@ class StaticMlpLm(StaticModel):
         """
         dwells = self._dwells(dataset, robot)
         self.samples_ = len(dwells.conditions)
-        require_samples(self.samples_, len(self.parameter_names_), "dwells")
+        self.needs(robot).require(dwells=self.samples_)
         self._solve(one_row_each(dwells), weighted=True)
         self._train(dwells)
         return self

@@ -11,6 +11,7 @@ from hil import plugins
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.errors import SpecError
+from hil.identify.checks import Needs
 from hil.identify.parameters import Parametrised, require_known
 from hil.study.result import StudyResult
 
@@ -61,6 +62,15 @@ class Study(Parametrised):
     def extras(self) -> Mapping[str, str]:
         """Extras of this distribution that it needs, and what for; asked before any motion."""
         return {}
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what `run` cannot do without; a run is refused before it moves if it is missing.
+
+        Args:
+            robot: Model of the arm.
+            loaded: Whether a load is mounted in any part of the run.
+        """
+        return Needs()
 
     @abstractmethod
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:

@@ -19,12 +19,12 @@ from hil.data.filters import (
 )
 from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError
-from hil.identify.checks import require_robot, torque_scale
+from hil.errors import DataError
+from hil.identify.checks import Needs, require_robot, torque_scale
 from hil.typing import BoolArray, FloatArray
 
-FEWEST = 3
-"""Trajectories: to fit on, for methods that choose something, and to judge on."""
+NEEDS = Needs({"trajectories": 3}, gains=True)
+"""Trajectories to fit on, for methods that choose something, and to judge on."""
 
 SHARES = (0.6, 0.2, 0.2)
 """Of the samples, to train, validate and test on: the PINN paper, section IV."""
@@ -91,11 +91,7 @@ def trajectories_of(
     require_robot(whole, robot)
     data = whole.of_kind("trajectory")
     found = len(groups(data, "trajectory"))
-    if found < FEWEST:
-        raise FitError(
-            f"{found} trajectories are too few: the study needs at least {FEWEST}",
-            hint="record some twelve (excitation: {kind: fourier, trajectories: 12})",
-        )
+    NEEDS.require(trajectories=found)
     recorded = sample_rate(data["t"][slice(*data.offsets[:2])])
     every = max(1, round(recorded / rate_hz))
     _require_below(cutoff_hz, recorded, every)

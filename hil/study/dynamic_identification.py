@@ -14,11 +14,12 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
+from hil.identify.checks import Needs
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import flag, number
 from hil.study import dynamic_tables as tables
 from hil.study.base import Progress, Study, silent
-from hil.study.dynamic_data import trajectories_of
+from hil.study.dynamic_data import NEEDS, trajectories_of
 from hil.study.dynamic_drawn import by_protocol, torques
 from hil.study.dynamic_methods import METHOD_KEYS, METHODS, missing
 from hil.study.dynamic_protocols import PROTOCOLS, Found, Protocol
@@ -68,6 +69,10 @@ class DynamicIdentification(Study):
         self.figures = flag("figures", figures)
         self.seed = whole("seed", seed, at_least=0)
         self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: three trajectories, and drive gains."""
+        return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and words of both protocols.

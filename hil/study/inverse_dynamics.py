@@ -14,11 +14,13 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
+from hil.identify.checks import Needs
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import MOST_SEED, flag, number
 from hil.study import inverse_drawn as drawn
 from hil.study import inverse_tables as tables
 from hil.study.base import Progress, Study, silent
+from hil.study.dynamic_data import NEEDS
 from hil.study.inverse_cases import CASES, load_names, recorded
 from hil.study.inverse_fits import extras_of, family_task, missing
 from hil.study.inverse_found import Found, Seen, gathered
@@ -79,6 +81,10 @@ class InverseDynamics(Study):
     def extras(self) -> dict[str, str]:
         """What the estimators of its rows need: a table without them is not what was asked for."""
         return extras_of(self.methods)
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: three trajectories, and drive gains."""
+        return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and words of both protocols.

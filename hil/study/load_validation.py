@@ -16,13 +16,14 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import HilError, SpecError
 from hil.identify.base import HONEST
+from hil.identify.checks import Needs
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import choice, flag, number
 from hil.identify.payload_declared import FALSE_ALARM
 from hil.identify.payload_problem import Friction
 from hil.study import load_tables as tables
 from hil.study.base import Progress, Study, silent
-from hil.study.dynamic_data import highest_cutoff
+from hil.study.dynamic_data import NEEDS, highest_cutoff
 from hil.study.inverse_cases import Recorded, recorded
 from hil.study.load_cases import load_cases
 from hil.study.load_models import Candidate, Entry, Fold, fresh, made, stored
@@ -88,6 +89,10 @@ class LoadValidation(Study):
         """What its estimators need."""
         fitted = () if self.models else self.estimators
         return {key: why for one in fitted for key, why in made(one).extras().items()}
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: three trajectories, and drive gains."""
+        return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and sentences; an estimator that fails is told, and costs no other.

@@ -11,13 +11,12 @@ from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import SAMPLES_PER_DWELL, dwells_of, series_means
 from hil.data.splits import group_of
 from hil.dynamics import RobotModel
-from hil.errors import FitError
-from hil.identify.checks import STILL_RAD, require_robot
+from hil.identify.checks import STILL_RAD, Needs, require_robot
 from hil.identify.dwell_rows import scatter
 from hil.typing import FloatArray, IntArray
 
-FEWEST_POSES = 4
-"""Two to fit on and two to judge on; what each model needs it says itself."""
+NEEDS = Needs({"poses": 4})
+"""Two to fit on and two to judge on; what each model needs it states itself."""
 
 DWELL = "dwell_number"
 ROW = "row_number"
@@ -51,11 +50,7 @@ def recording_of(whole: Dataset, robot: RobotModel) -> Recording:
     every = dwells_of(whole)
     dwells, notes = _finite(every)
     poses = len({pose_key(c) for c in dwells.conditions})
-    if poses < FEWEST_POSES:
-        raise FitError(
-            f"{poses} poses at rest are too few: a study needs at least {FEWEST_POSES}",
-            hint="record a dwell program of some hundred poses (excitation: {kind: dwell})",
-        )
+    NEEDS.require(poses=poses)
     unsettled = sum(c.kind == "dwell" and not c.settled for c in whole.conditions)
     if unsettled:
         notes.append(f"{unsettled} dwells that never came to rest are left out")

@@ -13,13 +13,14 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
+from hil.identify.checks import Needs
 from hil.identify.linear_methods import Weights
 from hil.identify.lm.settings import whole
 from hil.identify.parameters import choice, flag, number
 from hil.study.base import Progress, Study, silent
 from hil.study.result import Part, StudyResult
 from hil.study.separation_band import bands
-from hil.study.separation_data import Recording, recording_of
+from hil.study.separation_data import NEEDS, Recording, recording_of
 from hil.study.separation_data_part import data_part
 from hil.study.separation_drawn import honest_figures, paper_figures
 from hil.study.separation_honest import HonestProtocol
@@ -113,6 +114,10 @@ class StaticSeparation(Study):
         self.figures = flag("figures", figures)
         self.seed = whole("seed", seed, at_least=0)
         self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1)
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: four poses."""
+        return NEEDS
 
     def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
         """Tables, figures and words of both protocols.

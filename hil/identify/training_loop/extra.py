@@ -5,9 +5,13 @@ from __future__ import annotations
 from importlib.util import find_spec
 
 from hil import plugins
+from hil.identify.checks import Needs
 
 LEARN = {"learn": "to train its network"}
 """`RobotEstimator.extras` of whatever calls `require_torch` in a fit."""
+
+TO_TRAIN = Needs({"samples": 100}, gains=True)
+"""What no network can be trained without."""
 
 
 def require_torch() -> None:
