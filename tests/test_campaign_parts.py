@@ -76,6 +76,41 @@ def test_only_what_was_measured_is_fitted_or_judged(kind: str, loads: tuple[int,
     assert kinds == {kind}
 
 
+def test_a_share_of_the_trajectories_is_drawn_by_seed_with_every_load() -> None:
+    data = program(motions=12)
+    draws = [hold_out(data, HoldOut(trajectories_percent=25, seed=seed)) for seed in (7, 7, 8)]
+    held = [{c.trajectory for c in parts.test.conditions} for parts in draws]
+    assert held[0] == held[1] != held[2]
+    assert all(len(numbers) == 3 for numbers in held)
+    assert pairs(draws[0].test) == {(n, load) for n in held[0] for load in (0, 1)}
+    assert pairs(draws[0].train).isdisjoint(pairs(draws[0].test))
+    said = ", ".join(str(number) for number in sorted(held[0]))
+    assert draws[0].held_out == f"trajectories {said} (drawn, counted from 0)"
+
+
+@pytest.mark.parametrize(
+    ("percent", "total", "held"), [(1, 12, 1), (90, 2, 1), (50, 3, 2), (90, 12, 11), (25, 12, 3)]
+)
+def test_a_share_holds_out_one_trajectory_at_least_and_leaves_one(
+    percent: float, total: int, held: int
+) -> None:
+    parts = hold_out(program(motions=total, loads=1), HoldOut(trajectories_percent=percent))
+    assert len(pairs(parts.test)) == held
+    assert len(pairs(parts.train)) == total - held
+
+
+def test_a_share_and_loads_are_judged_together() -> None:
+    parts = hold_out(program(motions=4), HoldOut(loads=(1,), trajectories_percent=25))
+    ((number, load),) = pairs(parts.test)
+    assert load == 1
+    assert pairs(parts.train) == {(n, 0) for n in range(4)} - {(number, 0)}
+
+
+def test_no_share_with_loads_holds_out_loads_alone() -> None:
+    parts = hold_out(program(), HoldOut(loads=(1,), trajectories_percent=0))
+    assert pairs(parts.test) == {(n, 1) for n in range(4)}
+
+
 def test_poses_are_held_out_with_both_approaches_and_all_loads() -> None:
     parts = hold_out(program("dwell", motions=5), HoldOut(poses_percent=40))
     held = {c.pose for c in parts.test.conditions}

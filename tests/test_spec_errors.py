@@ -506,6 +506,30 @@ UNJUDGEABLE = [
         "validate: {hold_out: {poses_percent: 20}}",
         "validate.hold_out.poses_percent: a Fourier program has no poses: use trajectories",
     ),
+    (
+        "fourier",
+        "validate: {hold_out: {trajectories: 2, trajectories_percent: 25}}",
+        "validate.hold_out.trajectories_percent: `trajectories` chooses the last ones, this one "
+        "draws: keep one of the two",
+    ),
+    (
+        "fourier",
+        "validate: {hold_out: {trajectories_percent: 0}}",
+        "validate.hold_out.trajectories_percent: holds out nothing, so no model can be judged: "
+        "give trajectories or loads",
+    ),
+    (
+        "fourier\n  trajectories: 1",
+        "validate: {hold_out: {trajectories_percent: 50}}",
+        "validate.hold_out.trajectories_percent: holds out 1 of 1 trajectories and leaves none to "
+        "fit on",
+    ),
+    (
+        "dwell",
+        "validate: {hold_out: {trajectories_percent: 25}}",
+        "validate.hold_out.trajectories_percent: a dwell program has no trajectories: use "
+        "poses_percent",
+    ),
 ]
 
 

@@ -39,7 +39,8 @@ class Parts:
 def hold_out(data: Dataset, how: HoldOut) -> Parts:
     """Split measuring series (dwells and trajectories) as a spec says; others are left out.
 
-    Poses are drawn by seed, trajectories are the last ones of the program. Where loads *and*
+    Poses and shares of trajectories are drawn by seed; a number of trajectories are the last ones
+    of the program. Where loads *and*
     motions are held out, the model is fitted on neither: it is judged on the held-out motions
     under the held-out loads, and the two other combinations are kept apart in `beside`.
 
@@ -56,13 +57,13 @@ def hold_out(data: Dataset, how: HoldOut) -> Parts:
     if motions and loads:
         beside = ((NEW_LOAD, part(False, True)), (NEW_MOTION, part(True, False)))
         kept = tuple((what, found) for what, found in beside if found.conditions)
-        what = f"{_motions(motions)} with {_loads(data, loads)}"
+        what = f"{_motions(motions, how)} with {_loads(data, loads)}"
         said = f"{what}: motions and loads the fit has not seen"
         return _checked(Parts(train, part(True, True), said, kept))
     if loads:
         said = f"{_loads(data, loads)}, motions seen in training with other loads"
         return _checked(Parts(train, part(False, True), said), same_motions=True)
-    return _checked(Parts(train, part(True, False), _motions(motions)))
+    return _checked(Parts(train, part(True, False), _motions(motions, how)))
 
 
 def assert_new_pairs(train: Dataset, test: Dataset) -> None:
@@ -107,7 +108,12 @@ def _held_trajectories(data: Dataset, how: HoldOut) -> set[Motion]:
             f"validate.hold_out.trajectories is {count}, the run has {len(there)} trajectories",
             hint="hold out fewer, or run more trajectories",
         )
-    return {("trajectory", group) for group in there[len(there) - count :]}
+    if not (there and count):
+        return set()
+    chosen = there[len(there) - count :]
+    if how.trajectories_percent is not None:
+        chosen = split(data, "trajectory", count, seed=how.seed).held_out
+    return {("trajectory", group) for group in chosen}
 
 
 def _motion(condition: Conditions) -> Motion | None:
@@ -144,14 +150,19 @@ def _loads(data: Dataset, loads: set[int]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _motions(motions: set[Motion]) -> str:
+def _motions(motions: set[Motion], how: HoldOut) -> str:
     count = {kind: sum(k == kind for k, _ in motions) for kind in ("pose", "trajectory")}
+    poses, trajectories = count["pose"], count["trajectory"]
     said = {
-        "pose": "1 pose" if count["pose"] == 1 else f"{count['pose']} poses",
+        "pose": "1 pose" if poses == 1 else f"{poses} poses",
         "trajectory": "the last trajectory"
-        if count["trajectory"] == 1
-        else f"the last {count['trajectory']} trajectories",
+        if trajectories == 1
+        else f"the last {trajectories} trajectories",
     }
+    if how.trajectories_percent is not None:
+        drawn = ", ".join(str(number) for kind, (_, number) in sorted(motions) if kind != "pose")
+        word = "trajectory" if trajectories == 1 else "trajectories"
+        said["trajectory"] = f"{word} {drawn} (drawn, counted from 0)"
     return " and ".join(said[kind] for kind in count if count[kind])
 
 

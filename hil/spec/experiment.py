@@ -210,19 +210,17 @@ class ExperimentSpec(Strict):
         held = self.validation.hold_out
         if not (self.validation.under_loads and isinstance(self.excitation, Fourier)):
             return held
-        changed = {
-            "loads": tuple(range(1, len(self.loads))),
-            "trajectories": held.trajectories_of(self.excitation.trajectories),
-        }
+        changed: dict[str, Any] = {"loads": tuple(range(1, len(self.loads)))}
+        if held.trajectories_percent is None:
+            changed["trajectories"] = held.trajectories_of(self.excitation.trajectories)
         return held.model_copy(update=changed)
 
     @model_validator(mode="after")
     def _held_out_motions_are_of_this_program(self) -> ExperimentSpec:
         held, at = self.validation.hold_out, ("validate", "hold_out")
-        if isinstance(self.excitation, Dwell) and held.trajectories:
-            raise mistake(
-                "a dwell program has no trajectories: use poses_percent", *at, "trajectories"
-            )
+        for key in ("trajectories", "trajectories_percent"):
+            if isinstance(self.excitation, Dwell) and getattr(held, key):
+                raise mistake("a dwell program has no trajectories: use poses_percent", *at, key)
         if isinstance(self.excitation, Fourier) and held.poses_percent:
             raise mistake("a Fourier program has no poses: use trajectories", *at, "poses_percent")
         return self
@@ -248,9 +246,10 @@ class ExperimentSpec(Strict):
         """How many are held out, of how many, what they are, and the key that says so."""
         held, program = self.validation.hold_out, self.excitation
         if isinstance(program, Fourier):
-            total = program.trajectories
-            return held.trajectories_of(total), total, "trajectories", "trajectories"
-        if program.file is not None and "waypoints" not in program.model_fields_set:
+            total, drawn = program.trajectories, held.trajectories_percent is not None
+            key = "trajectories_percent" if drawn else "trajectories"
+            return held.trajectories_of(total), total, "trajectories", key
+        if program.file is not None:
             return held.poses_of(100), math.inf, "poses", "poses_percent"  # the file is not read
         return held.poses_of(program.waypoints), program.waypoints, "poses", "poses_percent"
 

@@ -11,9 +11,10 @@ from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 
 _NEWER = (
-    ("", "study"),
+    ("study",),
     ("excitation", "optimise"),
     ("validate", "under_loads"),
+    ("validate", "hold_out", "trajectories_percent"),
     ("accept", "load_error_ratio"),
     ("accept", "contradicted_loads"),
 )
@@ -23,8 +24,9 @@ _NEWER = (
 def spec_hash(spec: ExperimentSpec) -> str:
     """sha256 of the canonical JSON of the spec, defaults included.
 
-    What a spec does not use of studies, optimised excitation and judging under loads leaves no
-    trace: it has the hash it had before there were any, and runs of an older hil go on.
+    What a spec does not use of studies, optimised excitation, judging under loads and drawn
+    trajectories leaves no trace: it has the hash it had before there were any, and runs of an
+    older hil go on.
     Comments, order of keys and of interlocks, spelling of numbers (`1` and `1.0`) and written-out
     defaults do not change it. A file of poses counts with its content, not with its path, so that
     the hash is the same on every machine.
@@ -34,8 +36,10 @@ def spec_hash(spec: ExperimentSpec) -> str:
     """
     raw = spec.model_dump(mode="json", by_alias=True)
     raw["interlocks"].sort(key=lambda interlock: json.dumps(interlock, sort_keys=True))
-    for part, key in _NEWER:
-        at = raw[part] if part else raw
+    for *parts, key in _NEWER:
+        at = raw
+        for part in parts:
+            at = at[part]
         if not at.get(key):
             at.pop(key, None)
     if file := raw["excitation"].get("file"):

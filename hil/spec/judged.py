@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from hil.spec.quantities import IS_NUMBER, Count, NonNegative, Positive, Seed, Strict
+from hil.spec.quantities import (
+    IS_NUMBER,
+    Count,
+    NonNegative,
+    Positive,
+    Seed,
+    Strict,
+    mistake,
+)
 
 
 class HoldOut(Strict):
@@ -17,6 +25,11 @@ class HoldOut(Strict):
         description="How many of the last trajectories; by default a quarter of them and at least "
         "one, or none when `loads` is given.",
     )
+    trajectories_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
+        None,
+        description="Share of the trajectories, drawn by seed, in place of `trajectories`; at "
+        "least one is held out and one left to fit on, with every load.",
+    )
     poses_percent: Annotated[float, Field(ge=0, le=90), IS_NUMBER] | None = Field(
         None,
         description="Share of the poses, drawn by seed, both approaches together; by default 20, "
@@ -24,15 +37,28 @@ class HoldOut(Strict):
     )
     loads: tuple[Count, ...] = Field(
         (),
-        description="Indices into `loads`, from 0. With `trajectories` or `poses_percent` beside "
-        "it, the model is judged on motions *and* loads it has not seen, together.",
+        description="Indices into `loads`, from 0. With `trajectories`, `trajectories_percent` or "
+        "`poses_percent` beside it, the model is judged on motions *and* loads it has not seen, "
+        "together.",
     )
-    seed: Seed = Field(7, description="Decides which poses are held out.")
+    seed: Seed = Field(7, description="Decides which poses or trajectories are drawn.")
+
+    @model_validator(mode="after")
+    def _trajectories_are_chosen_one_way(self) -> HoldOut:
+        if self.trajectories is not None and self.trajectories_percent is not None:
+            raise mistake(
+                "`trajectories` chooses the last ones, this one draws: keep one of the two",
+                "trajectories_percent",
+            )
+        return self
 
     def trajectories_of(self, total: int) -> int:
         """How many of `total` different trajectories are held out."""
         if self.trajectories is not None:
             return self.trajectories
+        if self.trajectories_percent is not None:
+            count = round(self.trajectories_percent / 100 * total)
+            return max(1, min(count, total - 1)) if self.trajectories_percent else 0
         return 0 if self.loads else max(1, total // 4)
 
     def poses_of(self, total: int) -> int:
