@@ -16,6 +16,7 @@ from hil.excite.motion import Hold, Line
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Action, Program, Visit, pose_visit
+from hil.excite.waypoint_file import AngleUnit, read_waypoints
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import Dwell
 from hil.typing import FloatArray
@@ -183,6 +184,50 @@ def test_degrees_are_the_default(tmp_path: Path) -> None:
 def test_columns_follow_the_names_in_the_first_line(tmp_path: Path) -> None:
     visits = file_program(tmp_path, "joint 2, joint 1\n0.6, 0.5\n", toy_workspace())
     np.testing.assert_allclose(visits[0].exit, [0.5, 0.6])
+
+
+@pytest.mark.parametrize(
+    ("header", "stated", "unit"),
+    [
+        ("q1,q2", None, "deg"),
+        ("q1,q2", "rad", "rad"),
+        ("q1_deg,q2_deg", None, "deg"),
+        ("q1_rad,q2_rad", None, "rad"),
+        ("q1_rad,q2_rad", "rad", "rad"),
+        ("joint 1_rad,joint 2_rad", None, "rad"),
+    ],
+)
+def test_a_first_line_may_number_the_joints_and_name_the_unit(
+    header: str, stated: AngleUnit | None, unit: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text(f"{','.join(reversed(header.split(',')))}\n20, 10\n", "utf-8")
+    file = read_waypoints(path, ("joint 1", "joint 2"), stated)
+    q = [10.0, 20.0] if unit == "rad" else np.radians([10.0, 20.0])
+    np.testing.assert_allclose(file.q, [q])
+    assert file.unit == unit
+    assert not file.problems
+
+
+@pytest.mark.parametrize("header", ["q1,q3", "q1_deg,q2_rad", "q1,q2_rad", "q1,q1", "q0,q1"])
+def test_a_first_line_that_is_not_of_these_joints_is_refused(header: str, tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text(f"{header}\n0.5, 0.6\n", "utf-8")
+    with pytest.raises(SpecError, match="neither a pose nor the joints' names") as error:
+        read_waypoints(tmp_path / "poses.csv", ("joint 1", "joint 2"))
+    assert "q1 to q2; all of them may end in _deg or all in _rad" in error.value.hint
+
+
+def test_two_units_for_one_file_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match=r"the first line says deg, excitation\.file_unit says rad"):
+        file_program(tmp_path, "q1_deg,q2_deg\n45, 30\n", toy_workspace())
+
+
+def test_small_angles_without_a_unit_are_not_taken_for_degrees(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("0.5, 1.2\n-6.2, 0\n", "utf-8")
+    (problem,) = read_waypoints(path, ("joint 1", "joint 2")).problems
+    assert "no angle is beyond 2π" in problem
+    assert not read_waypoints(path, ("joint 1", "joint 2"), "deg").problems
 
 
 def test_all_mistakes_of_a_file_are_told_with_their_lines(tmp_path: Path) -> None:

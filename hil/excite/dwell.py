@@ -22,9 +22,6 @@ SPARE_SHARE = 0.05
 MOST_TRIES, MOST_TRIES_PER_POSE = 4000, 20
 """Clear poses that are looked at before a program is given up."""
 
-RADIAN_SUSPICION = 0.5
-"""Share of poses beyond the limits from which degrees read as radians are suspected."""
-
 
 class DwellProgram:
     """Poses drawn by seed or read from a file; visited in random order, as `excitation` says.
@@ -84,7 +81,7 @@ class DwellProgram:
     def _from_file(self, roadmap: Roadmap) -> list[Visit]:
         workspace = roadmap.workspace
         file = read_waypoints(
-            self.folder / str(self.spec.file), workspace.joint_names, self.spec.file_unit
+            self.folder / str(self.spec.file), workspace.joint_names, self.spec.stated_unit
         )
         visits = [self._visit(workspace, q, file.place(row), row) for row, q in enumerate(file.q)]
         problems = list(file.problems)
@@ -99,11 +96,8 @@ class DwellProgram:
         return pose_visit(workspace, q, self.spec.approach, delta, label=label, pose=pose)
 
     def _hint(self, workspace: Workspace, file: WaypointFile) -> str:
-        """Suspect the unit when many poses are beyond the limits as radians."""
-        beyond = 1 - workspace.within_limits(file.q).mean() if len(file.q) else 0.0
-        if self.spec.file_unit == "rad" and beyond >= RADIAN_SUSPICION:
-            return "if these numbers are degrees, say excitation.file_unit: deg"
-        return "mend or drop these poses; nothing was planned"
+        outside = int(np.count_nonzero(~workspace.within_limits(file.q)))
+        return file.suspected(outside) or "mend or drop these poses; nothing was planned"
 
 
 def _in_pieces(blocks: Iterable[FloatArray], rows: int) -> Iterator[FloatArray]:

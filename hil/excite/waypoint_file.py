@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -15,8 +15,13 @@ from hil.errors import SpecError
 from hil.spec.source import shown
 from hil.typing import FloatArray
 
+AngleUnit: TypeAlias = Literal["deg", "rad"]
+
 MOST_PROBLEMS = 20
 """A file with more mistakes than this has one mistake, made often."""
+
+RADIAN_SUSPICION = 0.5
+"""Share of poses beyond the limits from which degrees read as radians are suspected."""
 
 MOST_QUOTED = 40
 """Characters of a line: enough to find it, and to give no foreign file away."""
@@ -29,14 +34,22 @@ class WaypointFile:
     Attributes:
         path: The file.
         q: (N, n) poses [rad], joints in the robot's order.
+        unit: Of the numbers in the file.
         lines: Line number of each pose.
         problems: What cannot be read, one message per mistake, each beginning `file:line:`.
     """
 
     path: Path
     q: FloatArray
+    unit: AngleUnit
     lines: tuple[int, ...]
     problems: tuple[str, ...]
+
+    def suspected(self, outside: int) -> str:
+        """Return what may be wrong with the unit if so many poses are beyond the limits."""
+        if self.unit == "deg" or outside < RADIAN_SUSPICION * max(1, len(self.q)):
+            return ""
+        return "if these numbers are degrees, say excitation.file_unit: deg"
 
     def place(self, row: int) -> str:
         """`file:line` of pose `row`."""
@@ -44,20 +57,32 @@ class WaypointFile:
 
 
 def read_waypoints(
-    path: Path, joint_names: Sequence[str], unit: Literal["deg", "rad"]
+    path: Path, joint_names: Sequence[str], unit: AngleUnit | None = None
 ) -> WaypointFile:
     """Read poses: one per line, one column per joint, separated by commas.
 
-    Blank lines and lines that begin with `#` are skipped. A first line of joint names may put the
-    columns in any order (elbow-first orders are common).
+    Blank lines and lines that begin with `#` are skipped. A first line may name the joints, in any
+    order (elbow-first orders are common), by their names or as `q1` to `qn`, and the unit by the
+    ending `_deg` or `_rad` of every name.
+
+    Args:
+        path: The file.
+        joint_names: Of the robot, in its order.
+        unit: As the spec states it; without, that of the first line, else degrees.
 
     Raises:
-        SpecError: The file cannot be opened or read as text, or names joints nobody has.
+        SpecError: The file cannot be opened or read as text, its first line names joints that the
+            robot does not have, or its unit is not the stated one.
     """
     rows = _rows(path)
-    order = list(range(len(joint_names)))
+    order, named = list(range(len(joint_names))), None
     if rows and not any(_number(cell) is not None for cell in rows[0][1]):
-        order = _columns(path, rows.pop(0), joint_names)
+        order, named = _header(path, rows.pop(0), joint_names)
+    if unit and named and unit != named:
+        raise SpecError(
+            f"{path}: the first line says {named}, excitation.file_unit says {unit}",
+            hint="leave excitation.file_unit out, or correct one of the two",
+        )
     problems: list[str] = []
     q, lines = [], []
     for line, cells in rows:
@@ -69,9 +94,14 @@ def read_waypoints(
     if not rows:
         problems.append(f"{path}: there is no pose in this file")
     poses = np.array(q, dtype=np.float64).reshape(len(q), len(joint_names))
-    return WaypointFile(
-        path, np.radians(poses) if unit == "deg" else poses, tuple(lines), tuple(problems)
-    )
+    if not (unit or named) and 0.0 < np.max(np.abs(poses), initial=0.0) <= 2 * np.pi:
+        problems.append(
+            f"{path}: no angle is beyond 2π, so these may be radians: "
+            "write excitation.file_unit: rad, or deg if they are degrees"
+        )
+    known: AngleUnit = unit or named or "deg"
+    q_rad = np.radians(poses) if known == "deg" else poses
+    return WaypointFile(path, q_rad, known, tuple(lines), tuple(problems))
 
 
 def shortened(problems: Sequence[str]) -> str:
@@ -107,16 +137,24 @@ def _cells(path: Path, number: int, line: str) -> list[str]:
         ) from None
 
 
-def _columns(path: Path, header: tuple[int, list[str]], joint_names: Sequence[str]) -> list[int]:
-    """Column of each joint, by the names in the first line."""
+def _header(
+    path: Path, header: tuple[int, list[str]], joint_names: Sequence[str]
+) -> tuple[list[int], AngleUnit | None]:
+    """Return the column of each joint by the names in the first line, and the unit they end in."""
     line, cells = header
-    if sorted(cells) != sorted(joint_names):
-        raise SpecError(
-            f"{path}:{line}: the first line is neither a pose nor the joints' names: "
-            f"{shown(', '.join(cells), MOST_QUOTED)}",
-            hint=f"the joints are {', '.join(joint_names)}",
-        )
-    return [cells.index(name) for name in joint_names]
+    numbered = [f"q{number}" for number in range(1, len(joint_names) + 1)]
+    units: tuple[AngleUnit | None, ...] = (None, "deg", "rad")
+    for unit in units:
+        for names in (list(joint_names), numbered):
+            wanted = [f"{name}_{unit}" if unit else name for name in names]
+            if sorted(cells) == sorted(wanted):
+                return [cells.index(name) for name in wanted], unit
+    raise SpecError(
+        f"{path}:{line}: the first line is neither a pose nor the joints' names: "
+        f"{shown(', '.join(cells), MOST_QUOTED)}",
+        hint=f"the joints are {', '.join(joint_names)}, or {numbered[0]} to {numbered[-1]}; all of "
+        "them may end in _deg or all in _rad",
+    )
 
 
 def _complaint(cells: Sequence[str], joint_names: Sequence[str]) -> str:

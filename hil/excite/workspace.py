@@ -31,6 +31,18 @@ class Clearance(Protocol):
         """The smallest distance [m] at `q` (n,) and between which two bodies."""
 
 
+def beyond_range(
+    q: FloatArray, joint_names: Sequence[str], q_min: FloatArray, q_max: FloatArray
+) -> str:
+    """Return which joints of the position `q` (n,) are beyond their limits; empty if none is."""
+    return "; ".join(
+        f"{name} at {np.degrees(angle):.1f}° is beyond its range of "
+        f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
+        for name, angle, low, high in zip(joint_names, q, q_min, q_max, strict=True)
+        if not low - LIMIT_TOLERANCE_RAD <= angle <= high + LIMIT_TOLERANCE_RAD
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Workspace:
     """A robot in its surroundings, as excitation and plan see it.
@@ -128,16 +140,8 @@ class Workspace:
 
     def complaint(self, q: FloatArray) -> str:
         """What is wrong with the position `q` (n,), or an empty string."""
-        beyond = [
-            f"{name} at {np.degrees(angle):.1f}° is beyond its range of "
-            f"{np.degrees(low):.1f}° to {np.degrees(high):.1f}°"
-            for name, angle, low, high in zip(
-                self.joint_names, q, self.q_min, self.q_max, strict=True
-            )
-            if not low - LIMIT_TOLERANCE_RAD <= angle <= high + LIMIT_TOLERANCE_RAD
-        ]
-        if beyond:
-            return "; ".join(beyond)
+        if beyond := beyond_range(q, self.joint_names, self.q_min, self.q_max):
+            return beyond
         distance, bodies = self.collision.closest(q)
         if distance >= self.clearance_m:
             return ""

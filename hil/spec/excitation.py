@@ -22,10 +22,15 @@ class Dwell(Strict):
     )
     file: str | None = Field(
         None,
-        description="CSV with the lab's own poses, one per row, one column per joint; a relative "
-        "path starts at the folder of the spec. `waypoints` then only has to agree with it.",
+        description="CSV with the lab's own poses, one per row, one column per joint; a first line "
+        "may name the joints, or `q1` to `q6`, all with `_deg` or `_rad` or without. A relative "
+        "path starts at the folder of the spec. `waypoints` has no meaning then.",
     )
-    file_unit: Literal["deg", "rad"] = Field("deg", description="Unit of the poses in `file`.")
+    file_unit: Literal["deg", "rad"] = Field(
+        "deg",
+        description="Unit of the poses in `file`; not needed if its first line has it. If neither "
+        "has it and no angle is beyond 2π, the file is refused.",
+    )
     dwell_s: Annotated[float, Field(ge=0.01, le=600), IS_NUMBER] = Field(
         0.095, description="Shortest time at rest before the pose is left."
     )
@@ -53,6 +58,11 @@ class Dwell(Strict):
         description="Joint ranges poses are drawn from, one pair per joint; by default those of "
         "the arm.",
     )
+
+    @property
+    def stated_unit(self) -> Literal["deg", "rad"] | None:
+        """Unit of the poses in `file` if the spec states it."""
+        return self.file_unit if "file_unit" in self.model_fields_set else None
 
 
 class Fourier(Strict):
