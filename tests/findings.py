@@ -196,6 +196,65 @@ def real_robot_is_confirmed(folder: Path) -> str:
 
 # ---- A3 programs that must fail -----------------------------------------------------------------
 
+SIX_POSES = """\
+hil: 1
+name: six
+robot: ur5
+excitation: {kind: dwell, waypoints: 6}
+weigh: false
+warm_up: {duration_s: 0}
+fit: [{estimator: static-wls}]
+"""
+
+
+@finding("A3", "programs that must fail")
+def programs_that_must_fail(folder: Path) -> str:
+    """Six poses planned, ran to the end, and then "10 dwells are too few"."""
+    spec = folder / "six.yaml"
+    spec.write_text(SIX_POSES, "utf-8")
+
+    def refused(words: str, *arguments: object) -> str:
+        done = hil(*arguments, cwd=folder)
+        line = done.stderr.partition("SpecError: ")[2].partition("\n")[0]
+        assert done.returncode == 2, (arguments, done.returncode, done.stderr)
+        assert words in line, (arguments, done.stderr)
+        return line
+
+    for verb in ("validate", "plan", "run"):
+        line = refused("10 dwells are too few: at least 16", verb, spec)
+    assert sorted(path.name for path in folder.iterdir()) == ["six.yaml"], "something was written"
+    done = hil("run", spec, "--first", 2, "--json", cwd=folder)
+    assert done.returncode == 0, f"a commissioning run is refused: {done.stderr}"
+
+    arm = (REPOSITORY / "hil" / "arms" / "ur5.yaml").read_text("utf-8")
+    unknown = re.sub(r"drive_gain_nm_a: [0-9.]+", "drive_gain_nm_a: .nan", arm)
+    (folder / "arm.yaml").write_text(unknown, "utf-8")
+    station = folder / "bench.yaml"
+    robot = "{driver: mock, model: arm.yaml}"
+    station.write_text(f"hil_station: 1\nname: bench\nrobots: {{ur5: {robot}}}\n", "utf-8")
+    enough = ("--set", "excitation.waypoints=12")
+    refused("needs torques: drive gains", "validate", spec, "--station", station, *enough)
+    of_file = ("--set", "excitation.file=poses.csv")
+    refused("there is no file", "validate", spec, *of_file)
+    poses = [f"{angle},-90,90,-90,-90,0" for angle in range(-60, 60, 10)]
+    (folder / "poses.csv").write_text("q1,q2,q3,q4,q5,q6\n" + "\n".join(poses), "utf-8")
+    done = hil("validate", spec, *of_file, cwd=folder)
+    assert done.returncode == 0, f"q1 to q6 are refused: {done.stderr}"
+    (folder / "poses.csv").write_text("\n".join([*poses, "0,-900,90,-90,-90,0"]), "utf-8")
+    refused("poses.csv:13: shoulder_lift_joint at -900.0°", "validate", spec, *of_file)
+    share = "validate={hold_out: {trajectories_percent: 25}}"
+    program = "excitation={kind: fourier, trajectories: 8}"
+    fit = ("--set", "fit.0.estimator=rigid-wls")
+    done = hil("validate", spec, "--set", program, "--set", share, *fit, cwd=folder)
+    assert done.returncode == 0, f"trajectories_percent is refused: {done.stderr}"
+    message = line.partition("fit.0.estimator: ")[2]
+    return (
+        f"validate, plan and run end with 2 and no run directory ({message}); missing drive "
+        "gains, a missing file of poses and a pose beyond its range are refused; q1…q6 and "
+        "trajectories_percent are accepted"
+    )
+
+
 # ---- A4 workspace -------------------------------------------------------------------------------
 
 # ---- B1 registry log ----------------------------------------------------------------------------

@@ -24,6 +24,7 @@ excitation:
   range_deg: [[-90, 90], [-90, 90]]
 loads: [{mass_kg: 7}]
 accept: {rmse: {max: 1, unit: Nm}}
+fit: [{estimator: rigid-wls}]
 """
 
 

@@ -19,7 +19,7 @@ SPEC = """\
 hil: 1
 name: extras
 robot: ur5
-excitation: {kind: fourier, trajectories: 2}
+excitation: {kind: fourier, trajectories: 3}
 weigh: false
 """
 NETWORK = "fit: [{estimator: rigid-wls}, {estimator: lagrangian}]"

@@ -1,20 +1,30 @@
-"""Can the robot do what the spec asks of it? Everything that it cannot, with its place."""
+"""Can the robot do what the spec asks, and can the result be judged? Everything that cannot be."""
 
 from __future__ import annotations
 
-from hil.arms import is_described, load_arm
+from pathlib import Path
+
+from hil.arms import ArmDescription, is_described, load_arm
 from hil.campaign.experiment import Experiment
+from hil.campaign.needs import unmet
 from hil.errors import SpecError
+from hil.excite.waypoint_file import WaypointFile, read_waypoints
+from hil.excite.workspace import beyond_range
 from hil.plan.limits import excesses
 from hil.robot import Capabilities
-from hil.spec.judgeable import misjudged
+from hil.spec.experiment import Dwell
+from hil.spec.judgeable import Excess, misjudged
 from hil.spec.overrides import lay_over
 from hil.spec.source import Mark, Problem, Source, refuse
 from hil.spec.yaml_source import read_source
 
+POSES = ("excitation", "file")
+
 
 def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
-    """Refuse what the arm's description and the driver's facts rule out, before a plan is tried.
+    """Refuse what cannot be done or would give no result, before a plan is tried.
+
+    A commissioning run is neither fitted nor judged: for one, only the arm is asked.
 
     Args:
         experiment: What is asked.
@@ -22,12 +32,24 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
 
     Raises:
         SpecError: With a line `file:line:column: path: message` for every value that is beyond
-            the arm, or in another unit than the robot measures.
+            the arm, every pose of a file that is none or beyond it, and every fit, study or
+            criterion without enough data, drive gains or models, or in another unit than the
+            robot measures.
+        PluginError: An estimator or a study is missing.
     """
     spec, model = experiment.spec, experiment.robot.model
-    found = misjudged(spec, robot.effort_kind)
-    if is_described(model):
-        found += excesses(spec, load_arm(model), robot.rate_hz)
+    judged = experiment.commissioning is None
+    found = misjudged(spec, robot.effort_kind) if judged else []
+    arm = load_arm(model) if is_described(model) else None
+    motions = getattr(spec.excitation, "trajectories", None)
+    if arm is not None:
+        found += excesses(spec, arm, robot.rate_hz)
+    if isinstance(spec.excitation, Dwell):
+        poses, faults = _poses(spec.excitation, robot.joint_names, arm)
+        found += faults
+        motions = poses if not faults else None
+    if judged:
+        found += unmet(spec, robot, experiment.robot, motions)
     if not found:
         return
     source = _source_of(experiment)
@@ -48,3 +70,29 @@ def _source_of(experiment: Experiment) -> Source:
         else:
             return source
     return Source(experiment.spec.name, values={(): Mark(experiment.spec.name, 0, 0)})
+
+
+def _poses(
+    program: Dwell, joint_names: tuple[str, ...], arm: ArmDescription | None
+) -> tuple[int, list[Excess]]:
+    """How many poses a program has, and what is wrong with those of its file."""
+    if program.file is None:
+        return program.waypoints, []
+    try:
+        file = read_waypoints(Path(program.file), joint_names, program.stated_unit)
+    except SpecError as error:
+        message = error.message.removeprefix("excitation.file: ")
+        return 0, [Excess(POSES, f"{message} → {error.hint}")]
+    messages = list(file.problems)
+    if arm is not None:
+        messages += _beyond_range(file, arm)
+    return len(file.q), [Excess(POSES, message) for message in messages]
+
+
+def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
+    complaints = [beyond_range(q, arm.joint_names, arm.q_min, arm.q_max) for q in file.q]
+    outside = [row for row, complaint in enumerate(complaints) if complaint]
+    if suspicion := file.suspected(len(outside)):
+        share = f"{len(outside)} of {len(file.q)} poses"
+        return [f"{share} are beyond the range of a joint: {suspicion}"]
+    return [f"{file.place(row)}: {complaints[row]}" for row in outside]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.campaign.experiment import Experiment
+from hil.campaign.extras import missing_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.robots import planned
 from hil.excite.setting import Watch, unwatched
@@ -29,10 +30,12 @@ def preview_experiment(
         watch: Is told how far trajectories are that take long to compute.
 
     Raises:
+        SpecError: The arm cannot do it, or it would give no result.
         PlanError: No safe plan follows from the spec, or an interlock cannot be judged.
         RobotError: The robot cannot be asked where it stands.
     """
     with planned(experiment, connect=connect, watch=watch) as (robot, plan, from_where_it_stands):
         watching = interlocks_for(experiment, robot, plan, folder=Path(), behind_s=lambda: 0.0)
     unasked = () if from_where_it_stands else (WITHOUT_THE_ROBOT,)
-    return plan, preview(plan, watching.describe(), unasked)
+    lacking = missing_extras(experiment.spec) if experiment.commissioning is None else ()
+    return plan, preview(plan, watching.describe(), (*unasked, *lacking))

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hil import plugins
+from hil.campaign.arm_check import require_within_reach
 from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
 from hil.campaign.confirmation import Gate, shown_by
@@ -42,6 +43,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         robot,
         lease,
     ):
+        require_within_reach(experiment, robot.capabilities)
         require_usable(experiment, robot)
         attendance.stage("planning")
         plan = plan_for(experiment, robot, attendance.computing)
@@ -77,10 +79,14 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
 def require_usable(experiment: Experiment, robot: Robot) -> None:
     """Refuse before any motion what would only fail after hours of it: units and plug-ins.
 
+    A commissioning run is neither fitted nor judged, so it needs none of them.
+
     Raises:
         SpecError: The criteria are in another unit than the robot's efforts.
         PluginError: An estimator, a study or an extra is missing.
     """
+    if experiment.commissioning is not None:
+        return
     require_judgeable(experiment.spec, robot.capabilities.effort_kind)
     for fit in experiment.spec.fit:
         plugins.load("hil.estimators", fit.estimator)

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hil import plugins
+from hil.campaign.arm_check import require_within_reach
 from hil.campaign.experiment import Experiment
 from hil.engine.bounded import bounded
 from hil.excite.setting import Watch, unwatched
@@ -125,10 +126,12 @@ def planned(
 
     Raises:
         RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
+        SpecError: The arm cannot do it, or it would give no result; see `require_within_reach`.
         PlanError: No safe plan follows from the spec.
     """
     with opened(experiment.spec.robot, experiment.robot) as robot:
         can = robot.capabilities
+        require_within_reach(experiment, can)
         if can.clock == "wall" and not connect:
             plan = build_plan(
                 experiment.spec,

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from hil.campaign.extras import require_extras
 from hil.campaign.resuming import require_resumable
 from hil.campaign.started import FOLDER, Started, started_runs
 from hil.errors import DataError, RecordingError, SpecError
-from hil.plan.commissioning import commissioning_of
+from hil.plan.commissioning import Commissioning, commissioning_of
 from hil.record.files import json_document, write_replacing
 from hil.record.lock import is_live
 from hil.record.provenance import operator as this_user
@@ -39,9 +39,18 @@ KEPT = 20
 
 
 def check_start(
-    spec: Path, station: Path | None, overrides: Mapping[str, str] | None = None
+    spec: Path,
+    station: Path | None,
+    overrides: Mapping[str, str] | None = None,
+    commissioning: Commissioning | None = None,
 ) -> tuple[Experiment, ...]:
     """What would be run: one experiment, or those of a series.
+
+    Args:
+        spec: An experiment or a series.
+        station: Its file; by default the one `hil run` would use.
+        overrides: Laid over the spec, YAML text by dotted path.
+        commissioning: What of the plan would be executed, and how fast; None for all of it.
 
     Raises:
         SpecError: Spec or station have problems; all are listed. Or it is a schedule.
@@ -60,8 +69,9 @@ def check_start(
     else:
         experiments = (load_experiment(spec, station, overrides or {}),)
     for experiment in experiments:
-        check_driver(experiment)
-        require_extras(experiment.spec)
+        check_driver(replace(experiment, commissioning=commissioning))
+        if commissioning is None:
+            require_extras(experiment.spec)
     return experiments
 
 
@@ -93,8 +103,7 @@ def start_run(
         SpecError, PluginError: See `check_start`; nothing was started.
         RecordingError: The folder of runs cannot be written to.
     """
-    check_start(spec, station, overrides)
-    commissioning_of(speed, first)
+    check_start(spec, station, overrides, commissioning_of(speed, first))
     options = [f"--station={station}"] if station else []
     options += [f"--set={path}={value}" for path, value in (overrides or {}).items()]
     options += [f"--speed={speed}"] if speed else []

@@ -108,8 +108,9 @@ def run_series(
 
     series = load_series(path, station)
     for experiment in series.experiments:
-        check_driver(experiment)
-        require_extras(experiment.spec)
+        check_driver(replace(experiment, commissioning=part))
+        if part is None:
+            require_extras(experiment.spec)
     folder = SeriesFolder.create(runs, series.spec, path, station, part)
 
     def execute(experiment: Experiment, told: Document) -> Outcome:

@@ -53,9 +53,9 @@ def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
     from hil.web.plan_shown import PICTURES, shown_plan
 
     station = Path(asked["station"]) if asked["station"] else None
-    experiments = check_start(Path(asked["spec"]), station, asked["overrides"])
-    digest = digest_of(experiments, asked["speed"], asked["first"])
     part = commissioning_of(asked["speed"], asked["first"])
+    experiments = check_start(Path(asked["spec"]), station, asked["overrides"], part)
+    digest = digest_of(experiments, asked["speed"], asked["first"])
     plans = [shown_plan(each, part) for each in experiments]
     for each in plans[PICTURES:]:
         each["picture"] = ""

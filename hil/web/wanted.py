@@ -60,8 +60,8 @@ def wanted_in(given: Mapping[str, str], settings: Settings, who: str) -> Wanted:
     operator = given.get("operator", "").strip()[:80] or who
     require_text(operator, "the name of who is at the robot")
     speed, first = given.get("speed", "").strip(), given.get("first", "").strip()
-    commissioning_of(speed, first)
-    digest = digest_of(check_start(spec, station, overrides), speed, first)
+    experiments = check_start(spec, station, overrides, commissioning_of(speed, first))
+    digest = digest_of(experiments, speed, first)
     return Wanted(spec, station, overrides, operator, speed, first, digest)
 
 
