@@ -41,7 +41,11 @@ class Arm:
     def capabilities(self) -> Any:
         """In wall time."""
         return driver_check.Capabilities(  # the rest does not matter here
-            joint_names=tuple("abcdef"), rate_hz=125.0, effort_kind="current", clock="wall"
+            joint_names=tuple("abcdef"),
+            rate_hz=125.0,
+            effort_kind="current",
+            drive_gains=(10.0,) * 6,
+            clock="wall",
         )
 
     def connect(self) -> None:
