@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from dataclasses import dataclass
 
 
 class Throttle:
@@ -24,3 +26,37 @@ class Throttle:
             return False
         self._next = now + self._every_s
         return True
+
+
+class OncePerMinute(logging.Filter):
+    """Let one line of a kind through a minute, with how many like it were left out since.
+
+    Of a kind are lines of one logger with the same words, whatever is put into them.
+
+    Args:
+        every_s: How long a minute is [s].
+    """
+
+    def __init__(self, every_s: float = 60.0) -> None:
+        super().__init__()
+        self._every_s = every_s
+        self._kinds: dict[tuple[str, str, str], _Kind] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether it is written."""
+        of = record.exc_info[0].__name__ if record.exc_info and record.exc_info[0] else ""
+        kind = (record.name, str(record.msg), of)
+        known = self._kinds.setdefault(kind, _Kind(Throttle(self._every_s)))
+        if not known.throttle.due():
+            known.left_out += 1
+            return False
+        if known.left_out:
+            told = f"{record.getMessage()} ({known.left_out} more like it since the last line)"
+            record.msg, record.args, known.left_out = told, (), 0
+        return True
+
+
+@dataclass(slots=True)
+class _Kind:
+    throttle: Throttle
+    left_out: int = 0

@@ -19,6 +19,7 @@ import re
 import select
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -490,6 +491,56 @@ def killed_before_start(folder: Path) -> str:
 
 
 # ---- B9 attacks on the dashboard ----------------------------------------------------------------
+
+
+@finding("B9", "attacks on the dashboard")
+def attacks(folder: Path) -> str:
+    """Upgrade, abort 200 POSTs, keep 500 slow connections open, and ask for a page meanwhile."""
+    log = folder / "serve.log"
+    command = [sys.executable, "-m", "hil", "serve", "--port", "0"]
+    with (
+        log.open("wb") as errors,
+        subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=errors) as serving,
+        contextlib.ExitStack() as open_,
+    ):
+        try:
+            assert serving.stdout is not None
+            place = serving.stdout.readline().decode().split("//")[1].split("/")[0]
+            host, port = place.split(":")
+
+            def ask(text: str) -> socket.socket:
+                made = socket.create_connection((host, int(port)), 30)
+                made.sendall(text.replace("PLACE", place).encode())
+                return made
+
+            upgrade = "Connection: upgrade\r\nUpgrade: websocket\r\n\r\n"
+            with ask(f"GET / HTTP/1.1\r\nHost: evil.example\r\n{upgrade}") as one:
+                foreign = one.recv(4096)[9:12].decode()
+            with ask(f"GET / HTTP/1.1\r\nHost: PLACE\r\n{upgrade}") as one:
+                upgraded = one.recv(4096)[9:12].decode()
+            assert (foreign, upgraded) == ("421", "400"), f"an upgrade: {foreign}, {upgraded}"
+            for _ in range(200):
+                ask("POST /who HTTP/1.1\r\nHost: PLACE\r\nContent-Length: 9\r\n\r\ncs").close()
+            slow = [open_.enter_context(ask("POST / HTTP/1.1\r\nHost: PL")) for _ in range(500)]
+            began = time.monotonic()
+            with ask("GET / HTTP/1.1\r\nHost: PLACE\r\nConnection: close\r\n\r\n") as one:
+                assert one.recv(4096)[9:12] == b"200", "a page does not come"
+            took = time.monotonic() - began
+            for one in slow:  # each ends, or this times out
+                with contextlib.suppress(ConnectionError):
+                    while one.recv(4096):
+                        pass
+            ended = time.monotonic() - began
+        finally:
+            serving.kill()
+    lines = log.read_text().splitlines()
+    assert len(lines) < 20, f"{len(lines)} lines of log, {last_line(log.read_text())}"
+    return (
+        f"an upgrade is {upgraded}, of another host {foreign}; 200 aborted POSTs and 500 slow "
+        f"connections leave {len(lines)} lines of log; a page came in {took:.2f} s, and the last "
+        f"slow connection was closed after {ended:.0f} s"
+    )
+
 
 # ---- B10 YAML aliases ---------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from importlib import import_module
 from importlib.resources import files
 from urllib.parse import quote
@@ -9,7 +10,7 @@ from urllib.parse import quote
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -34,6 +35,8 @@ PAGES = (
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""
 
+_LOG = logging.getLogger(__name__)
+
 YEAR_S = 365 * 24 * 3600
 
 
@@ -51,6 +54,7 @@ def create_app(settings: Settings) -> Starlette:
             Forbidden: _refused,
             OSError: _refused,
             404: _refused,
+            ClientDisconnect: _left,
             Exception: _failed,
         },
     )
@@ -66,6 +70,12 @@ def _routes() -> list[BaseRoute]:
 
 async def _refused(request: Request, error: Exception) -> Response:
     return await run_in_threadpool(refused, request, error)
+
+
+async def _left(request: Request, error: Exception) -> Response:
+    """Answer a client that is not there any more: no mistake of ours, and no traceback."""
+    _LOG.warning("a client left before its request was whole")
+    return Response(status_code=499)
 
 
 async def _failed(request: Request, error: Exception) -> Response:

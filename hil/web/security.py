@@ -61,7 +61,8 @@ class Guard:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request through, or answer it."""
         if scope["type"] == "websocket":
-            raise RuntimeError("the dashboard has no websockets")
+            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: 403
+            return
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -81,6 +82,8 @@ class Guard:
             return _said(421, "this dashboard is not called by that name; see hil serve --name")
         if (answer := self._unknown(scope, headers)) is not None:
             return answer
+        if headers.get("upgrade", "").strip().lower() == "websocket":
+            return _said(400, "this dashboard has no WebSockets: news is at /events")
         if scope["method"] in SAFE:
             return None
         if self._settings.read_only:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import logging
 import os
 import resource
 import socket
@@ -13,6 +14,7 @@ from dataclasses import replace
 from types import FrameType
 
 from hil.errors import RobotConnectionError
+from hil.throttle import OncePerMinute
 from hil.web.app import create_app
 from hil.web.settings import DEFAULT_PORT, Settings, is_wildcard
 
@@ -22,6 +24,9 @@ ENDED_WITHIN_S = 4.0
 ENDED_BY_A_SIGNAL = 130
 """As the command line says it of every command."""
 MOST_FILES = 65_536
+
+LOGGERS = ("uvicorn.error", "asyncio", "hil.web.app", "hil.web.protocol", "hil.web.security")
+"""What clients can make say something, again and again."""
 
 
 def listen(host: str, port: int | None) -> socket.socket:
@@ -60,6 +65,8 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
     """
     import uvicorn
 
+    from hil.web.protocol import LimitedProtocol
+
     settings = replace(settings, port=listening.getsockname()[1])
     config = uvicorn.Config(
         create_app(settings),
@@ -68,7 +75,11 @@ def serve(settings: Settings, listening: socket.socket, tell: Callable[[str], ob
         access_log=False,
         server_header=False,
         timeout_graceful_shutdown=CLOSED_WITHIN_S,
+        http=LimitedProtocol,
+        ws="none",  # a request to upgrade is one more request, and meets the guard
     )
+    for name in LOGGERS:  # after uvicorn has set up its own
+        logging.getLogger(name).addFilter(OncePerMinute())
     _allow_many_files()
     tell(address(settings))
     server = uvicorn.Server(config)
