@@ -171,3 +171,16 @@ def test_a_recovery_that_writes_elsewhere_leaves_the_run_untouched(
     before_stop(run)
     recover(run, tmp_path / "elsewhere")
     assert (run / RESERVE).exists()
+
+
+def test_runs_names_the_next_command_by_number_where_one_is_left(run: Path) -> None:
+    runs = run.parents[2]
+
+    def table() -> list[str]:
+        return CliRunner().invoke(app, ["runs", "--runs", str(runs)]).output.splitlines()
+
+    assert "next" not in table()[0]
+    remove(run, "report.html")
+    header, row = table()
+    assert header.split()[-1] == "next"
+    assert row.endswith(f"hil resume 1 --runs {runs}")
