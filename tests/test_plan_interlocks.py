@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from plan_parts import plan_of, spec_of
 
+from hil.arms import load_arm
 from hil.campaign.experiment import Experiment, mock_bench
 from hil.campaign.preview import preview_experiment
 from hil.dynamics import RobotModel
 from hil.errors import PlanError, SpecError
+from hil.plan.interlocks import interlock_margins
 from hil.plan.plan import Plan
 
 TIP_M = 0.12
@@ -41,13 +43,14 @@ def test_a_plan_without_a_workspace_has_no_margin_to_it() -> None:
     assert "workspace_m" not in usual_plan().margins
 
 
-def test_a_plan_that_leaves_its_workspace_is_refused_with_by_how_much() -> None:
-    height, _ = flange_heights(usual_plan())
-    entry = {"kind": "workspace", "min_m": [-2, -2, height + 0.0123]}
-    with pytest.raises(PlanError, match=r"\(workspace\): .*beyond z of min_m") as caught:
-        plan_of(interlocks=[entry])
-    assert "flange 12.3 mm" in caught.value.message
-    assert "workspace_m" not in plan_of(interlocks=[entry | {"enabled": False}]).margins
+def test_a_motion_outside_the_workspace_is_refused_with_step_and_by_how_much() -> None:
+    """Whatever an excitation did: plug-ins draw their own motions."""
+    plan = usual_plan()
+    height, _ = flange_heights(plan)
+    spec = spec_of(interlocks=[{"kind": "workspace", "min_m": [-2, -2, height + 0.0123]}])
+    with pytest.raises(PlanError, match=r"\(workspace\): step \d+ \((move|dwell)\) ") as caught:
+        interlock_margins(spec.interlocks, load_arm("ur5"), [], plan.steps, 125.0, 0.02)
+    assert "flange 12.3 mm beyond z of min_m" in caught.value.message
 
 
 def test_a_plan_that_comes_closer_than_the_clearance_interlock_allows_is_refused() -> None:

@@ -43,7 +43,8 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     arm = load_arm(model) if is_described(model) else None
     motions = getattr(spec.excitation, "trajectories", None)
     if arm is not None:
-        found += excesses(spec, arm, robot.rate_hz)
+        clearance_m = experiment.robot.surroundings.clearance_m
+        found += excesses(spec, arm, robot.rate_hz, clearance_m)
     if isinstance(spec.excitation, Dwell):
         poses, faults = _poses(spec.excitation, robot.joint_names, arm)
         found += faults

@@ -42,7 +42,7 @@ def appraise_excitation(
     with opened(spec.robot, experiment.robot) as robot:
         rate_hz = robot.capabilities.rate_hz
     arm = plannable_arm(experiment.robot)
-    if problems := excesses(spec, arm, rate_hz):
+    if problems := excesses(spec, arm, rate_hz, experiment.robot.surroundings.clearance_m):
         raise SpecError(
             "\n".join(map(str, problems)), hint="change these values, or take another robot"
         )

@@ -61,7 +61,9 @@ class CapsuleChain:
         of_link = self._of_link[link]
         if len(of_link):
             ends = np.matmul(self._local[link], frame)
-            out[:, :, of_link] = ends.reshape(3, -1, 2, ends.shape[-1]).transpose(2, 0, 1, 3)
+            out[:, :, of_link] = ends.reshape(3, len(of_link), 2, ends.shape[-1]).transpose(
+                2, 0, 1, 3
+            )
 
 
 def _ends(capsule: Capsule) -> FloatArray:

@@ -20,6 +20,9 @@ LOOK_AHEAD = 3
 PATIENCE = 60
 """After so many visits without a straight way, one over other poses is taken."""
 
+MOST_PROBLEMS = 20
+"""Visits that one message lists."""
+
 REPETITION_PENALTY = 0.2
 """Share of the joint range by which a warm-up pose is less attractive after each visit to it."""
 
@@ -86,22 +89,26 @@ class Arrangement:
             PlanError: A visit cannot be reached.
         """
         remaining, spares = _ordered(program), list(program.spares)
-        since_reference = self.every
+        since_reference, last = self.every, ""
         while remaining:
             if since_reference >= self.every and (group := self._see_reference(here)):
                 yield from group
                 here, since_reference = group[-1].motion.q_end, 0
+                last = "the reference pose"
             if self.nearest_first and program.shuffle_seed is not None:
                 remaining = _by_distance(remaining, here)
             ahead = remaining if program.shuffle_seed is not None else remaining[:1]
             found = self._next(here, ahead)
             if found is None:
-                remaining, spares = _replaced(remaining, spares, ahead)
+                if len(spares) < len(ahead):
+                    raise self._out_of_reach(ahead, here, last)
+                n = len(ahead)
+                remaining, spares = spares[:n] + remaining[n:], spares[n:]
                 continue
             index, lines = found
             visit = remaining.pop(index)
             yield from _group(lines, visit)
-            here = visit.exit
+            here, last = visit.exit, visit.label
             since_reference += 1
         if since_reference:
             yield from self._see_reference(here)
@@ -113,16 +120,36 @@ class Arrangement:
             PlanError: A visit cannot be reached.
         """
         out: list[Action] = []
+        last = ""
         for visit in visits:
             lines = self.roadmap.way(here, visit.entry)
             if lines is None:
-                raise PlanError(
-                    f"{visit.label}: no clear way leads there from {_degrees(here)}",
-                    hint="make the range smaller, or give the obstacles of the station more room",
-                )
+                raise self._out_of_reach([visit], here, last)
             out += _group(lines, visit)
-            here = visit.exit
+            here, last = visit.exit, visit.label
         return out
+
+    def _out_of_reach(self, visits: Sequence[Visit], here: FloatArray, last: str) -> PlanError:
+        """Return the error for visits to which no clear way leads from `here` (n,).
+
+        Args:
+            visits: At least one.
+            here: Where the arm is.
+            last: What messages call that pose; empty for none.
+        """
+        workspace, start = self.workspace, last or f"the pose {_degrees(here)}"
+        problems = [
+            f"{visit.label}: no clear way leads there from {start}; on the straight one "
+            f"{workspace.obstacle([workspace.line(here, visit.entry)])}"
+            for visit in visits[:MOST_PROBLEMS]
+        ]
+        if len(visits) > MOST_PROBLEMS:
+            problems.append(f"… and {len(visits) - MOST_PROBLEMS} more")
+        return PlanError(
+            "\n".join(problems),
+            hint=f"{workspace.larger_space}drop these poses, or see whether the station's "
+            "surroundings are as described",
+        )
 
     def _next(self, here: FloatArray, visits: Sequence[Visit]) -> tuple[int, list[Line]] | None:
         """The first visit with a straight clear way, else the first with any way."""
@@ -147,14 +174,17 @@ class Arrangement:
         poses = self.roadmap.poses
         share = np.abs(poses - here) / (self.workspace.high - self.workspace.low)
         order = np.argsort(REPETITION_PENALTY * used - share.min(axis=1), kind="stable")
-        lines = [self.workspace.line(here, poses[i]) for i in order if share[i].min() > 0]
+        order = order[share[order].min(axis=1) > 0]
+        lines = [self.workspace.line(here, poses[i]) for i in order]
         found = self.workspace.first_clear(lines)
         if found is None:
+            why = f"; on the widest one {self.workspace.obstacle(lines[:1])}" if lines else ""
             raise PlanError(
-                "there is no room for a warm-up motion",
-                hint="set warm_up.duration_s to 0 or widen excitation.range_deg",
+                f"there is no room for a warm-up motion{why}",
+                hint=f"{self.workspace.larger_space}set warm_up.duration_s to 0 or widen "
+                "excitation.range_deg",
             )
-        return lines[found], int([i for i in order if share[i].min() > 0][found])
+        return lines[found], int(order[found])
 
 
 def _group(lines: Sequence[Line], visit: Visit) -> list[Action]:
@@ -177,18 +207,6 @@ def _ordered(program: Program) -> list[Visit]:
 def _by_distance(visits: Sequence[Visit], here: FloatArray) -> list[Visit]:
     """Return the visits in the order of the way that the joint with furthest to go has to go."""
     return sorted(visits, key=lambda visit: float(np.abs(visit.entry - here).max()))
-
-
-def _replaced(
-    remaining: list[Visit], spares: list[Visit], unreachable: Sequence[Visit]
-) -> tuple[list[Visit], list[Visit]]:
-    if len(spares) < len(unreachable):
-        raise PlanError(
-            "\n".join(f"{visit.label}: no clear way leads there" for visit in unreachable),
-            hint="drop these poses, or see whether the station's surroundings are as described",
-        )
-    n = len(unreachable)
-    return spares[:n] + remaining[n:], spares[n:]
 
 
 def _degrees(q: FloatArray) -> str:

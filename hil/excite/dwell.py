@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import PlanError, SpecError
+from hil.excite.motion import Motion
 from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Program, Visit, pose_visit
@@ -59,18 +60,32 @@ class DwellProgram:
         workspace = roadmap.workspace
         kept: list[FloatArray] = []
         seen = 0
-        for q in _in_pieces(draw_poses(workspace, self.spec.seed), max(32, count // 2)):
+        drawn = draw_poses(workspace, self.spec.seed, "dwell poses")
+        for q in _in_pieces(drawn, max(32, count // 2)):
             visits = self._visits(workspace, q[roadmap.seem_connected(q)])
             kept += [pose for pose, visit in visits if workspace.are_clear(visit.motions)]
             seen += len(q)
             if len(kept) >= count:
                 break
             if seen > MOST_TRIES_PER_POSE * count + MOST_TRIES:
-                raise PlanError(
-                    f"only {len(kept)} of {seen} clear poses can be reached and approached",
-                    hint="ask for fewer waypoints, a smaller approach_deg or a wider range_deg",
+                raise self._unreachable(
+                    roadmap, q, f"dwell poses: only {len(kept)} of {seen} clear poses"
                 )
         return [self._visit(workspace, q, f"pose {i}", i) for i, q in enumerate(kept[:count])]
+
+    def _unreachable(self, roadmap: Roadmap, poses: FloatArray, few: str) -> PlanError:
+        """Return the error for too `few` poses, with what is in the way of one of `poses`."""
+        connected = roadmap.seem_connected(poses)
+        ways: list[list[Motion]] = [
+            self._visit(roadmap.workspace, q, "", -1).motions if near else [roadmap.straight_to(q)]
+            for q, near in zip(poses, connected, strict=True)
+        ]
+        why = next(filter(None, map(roadmap.workspace.obstacle, ways)), "")
+        return PlanError(
+            f"{few} can be reached and approached" + (f"; on the way to one {why}" if why else ""),
+            hint=f"{roadmap.workspace.larger_space}ask for fewer waypoints, a smaller "
+            "approach_deg or a wider range_deg",
+        )
 
     def _visits(self, workspace: Workspace, poses: FloatArray) -> list[tuple[FloatArray, Visit]]:
         """Each of `poses` (m, n) with its visit; their distances are computed in one go."""
@@ -116,7 +131,8 @@ def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:
         if complaint := workspace.complaint(motion.q_start):
             return [f"{visit.label}: where the pose is approached from, {complaint}"]
     if not workspace.are_clear(visit.motions):
-        return [f"{visit.label}: the arm comes too close to something on its approach"]
+        return [f"{visit.label}: on its approach {workspace.obstacle(visit.motions)}"]
     if roadmap.way(roadmap.home, visit.entry) is None:
-        return [f"{visit.label}: no clear way leads there"]
+        straight = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
+        return [f"{visit.label}: no clear way leads there; on the straight one {straight}"]
     return []

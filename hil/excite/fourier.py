@@ -38,6 +38,9 @@ CANDIDATES = 6
 """Feasible draws among which the best conditioned one is kept."""
 
 MOST_DRAWS = 200
+
+SMALLEST = 0.1
+"""Share of its limits that a motion is drawn with at least where the flange is confined."""
 DRAWS_AT_ONCE = 12
 SCORED = 100
 """Samples the condition number is computed from; enough for ranking (facts measured on a UR5)."""
@@ -97,8 +100,8 @@ class FourierExcitation:
         """
         workspace = roadmap.workspace
         f_hz = fitting_frequency(self.spec, workspace.rate_hz)
-        for _ in range(0, MOST_DRAWS, DRAWS_AT_ONCE):
-            drawn = [self._draw(workspace, rng, f_hz) for _ in range(DRAWS_AT_ONCE)]
+        for share in _shares(workspace):
+            drawn = [self._draw(roadmap, rng, f_hz, share) for _ in range(DRAWS_AT_ONCE)]
             scales = coarse_scales(workspace, drawn, f_hz)
             for (coefficients, q0), scale in zip(drawn, scales, strict=True):
                 for smaller in SHRINKAGE[scale >= SHRINKAGE]:
@@ -106,23 +109,43 @@ class FourierExcitation:
                     if _is_possible(roadmap, series):
                         yield series
                         break
-        raise PlanError(
-            f"not even {CANDIDATES} of {MOST_DRAWS} random Fourier series keep "
-            f"{1e3 * workspace.clearance_m:.0f} mm from the table, the walls and the arm itself",
-            hint="lower excitation.amplitude_deg or set excitation.range_deg where there is room",
+        raise self._too_few(roadmap, drawn[-1])
+
+    def _too_few(self, roadmap: Roadmap, last: tuple[Coefficients, FloatArray]) -> PlanError:
+        """Return the error for too few clear series, with what is in the way of the `last` draw."""
+        workspace = roadmap.workspace
+        f_hz = fitting_frequency(self.spec, workspace.rate_hz)
+        smallest = last[0].about(last[1], float(SHRINKAGE[-1]), self.spec, f_hz)
+        why = workspace.obstacle([smallest])
+        draws = DRAWS_AT_ONCE * len(list(_shares(workspace)))
+        return PlanError(
+            f"not even {CANDIDATES} of {draws} random Fourier series keep "
+            f"{1e3 * workspace.clearance_m:.0f} mm from the table, the walls and the arm itself"
+            + (" and inside the workspace" if workspace.space is not None else "")
+            + (f"; on the last of them {why}" if why else ""),
+            hint=f"{workspace.larger_space}lower excitation.amplitude_deg or set "
+            "excitation.range_deg where there is room",
         )
 
     def _draw(
-        self, workspace: Workspace, rng: np.random.Generator, f_hz: float
+        self, roadmap: Roadmap, rng: np.random.Generator, f_hz: float, share: float | None
     ) -> tuple[Coefficients, FloatArray]:
-        """Random coefficients scaled to their limits, and a centre that keeps them in range."""
+        """Random coefficients scaled to their limits, and a centre that keeps them in range.
+
+        With a `share`, only to so much of the limits, and about a pose of the roadmap.
+        """
+        workspace = roadmap.workspace
         n, order = len(workspace.low), np.arange(1, self.spec.harmonics + 1)
         a, b = rng.standard_normal((2, n, self.spec.harmonics))
         a -= a.mean(axis=1, keepdims=True)
         b -= (b @ order / (order @ order))[:, None] * order
         scale = self._largest_scale(workspace, a, b, f_hz) * rng.uniform(0.7, 1.0, (n, 1))
+        scale *= 1.0 if share is None else share
         least, most = extent(a * scale, b * scale, f_hz)
-        q0 = rng.uniform(workspace.low - least, workspace.high - most)
+        low, high = workspace.low - least, workspace.high - most
+        q0 = rng.uniform(low, high)
+        if share is not None:
+            q0 = np.clip(rng.choice(roadmap.poses), low, high)
         return Coefficients(a * scale, b * scale), q0
 
     def _largest_scale(
@@ -140,6 +163,18 @@ class FourierExcitation:
         )
         smallest: FloatArray = np.min(factors, axis=0)
         return smallest[:, None]
+
+
+def _shares(workspace: Workspace) -> Iterator[float | None]:
+    """Yield, for each lot of draws, the share of the limits they are scaled to; None for all.
+
+    Few poses of the joint ranges keep a confined flange inside its space, so draws about any of
+    them may all fail. Then smaller and smaller motions are drawn about poses known to be inside.
+    """
+    lots = -(-MOST_DRAWS // DRAWS_AT_ONCE)
+    yield from [None] * lots
+    if workspace.space is not None:
+        yield from np.geomspace(1.0, SMALLEST, lots).tolist()
 
 
 def _is_possible(roadmap: Roadmap, series: FourierSeries) -> bool:

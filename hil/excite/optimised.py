@@ -71,6 +71,9 @@ class OptimisedSeries:
             PlanError: None is found.
         """
         number, problem = len(found) + 1, self.question.problem(found)
+        if self.roadmap.workspace.space is not None:
+            # Few poses of the joint ranges are inside the space; those of the roadmap are.
+            problem = replace(problem, centres=self.roadmap.poses)
         failure = PlanError(
             f"trajectory {number}: {ATTEMPTS} optimised motions keep their limits, but the arm "
             "cannot get to where they begin without coming too close to something",
@@ -110,6 +113,7 @@ class OptimisedSeries:
         workspace = self.roadmap.workspace
         return (
             _is_within(workspace, series)
+            and bool(workspace.depths([series])[0] >= self.question.clearance_m - TOLERANCE)
             and bool(workspace.clearances([series])[0] >= self.question.clearance_m - TOLERANCE)
             and self.roadmap.way(self.roadmap.home, series.q_start) is not None
         )

@@ -118,6 +118,7 @@ class Question:
             rotor=asked.rotor,
             friction=asked.friction,
             collision=self.setting.collision,
+            space=workspace.space,
             clearance_m=self.clearance_m,
         )
         return problem.after(*found) if found else problem

@@ -45,13 +45,10 @@ class Roadmap:
         look_clear = _symmetric(self._looks_clear(poses, poses))
         region = self._largest_region(poses, look_clear)
         if len(region) < 2:
-            raise PlanError(
-                "no clear motion leads from one pose to another",
-                hint="see whether the station's surroundings are as described",
-            )
+            raise _unconnected(workspace, poses)
         self.poses = poses[region]
         self._open = look_clear[np.ix_(region, region)]
-        self.home: FloatArray = self.poses[int(workspace.clearance(self.poses).argmax())]
+        self.home: FloatArray = self.poses[int(workspace.room(self.poses).argmax())]
 
     def seem_connected(self, q: FloatArray) -> BoolArray:
         """(N,) whether straight lines to near poses of the roadmap look clear for `q` (N, n)."""
@@ -60,6 +57,11 @@ class Roadmap:
         starts = np.repeat(q, near.shape[1], axis=0)
         looks = self.workspace.look_clear(starts, self.poses[near.ravel()])
         return np.asarray(looks.reshape(near.shape).any(axis=1))
+
+    def straight_to(self, q: FloatArray) -> Line:
+        """Return the straight line to `q` (n,) from the nearest pose of the roadmap."""
+        nearest = int(np.abs(self.poses - q).max(axis=1).argmin())
+        return self.workspace.line(self.poses[nearest], q)
 
     def way(self, start: FloatArray, goal: FloatArray) -> list[Line] | None:
         """Clear lines from `start` to `goal`: none needed is [], no way at all is None."""
@@ -113,6 +115,18 @@ class Roadmap:
                     open_[a, b] = open_[b, a] = False
         names, sizes = np.unique(region, return_counts=True)
         return np.flatnonzero(region == names[sizes.argmax()])
+
+
+def _unconnected(workspace: Workspace, poses: FloatArray) -> PlanError:
+    """Return the error for poses (M, n) of which no two are connected."""
+    everywhere = np.ones((len(poses), len(poses)), dtype=bool)
+    a, b = next(_by_length(poses, everywhere), (0, 0))
+    why = workspace.obstacle([workspace.line(poses[a], poses[b])])
+    return PlanError(
+        "no clear motion leads from one pose to another"
+        + (f"; between the nearest two {why}" if why else ""),
+        hint=f"{workspace.larger_space}see whether the station's surroundings are as described",
+    )
 
 
 def _by_length(poses: FloatArray, open_: BoolArray) -> Iterator[tuple[int, int]]:

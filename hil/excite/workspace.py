@@ -43,6 +43,40 @@ def beyond_range(
     )
 
 
+class Space(Protocol):
+    """Distances of the flange to the faces it has to stay inside (`hil.dynamics.flange`)."""
+
+    @property
+    def names(self) -> Sequence[tuple[str, str]]:
+        """(R,) point at the flange and face of each distance."""
+
+    @property
+    def reach(self) -> FloatArray:
+        """(R, n) metres that each distance can change per radian of each joint, at most."""
+
+    def distances(self, q: FloatArray) -> FloatArray:
+        """(R, N) distances [m] at `q` (N, n); negative beyond a face."""
+
+
+def outside(space: Space, q: FloatArray, required_m: float) -> str:
+    """Return which face of a space is nearest to the flange at `q` (n,), if nearer than required.
+
+    Args:
+        space: Where the flange has to stay.
+        q: (n,) joint position [rad].
+        required_m: Distance that is kept to every face.
+    """
+    distances = space.distances(q[None])[:, 0]
+    nearest = int(distances.argmin())
+    (point, face), depth = space.names[nearest], float(distances[nearest])
+    if depth >= required_m:
+        return ""
+    if depth < 0:
+        return f"the {point} is {-1e3 * depth:.1f} mm beyond {face}"
+    required = f"{1e3 * required_m:.1f} mm are required"
+    return f"the {point} is only {1e3 * depth:.1f} mm inside {face}, {required}"
+
+
 @dataclass(frozen=True, eq=False)
 class Workspace:
     """A robot in its surroundings, as excitation and plan see it.
@@ -52,11 +86,12 @@ class Workspace:
         q_min, q_max: The robot's position limits [rad], (n,).
         low, high: Range that excitation draws from [rad], (n,), inside the limits.
         collision: Distances of the arm with the largest payload of the experiment.
-        clearance_m: Distance that is kept to everything.
+        clearance_m: Distance that is kept to everything, and by the flange to the faces of `space`.
         velocity, acceleration, jerk: Limits for every joint [rad/s, rad/s², rad/s³].
         rate_hz: Command rate; motions are checked at each of its samples.
         condition: Condition number of the base regressor at q, qd, qdd, each (N, n); lets an
-            excitation choose between draws. None when nobody can say.
+            excitation choose between draws. None if it is not known.
+        space: What the flange must not leave; None if it may go anywhere.
     """
 
     joint_names: tuple[str, ...]
@@ -71,7 +106,9 @@ class Workspace:
     jerk: float
     rate_hz: float
     condition: Callable[[FloatArray, FloatArray, FloatArray], float] | None = None
+    space: Space | None = None
     _known: dict[Motion, float] = field(default_factory=dict, repr=False)
+    _known_depth: dict[Motion, float] = field(default_factory=dict, repr=False)
 
     def line(self, start: FloatArray, goal: FloatArray) -> Line:
         """The straight way from `start` to `goal`, each (n,)."""
@@ -86,8 +123,22 @@ class Workspace:
     def is_clear(self, q: FloatArray) -> BoolArray:
         """(N,) whether each of `q` (N, n) is within limits and keeps its distance."""
         clear = self.within_limits(q)
+        clear[clear] = self.depth(q[clear]) >= self.clearance_m
         clear[clear] = self.clearance(q[clear]) >= self.clearance_m
         return clear
+
+    def depth(self, q: FloatArray) -> FloatArray:
+        """Return how far [m] the flange is inside its space at each of `q` (N, n); (N,).
+
+        Negative outside, infinite without a space.
+        """
+        if self.space is None:
+            return np.full(len(q), np.inf)
+        return np.asarray(self.space.distances(q).min(axis=0))
+
+    def room(self, q: FloatArray) -> FloatArray:
+        """Return the smaller of `clearance` and `depth` at each of `q` (N, n); (N,) [m]."""
+        return np.minimum(self.clearance(q), self.depth(q))
 
     def clearance(self, q: FloatArray) -> FloatArray:
         """(N,) smallest distance [m] at each of `q` (N, n), computed in blocks."""
@@ -102,19 +153,21 @@ class Workspace:
 
         Every motion is computed once; asking again costs nothing.
         """
-        new = list(dict.fromkeys(motion for motion in motions if motion not in self._known))
-        for some in _in_blocks(new, self.rate_hz):
-            samples = [motion.sample(self.rate_hz).q for motion in some]
-            begins = np.cumsum([0, *map(len, samples[:-1])])
-            least = np.minimum.reduceat(self.clearance(np.concatenate(samples)), begins)
-            self._known.update(zip(some, map(float, least), strict=True))
-        return np.array([self._known[motion] for motion in motions])
+        return self._least(motions, self.clearance, self._known)
+
+    def depths(self, motions: Sequence[Motion]) -> FloatArray:
+        """Return the smallest `depth` over every sample of each motion; (len(motions),) [m]."""
+        if self.space is None:
+            return np.full(len(motions), np.inf)
+        return self._least(motions, self.depth, self._known_depth)
 
     def are_clear(self, motions: Sequence[Motion]) -> bool:
         """Whether motions keep their distance at every sample and have their ends within limits."""
         ends = np.array([end for motion in motions for end in (motion.q_start, motion.q_end)])
         return bool(
-            self.within_limits(ends).all() and np.all(self.clearances(motions) >= self.clearance_m)
+            self.within_limits(ends).all()
+            and np.all(self.depths(motions) >= self.clearance_m)
+            and np.all(self.clearances(motions) >= self.clearance_m)
         )
 
     def look_clear(self, starts: FloatArray, goals: FloatArray) -> BoolArray:
@@ -142,6 +195,23 @@ class Workspace:
         """What is wrong with the position `q` (n,), or an empty string."""
         if beyond := beyond_range(q, self.joint_names, self.q_min, self.q_max):
             return beyond
+        beyond_face = outside(self.space, q, self.clearance_m) if self.space else ""
+        return "; ".join(filter(None, (beyond_face, self._too_close(q))))
+
+    def obstacle(self, motions: Sequence[Motion]) -> str:
+        """Return what is wrong where at least one motion has least room, or an empty string."""
+        q = np.concatenate([motion.sample(self.rate_hz).q for motion in motions])
+        return self.complaint(q[int(self.room(q).argmin())])
+
+    @property
+    def larger_space(self) -> str:
+        """Return how hints begin where the flange is confined; empty where it is not."""
+        if self.space is None:
+            return ""
+        return "move that side of the workspace interlock outwards, or "
+
+    def _too_close(self, q: FloatArray) -> str:
+        """Return which bodies are too close to each other at `q` (n,)."""
         distance, bodies = self.collision.closest(q)
         if distance >= self.clearance_m:
             return ""
@@ -151,6 +221,21 @@ class Workspace:
             else f"in collision ({-1e3 * distance:.1f} mm deep)"
         )
         return f"{' and '.join(bodies)} are {state}"
+
+    def _least(
+        self,
+        motions: Sequence[Motion],
+        measure: Callable[[FloatArray], FloatArray],
+        known: dict[Motion, float],
+    ) -> FloatArray:
+        """Return the least of `measure` over every sample of each motion, from `known` if there."""
+        new = list(dict.fromkeys(motion for motion in motions if motion not in known))
+        for some in _in_blocks(new, self.rate_hz):
+            samples = [motion.sample(self.rate_hz).q for motion in some]
+            begins = np.cumsum([0, *map(len, samples[:-1])])
+            least = np.minimum.reduceat(measure(np.concatenate(samples)), begins)
+            known.update(zip(some, map(float, least), strict=True))
+        return np.array([known[motion] for motion in motions])
 
 
 def _in_blocks(motions: Sequence[Motion], rate_hz: float) -> Iterator[list[Motion]]:

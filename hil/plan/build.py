@@ -60,7 +60,7 @@ def build_plan(
     """
     arm = plannable_arm(station_robot)
     rate = rate_hz or arm.rate_hz
-    if problems := excesses(spec, arm, rate):
+    if problems := excesses(spec, arm, rate, station_robot.surroundings.clearance_m):
         raise SpecError(
             "\n".join(map(str, problems)), hint="change these values, or take another robot"
         )
@@ -68,13 +68,17 @@ def build_plan(
     roadmap = roadmap_of(workspace)
     start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
     setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
+    # What takes long comes last: a program may take minutes to be optimised.
+    whole, dwells = part is None or not part.shortened, isinstance(spec.excitation, Dwell)
+    gravity = station_robot.gravity_m_s2
+    weighing = weigh_visits(spec, arm, gravity, roadmap) if whole else ()
+    reference = _reference(spec, roadmap, roadmap.home) if whole and not dwells else None
     program = program_of(spec, roadmap, setting, folder or Path())
-    if part is not None and part.shortened:
-        arrangement = Arrangement(roadmap, nearest_first=True)
-    else:
-        reference = _reference(spec, roadmap, program)
-        weighing = weigh_visits(spec, arm, station_robot.gravity_m_s2, roadmap)
-        arrangement = Arrangement(roadmap, reference, spec.reference.every, weighing)
+    if whole and dwells:
+        reference = _reference(spec, roadmap, program.visits[0].exit)
+    arrangement = Arrangement(
+        roadmap, reference, spec.reference.every, weighing, nearest_first=not whole
+    )
     warm_up_s = spec.warm_up.duration_s if part is None else 0.0
     plan = Plan(
         name=spec.name,
@@ -101,7 +105,7 @@ def _complete(
     margins = margins_of(plan.steps, plan.loads, arm, station_robot.gravity_m_s2, workspace)
     sizes = [load.size_m for load in plan.loads]
     margins |= interlock_margins(
-        spec.interlocks, arm, sizes, plan.motions, workspace.rate_hz, margins["clearance_m"]
+        spec.interlocks, arm, sizes, plan.steps, workspace.rate_hz, margins["clearance_m"]
     )
     assert workspace.condition is not None
     return replace(
@@ -112,12 +116,11 @@ def _complete(
     )
 
 
-def _reference(spec: ExperimentSpec, roadmap: Roadmap, program: Program) -> Visit | None:
-    """The reference visit: the pose of the spec, the first of a dwell program, or home."""
+def _reference(spec: ExperimentSpec, roadmap: Roadmap, q: FloatArray) -> Visit | None:
+    """The reference visit: the pose of the spec, else `q` (n,), or None for none."""
     if spec.reference.every == 0:
         return None
     dwell = spec.excitation if isinstance(spec.excitation, Dwell) else None
-    q = program.visits[0].exit if dwell else roadmap.home
     if spec.reference.q_deg is not None:
         q = np.radians(np.array(spec.reference.q_deg))
     approach = dwell.approach if dwell else "both"
@@ -127,11 +130,14 @@ def _reference(spec: ExperimentSpec, roadmap: Roadmap, program: Program) -> Visi
     for motion in visit.motions:
         if complaint := workspace.complaint(motion.q_start):
             raise SpecError(
-                f"reference.q_deg: {complaint}", hint="choose a pose with more room around it"
+                f"reference.q_deg: {complaint}",
+                hint=f"{workspace.larger_space}choose a pose with more room around it",
             )
     if roadmap.way(roadmap.home, visit.entry) is None:
+        why = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
         raise PlanError(
-            "no clear way leads to the reference pose", hint="choose another reference.q_deg"
+            f"no clear way leads to the reference pose; on the straight one {why}",
+            hint=f"{workspace.larger_space}choose another reference.q_deg",
         )
     return visit
 

@@ -16,6 +16,7 @@ from hil.excite.setting import Computes, Setting, Watch, unwatched
 from hil.excite.visit import Excitation, Program
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.interlocks import WorkspaceInterlock
 from hil.spec.station import StationRobot
 
 
@@ -68,7 +69,8 @@ def setting_of(
         effort_max=arm.effort_max,
         loads=tuple(load.payload() for load in spec.loads),
         collision=collision,
-        identity={
+        identity=_confined(spec)
+        | {
             "arm": {name: _plain(getattr(arm, name)) for name in _names(arm)},
             "surroundings": station_robot.surroundings.model_dump(mode="json"),
             "loads": [load.model_dump(mode="json", exclude={"prompt"}) for load in spec.loads],
@@ -76,6 +78,16 @@ def setting_of(
         cache=user_cache() if cache is None else cache,
         watch=watch,
     )
+
+
+def _confined(spec: ExperimentSpec) -> dict[str, Any]:
+    """Return what confines the flange, and nothing if it may go anywhere."""
+    confining = [
+        interlock.model_dump(mode="json")
+        for interlock in spec.interlocks
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled
+    ]
+    return {"workspace": confining} if confining else {}
 
 
 def _names(arm: ArmDescription) -> list[str]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
 from hil.errors import PlanError
-from hil.excite.motion import Motion
+from hil.plan.plan import Step
 from hil.plan.surroundings import BodySize
 from hil.spec.interlocks import ClearanceInterlock, Interlock, WorkspaceInterlock
 
@@ -30,15 +31,37 @@ def flange_space(
     """
     from hil.dynamics.flange import FlangeSpace
 
-    tip = max((size[0] for size in sizes if size is not None), default=0.0)
-    return FlangeSpace(arm, _faces(space), tip)
+    return FlangeSpace(arm, _faces(space), _tip_m(sizes))
+
+
+def declared_space(
+    interlocks: Sequence[Interlock], arm: ArmDescription, sizes: Sequence[BodySize | None]
+) -> FlangeSpace | None:
+    """Return the space that all workspace interlocks of a spec leave to the flange, if any does.
+
+    Its faces are named by their interlocks: `x of max_m (interlocks.1)`.
+
+    Args:
+        interlocks: Of the spec.
+        arm: The arm.
+        sizes: Of each load's body, None where it is not known.
+    """
+    from hil.dynamics.flange import FlangeSpace
+
+    faces = [
+        replace(face, name=f"{face.name} (interlocks.{number})")
+        for number, interlock in enumerate(interlocks)
+        if isinstance(interlock, WorkspaceInterlock) and interlock.enabled
+        for face in _faces(interlock)
+    ]
+    return FlangeSpace(arm, faces, _tip_m(sizes)) if faces else None
 
 
 def interlock_margins(
     interlocks: Sequence[Interlock],
     arm: ArmDescription,
     sizes: Sequence[BodySize | None],
-    motions: Sequence[Motion],
+    steps: Sequence[Step],
     rate_hz: float,
     clearance_m: float,
 ) -> dict[str, float]:
@@ -48,20 +71,21 @@ def interlock_margins(
         interlocks: Of the spec.
         arm: The arm.
         sizes: Of each load's body.
-        motions: All motions of the plan.
-        rate_hz: At which they are sampled.
+        steps: Of the plan.
+        rate_hz: At which motions are sampled.
         clearance_m: Smallest distance of the plan to anything.
 
     Raises:
         PlanError: The motion itself trips an interlock; all that it trips are listed.
     """
+    moving = [step for step in steps if step.motion is not None]
     margins: list[float] = []
     problems: list[str] = []
     for number, interlock in enumerate(interlocks):
         problem = ""
         if isinstance(interlock, WorkspaceInterlock) and interlock.enabled:
             space = flange_space(arm, interlock, sizes)
-            least, problem = _least(space, motions, rate_hz)
+            least, problem = _least(space, moving, rate_hz)
             margins.append(least)
         elif isinstance(interlock, ClearanceInterlock) and interlock.enabled:
             problem = _too_close(interlock, clearance_m)
@@ -70,23 +94,24 @@ def interlock_margins(
     if problems:
         raise PlanError(
             "\n".join(problems),
-            hint="change these entries, or keep the motion away: excitation.range_deg, and walls "
-            "in the station's surroundings",
+            hint="change these entries, or keep the motion away: excitation.range_deg, or the "
+            "poses of its file",
         )
     return {"workspace_m": min(margins)} if margins else {}
 
 
-def _least(space: FlangeSpace, motions: Sequence[Motion], rate_hz: float) -> tuple[float, str]:
-    """The smallest distance to a face, and what is wrong with it."""
+def _least(space: FlangeSpace, steps: Sequence[Step], rate_hz: float) -> tuple[float, str]:
+    """The smallest distance of steps that move to a face, and what is wrong with it."""
     from hil.dynamics.path_search import least_along
 
-    paths = [motion.sample(rate_hz).q for motion in motions]
+    paths = [step.motion.sample(rate_hz).q for step in steps if step.motion is not None]
     found = [least_along(q, space.distances, space.reach) for q in paths]
     at, (least, sample) = min(enumerate(found), key=lambda item: item[1][0])
     if least >= 0:
         return least, ""
     point, face = space.names[int(space.distances(paths[at][[sample]])[:, 0].argmin())]
-    return least, f"the plan takes the {point} {-1e3 * least:.1f} mm beyond {face}"
+    place = f"step {steps[at].index} ({steps[at].kind})"
+    return least, f"{place} takes the {point} {-1e3 * least:.1f} mm beyond {face}"
 
 
 def _too_close(interlock: ClearanceInterlock, clearance_m: float) -> str:
@@ -96,6 +121,11 @@ def _too_close(interlock: ClearanceInterlock, clearance_m: float) -> str:
         f"least_m is {interlock.least_m:g}, but the plan itself comes as close as "
         f"{clearance_m:.4f} m to something"
     )
+
+
+def _tip_m(sizes: Sequence[BodySize | None]) -> float:
+    """Return how far the longest load reaches beyond the flange."""
+    return max((size[0] for size in sizes if size is not None), default=0.0)
 
 
 def _faces(space: WorkspaceInterlock) -> list[Plane]:

@@ -7,27 +7,37 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.excite.workspace import outside
+from hil.plan.interlocks import declared_space
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
+from hil.spec.interlocks import Interlock, WorkspaceInterlock
 from hil.spec.judgeable import Excess
 from hil.spec.source import Path
 from hil.typing import FloatArray
 
 TOLERANCE = 1e-9
 
+SOME_POSES = 16384
+"""Poses of which at least one has to be inside a workspace: planning needs several in as many."""
 
-def excesses(spec: ExperimentSpec, arm: ArmDescription, robot_hz: float) -> list[Excess]:
+
+def excesses(
+    spec: ExperimentSpec, arm: ArmDescription, robot_hz: float, clearance_m: float
+) -> list[Excess]:
     """One for every value of `spec` that the robot cannot do.
 
     Args:
         spec: What is asked.
         arm: The limits.
         robot_hz: Rate at which the robot takes set-points and reports its state.
+        clearance_m: Distance that the station keeps to everything.
     """
+    ranges = [*_beyond_range(spec.excitation, arm), *_reference(spec, arm)]
     return [
         *_other_rate(spec, robot_hz),
         *_too_fast(spec.excitation, arm),
-        *_beyond_range(spec.excitation, arm),
-        *_reference(spec, arm),
+        *ranges,
+        *([] if ranges else _confined(spec, arm, clearance_m)),
         *(
             Excess(
                 ("loads", i, "mass_kg"),
@@ -97,6 +107,50 @@ def _reference(spec: ExperimentSpec, arm: ArmDescription) -> Iterator[Excess]:
         return
     for i, angle in enumerate(q_deg):
         yield from _outside(("reference", "q_deg", i), (angle,), i, arm)
+
+
+def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> Iterator[Excess]:
+    """Yield what the workspace interlocks leave no room for, as far as it shows without a plan."""
+    space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
+    if space is None:
+        return
+    if narrow := list(_too_narrow(spec.interlocks, clearance_m)):
+        yield from narrow
+        return
+    low, high = draw_range(spec.excitation, arm)
+    some = low + np.random.default_rng(0).uniform(size=(SOME_POSES, arm.n_joints)) * (high - low)
+    nearest = some[int(space.distances(some).min(axis=0).argmax())]
+    if complaint := outside(space, nearest, clearance_m):
+        yield Excess(
+            ("interlocks",),
+            f"none of {SOME_POSES} poses from the joint ranges is inside the workspace: at the "
+            f"nearest {complaint}",
+        )
+    if spec.reference.q_deg is not None and (
+        complaint := outside(space, np.radians(np.array(spec.reference.q_deg)), clearance_m)
+    ):
+        yield Excess(("reference", "q_deg"), complaint)
+
+
+def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator[Excess]:
+    """Yield each axis on which no room is left between the sides of all boxes together."""
+    boxes = [
+        (number, entry)
+        for number, entry in enumerate(interlocks)
+        if isinstance(entry, WorkspaceInterlock) and entry.enabled
+    ]
+    for i, axis in enumerate("xyz"):
+        lows = [(box.min_m[i], number) for number, box in boxes if box.min_m is not None]
+        highs = [(box.max_m[i], number) for number, box in boxes if box.max_m is not None]
+        if not lows or not highs:
+            continue
+        (low, _), (high, number) = max(lows), min(highs)
+        if high - low <= 2 * clearance_m:
+            yield Excess(
+                ("interlocks", number, "max_m", i),
+                f"leaves {1e3 * (high - low):.0f} mm on {axis} from min_m; the station's "
+                f"clearance_m takes {1e3 * clearance_m:.0f} mm off either side",
+            )
 
 
 def _outside(path: Path, angles: Sequence[float], i: int, arm: ArmDescription) -> Iterator[Excess]:

@@ -9,6 +9,7 @@ from hil.errors import PlanError
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.workspace import Workspace
+from hil.plan.interlocks import declared_space
 from hil.plan.limits import draw_range
 from hil.plan.quality import condition_score
 from hil.plan.surroundings import collision_model
@@ -17,6 +18,10 @@ from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
 ROADMAP_POSES = 48
+CONFINED_ROADMAP_POSES = 96
+"""Where the flange is confined fewer straight lines are clear: below a height of 0.5 m 48 poses
+connect 37 % of the clear ones of a UR5, 96 connect 50 %, and 144 no more."""
+
 ROADMAP_SEED = 0
 
 
@@ -57,12 +62,14 @@ def workspace_of(
         jerk=float(np.radians(excitation.max_jerk_deg_s3)),
         rate_hz=rate_hz,
         condition=condition_score(arm, station_robot.gravity_m_s2, at_rest=at_rest),
+        space=declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads]),
     )
 
 
 def roadmap_of(workspace: Workspace) -> Roadmap:
     """How to get about in a workspace; the same one gives the same roadmap."""
-    return Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
+    poses = ROADMAP_POSES if workspace.space is None else CONFINED_ROADMAP_POSES
+    return Roadmap(workspace, roomy_poses(workspace, poses, ROADMAP_SEED))
 
 
 def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
@@ -84,7 +91,7 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
     if complaint:
         raise PlanError(
             f"the robot cannot leave its current pose safely: {complaint}",
-            hint="jog the robot to a pose with more room around it and plan again, or describe "
-            "the station's surroundings as they are",
+            hint="jog the robot to a pose with more room around it and plan again, "
+            f"{workspace.larger_space or 'or '}describe the station's surroundings as they are",
         )
     return start

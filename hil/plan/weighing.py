@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.errors import PlanError
+from hil.excite.motion import Motion
 from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Visit, pose_visit
@@ -92,8 +93,9 @@ def weigh_visits(
         chosen.append(visit)
     if not chosen:
         raise PlanError(
-            "there is no pose at which the loads could be weighed",
-            hint="widen excitation.range_deg, or set weigh: false",
+            "payload-check poses: there is none that can be held with every load, approached and "
+            "reached" + (f"; at the last one tried {why}" if (why := candidates.why) else ""),
+            hint=f"{roadmap.workspace.larger_space}widen excitation.range_deg, or set weigh: false",
         )
     return tuple(chosen)
 
@@ -135,6 +137,12 @@ class _Candidates:
         self._torque = self._columns @ static_parameters(self._heaviest)
         self._open = np.flatnonzero(bearable).tolist()
         self._chosen: list[int] = []
+        self._refused: list[Motion] = []
+
+    @property
+    def why(self) -> str:
+        """Return what was in the way at the last pose that could not be visited."""
+        return self._roadmap.workspace.obstacle(self._refused) if self._refused else ""
 
     def take_best(self, number: int) -> Visit | None:
         """The visit to the best pose left that can be reached, as pose `number`."""
@@ -161,14 +169,19 @@ class _Candidates:
             roadmap.workspace, q, "both", delta, label=label, kind="weigh", pose=number
         )
         if not roadmap.workspace.are_clear(visit.motions):
+            self._refused = visit.motions
             return None
-        return None if roadmap.way(roadmap.home, visit.entry) is None else visit
+        if roadmap.way(roadmap.home, visit.entry) is None:
+            self._refused = [roadmap.workspace.line(roadmap.home, visit.entry)]
+            return None
+        return visit
 
 
 def _drawn(roadmap: Roadmap) -> FloatArray:
     """(N, n) clear poses that look as if ways lead there."""
     drawn: list[FloatArray] = []
-    for block, _ in zip(draw_poses(roadmap.workspace, SEED), range(BLOCKS), strict=False):
+    blocks = draw_poses(roadmap.workspace, SEED, "payload-check poses")
+    for block, _ in zip(blocks, range(BLOCKS), strict=False):
         drawn.append(block[roadmap.seem_connected(block)])
         if sum(map(len, drawn)) >= ENOUGH:
             break

@@ -13,17 +13,25 @@ SHRINKAGE = (1.0, 0.7, 0.5, 0.3, 0.15)
 """Tried from the largest; a small motion has room to grow while it is improved."""
 
 
-def draw(linear: LinearLimits, others: MotionLimits, rng: np.random.Generator) -> FloatArray:
+def draw(
+    linear: LinearLimits,
+    others: MotionLimits,
+    rng: np.random.Generator,
+    centres: FloatArray | None = None,
+) -> FloatArray:
     """(n, f) free coefficients of a motion.
 
     Where limits besides the linear ones are given: the first draw that keeps them, or that of
-    `DRAWS` that exceeds them least.
+    `DRAWS` that exceeds them least. With `centres` (m, n) every draw is about one of them.
     """
     best, least = np.empty(0), np.inf
     for _ in range(DRAWS):
         free = within_linear_limits(linear, rng)
+        centre = None if centres is None else rng.choice(centres)
         for share in SHRINKAGE:
             smaller = free * np.r_[1.0, np.full(free.shape[1] - 1, share)]
+            if centre is not None:
+                smaller[:, 0] = np.clip(centre, *linear.centres(smaller))
             excess = float(others.excess(smaller).max(initial=-np.inf))
             if excess < least:
                 best, least = smaller, excess

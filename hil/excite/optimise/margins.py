@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.excite.motion import FourierSeries
 from hil.excite.optimise.linear_limits import POINTS_PER_HARMONIC
-from hil.excite.optimise.motion_limits import ClearanceLimit, Motion, torques
+from hil.excite.optimise.motion_limits import DistanceLimit, Motion, torques
 from hil.excite.optimise.result import Margins
 from hil.typing import FloatArray
 
@@ -30,9 +30,11 @@ def margins_of(problem: ExcitationProblem, series: FourierSeries, points: int = 
     grid, free = problem.basis.grid(points), problem.basis.coefficients(series).T
     q, qd, qdd, jerk = (part @ free for part in grid)
     motion = Motion(q, qd, qdd)
-    kept, bodies = None, None
+    kept, bodies, inside = None, None, None
     if problem.collision is not None:
-        kept, bodies = ClearanceLimit(problem).closest(motion)
+        kept, bodies = DistanceLimit(problem.collision, problem.clearance_m).closest(motion)
+    if problem.space is not None:
+        inside, _ = DistanceLimit(problem.space, problem.clearance_m).closest(motion)
     effort = None
     if problem.effort_max is not None:
         effort = _left(torques(problem.robot, motion), problem.limit("effort_max"))
@@ -46,6 +48,7 @@ def margins_of(problem: ExcitationProblem, series: FourierSeries, points: int = 
         effort=effort,
         clearance_m=kept,
         bodies=bodies,
+        space_m=inside,
     )
 
 

@@ -11,7 +11,7 @@ from hil.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel
-    from hil.excite.optimise.problem import ExcitationProblem
+    from hil.excite.optimise.problem import Distances, ExcitationProblem
 
 DISTANCE_SCALE_M = 0.1
 """An excess of 1 is so much too close, or all of a torque limit too much."""
@@ -85,12 +85,16 @@ class EffortLimit:
         )
 
 
-class ClearanceLimit:
-    """A distance kept between all bodies: a row for every pair of them."""
+class DistanceLimit:
+    """A distance kept between all bodies, or to all faces of a space: a row for each pair.
 
-    def __init__(self, problem: ExcitationProblem) -> None:
-        assert problem.collision is not None
-        self._model, self._kept = problem.collision, problem.clearance_m
+    Args:
+        model: Gives the distances.
+        kept_m: The least allowed.
+    """
+
+    def __init__(self, model: Distances, kept_m: float) -> None:
+        self._model, self._kept = model, kept_m
 
     def excess(self, at: Motion) -> FloatArray:
         """(R, N) of `DISTANCE_SCALE_M`."""
@@ -122,6 +126,21 @@ class ClearanceLimit:
         )
 
 
+class SpaceLimit(DistanceLimit):
+    """The flange inside its space."""
+
+    def complaint(self, at: Motion) -> str:
+        """Return the face that is furthest overstepped."""
+        beyond, (point, face) = self.closest(at)
+        depth = beyond + self._kept
+        if depth < 0:
+            return f"the {point} goes {-1e3 * depth:.0f} mm beyond {face}"
+        return (
+            f"the {point} stays only {1e3 * depth:.0f} mm inside {face} where "
+            f"{1e3 * self._kept:.0f} mm are kept"
+        )
+
+
 class MotionLimits:
     """All limits of a problem that are not linear, on a grid of one period.
 
@@ -135,7 +154,9 @@ class MotionLimits:
         if problem.effort_max is not None:
             self.limits.append(EffortLimit(problem))
         if problem.collision is not None:
-            self.limits.append(ClearanceLimit(problem))
+            self.limits.append(DistanceLimit(problem.collision, problem.clearance_m))
+        if problem.space is not None:
+            self.limits.append(SpaceLimit(problem.space, problem.clearance_m))
         self.reserve = np.full(len(self.limits), RESERVE)
         self._basis = problem.basis
         self._points = POINTS_PER_HARMONIC * problem.harmonics

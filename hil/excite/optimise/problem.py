@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -29,10 +30,18 @@ LEAST_HARMONICS = 2
 
 
 class Distances(Protocol):
-    """What is needed of a collision model (`hil.dynamics.collision.CollisionModel`)."""
+    """Distances that follow from the joint positions.
 
-    names: list[tuple[str, str]]
-    reach: FloatArray
+    `hil.dynamics.collision.CollisionModel` and `hil.dynamics.flange.FlangeSpace` are such.
+    """
+
+    @property
+    def names(self) -> Sequence[tuple[str, str]]:
+        """(R,) between which two things."""
+
+    @property
+    def reach(self) -> FloatArray:
+        """(R, n) metres that each can change per radian of each joint, at most."""
 
     def distances(self, q: FloatArray) -> FloatArray:
         """(R, N) distance of every pair of bodies at every sample [m], for `q` (N, n)."""
@@ -62,7 +71,9 @@ class ExcitationProblem:
         earlier: (k, b) rows that carry the information of earlier trajectories: their regressor or
             a triangle of it, columns as in `columns`. None for none. See `after`.
         collision: Distances of the arm with its load, None for no check.
-        clearance_m: Distance that is kept to everything.
+        space: Distances of the flange to the faces it stays inside, None if it may go anywhere.
+        clearance_m: Distance that is kept to everything, those faces included.
+        centres: (m, n) poses that a search may begin about; None for any in the position box.
         base: Base parameters to be used instead of `hil.dynamics.base_parameters`.
         samples: Of the objective's grid; 0 for `SAMPLES_PER_HARMONIC` per harmonic.
 
@@ -87,7 +98,9 @@ class ExcitationProblem:
     sign_width: float = 0.01
     earlier: FloatArray | None = None
     collision: Distances | None = None
+    space: Distances | None = None
     clearance_m: float = 0.0
+    centres: FloatArray | None = None
     base: BaseParameters | None = None
     samples: int = 0
 

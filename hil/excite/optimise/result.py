@@ -77,6 +77,8 @@ class Margins:
         jerk, effort: (n,) the same, None where there is no limit.
         clearance_m: Distance beyond what is kept, None where it is not checked.
         bodies: Between which two bodies that is.
+        space_m: Distance of the flange to the faces of its space beyond what is kept, None if it
+            may go anywhere.
     """
 
     position_rad: FloatArray
@@ -86,13 +88,14 @@ class Margins:
     effort: FloatArray | None = None
     clearance_m: float | None = None
     bodies: tuple[str, str] | None = None
+    space_m: float | None = None
 
     @property
     def feasible(self) -> bool:
         """Whether no limit is exceeded."""
         shares = (self.velocity, self.acceleration, self.jerk, self.effort, self.position_rad)
         least = min(float(np.min(share)) for share in shares if share is not None)
-        return min(least, self.clearance_m or 0.0) >= -ROUNDING
+        return min(least, self.clearance_m or 0.0, self.space_m or 0.0) >= -ROUNDING
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -101,7 +104,8 @@ class Margins:
             value = getattr(self, name)
             out[name] = None if value is None else [float(x) for x in value]
         bodies = None if self.bodies is None else list(self.bodies)
-        return out | {"clearance_m": self.clearance_m, "bodies": bodies}
+        distances = {"clearance_m": self.clearance_m, "space_m": self.space_m}
+        return out | distances | {"bodies": bodies}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

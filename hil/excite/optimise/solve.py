@@ -96,7 +96,7 @@ class _Attempt:
         self._problem, self._seed, self._iterations = problem, seed, iterations
         self._value_of, self._others = ValueOf(problem), MotionLimits(problem)
         linear, rng = LinearLimits(problem), np.random.default_rng(seed)
-        free = draw(linear, self._others, rng)
+        free = draw(linear, self._others, rng, problem.centres)
         self._found: FloatArray | None = None
         self._value = np.inf
         tale.begins(seed[1])
