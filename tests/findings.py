@@ -258,6 +258,41 @@ def programs_that_must_fail(folder: Path) -> str:
 
 # ---- A4 workspace -------------------------------------------------------------------------------
 
+
+@finding("A4", "workspace")
+def workspace(folder: Path) -> str:
+    page = (REPOSITORY / "docs/tutorial/first-real-ur5.md").read_text("utf-8")
+    files = dict(re.findall(r"<!-- file: (\S+) -->\n```yaml\n(.*?)```", page, re.S))
+    shelf = "      boxes:\n        - {name: shelf"
+    assert shelf in files["station.yaml"], "the station of the tutorial has no shelf any more"
+    bare = re.sub(r"      boxes:\n        - \{name: shelf.*\n", "", files["station.yaml"])
+    small = re.sub(
+        r"min_m: .*, max_m: .*\]",
+        "min_m: [0.3, 0, 0.3], max_m: [0.5, 0.2, 0.5]",
+        files["first.yaml"],
+    )
+    for name, text in (files | {"bare.yaml": bare, "small.yaml": small}).items():
+        (folder / name).write_text(text)
+    said = []
+    for name, station in (("on a bare table", "bare.yaml"), ("with the shelf", "station.yaml")):
+        plan = hil("plan", "first.yaml", "--station", station, "--json", cwd=folder)
+        assert plan.returncode == 0, last_line(plan.stderr)
+        margins = json.loads(plan.stdout)["margins"]
+        distances = {key: 1e3 * margins[key] for key in ("clearance_m", "workspace_m")}
+        assert min(distances.values()) >= 50.0, f"{name}: {distances}"
+        said.append(
+            name + " {clearance_m:.0f} mm clear and {workspace_m:.0f} mm inside".format(**distances)
+        )
+    began = time.monotonic()
+    refused = hil("plan", "small.yaml", "--station", "bare.yaml", cwd=folder)
+    took_s = time.monotonic() - began
+    assert refused.returncode == 2, f"exit {refused.returncode} in a box of 0.2 m"
+    assert re.search(r"\d mm (beyond|inside) [xyz] of (min|max)_m", refused.stderr), refused.stderr
+    return f"plans {', '.join(said)}; a box of 0.2 m is refused in {took_s:.1f} s: " + next(
+        line for line in refused.stderr.splitlines() if "mm" in line
+    )
+
+
 # ---- B1 registry log ----------------------------------------------------------------------------
 
 

@@ -137,7 +137,10 @@ class TorqueInterlock(Strict):
 
 
 class WorkspaceInterlock(Strict):
-    """Stop when the flange, or the tip of a payload of known size, leaves this space."""
+    """Stop when the flange, or the tip of a payload of known size, leaves this space.
+
+    Motions are planned inside it, by the station's `clearance_m`.
+    """
 
     kind: Literal["workspace"] = Field(description="Watches where the flange is.")
     min_m: Vector3 | None = Field(
