@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -69,6 +69,49 @@ def hil(
 def last_line(text: str) -> str:
     """Return the last line that is not empty."""
     return next((line for line in reversed(text.splitlines()) if line.strip()), "").strip()
+
+
+def wait_for(what: Callable[[], Any], name: str, within_s: float = 120.0) -> Any:
+    """Return what a look brings as soon as it brings something."""
+    until = time.monotonic() + within_s
+    while True:
+        with contextlib.suppress(OSError, ValueError):
+            if answer := what():
+                return answer
+        assert time.monotonic() < until, f"{name} has not come within {within_s:g} s"
+        time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def mock_ur(address: str, journal: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a mock UR controller in a process of its own."""
+    command = ["-m", "hil", "mock", "ur", "--address", address, "--journal", str(journal), *more]
+    mock = subprocess.Popen(
+        [sys.executable, *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert mock.stdout is not None
+        assert "ready" in mock.stdout.readline()
+        yield mock
+    finally:
+        mock.terminate()
+        mock.wait(20.0)
+
+
+def hil_in_background(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
+    """Start the command line without waiting for its end."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "hil", *map(str, arguments)],
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"NO_COLOR": "1", "COLUMNS": "100"},
+    )
 
 
 # ---- A1 commissioning ---------------------------------------------------------------------------
@@ -413,6 +456,45 @@ def odd_names(folder: Path) -> str:
 
 # ---- B4 speed slider ----------------------------------------------------------------------------
 
+
+@finding("B4", "speed slider")
+def _slider_lowered(folder: Path) -> str:
+    import rtde_io
+
+    address = "127.0.0.92"
+    station = REPOSITORY / "experiments" / "stations" / "ur5_rtde_mock.yaml"
+    text = station.read_text("utf-8").replace("127.0.0.1", address)
+    (folder / "station.yaml").write_text(text, "utf-8")
+    spec = REPOSITORY / "experiments" / "ci_dwell_12.yaml"
+    with mock_ur(address, folder / "journal.jsonl", "--speed", "4"):
+        less = ("--set", "fit=[]", "--set", "warm_up.duration_s=0")
+        asked = ("run", spec, "--station", "station.yaml", "--runs", "runs", *less)
+        run = hil_in_background(*asked, cwd=folder)
+        wait_for(lambda: '"movej"' in (folder / "journal.jsonl").read_text(), "a first move")
+        slider = rtde_io.RTDEIOInterface(address)
+        assert slider.setSpeedSlider(0.7)
+        (run_at,) = wait_for(lambda: list((folder / "runs").glob("*/*/0*")), "the run's folder")
+        log = run_at / "events.jsonl"
+        wait_for(lambda: '"paused"' in log.read_text(), "a pause")
+        assert slider.setSpeedSlider(1.0)
+        slider.disconnect()
+        run.communicate(timeout=300.0)
+        stop = json.loads((run_at / "stop.json").read_text())
+        resumed = hil("resume", run_at, cwd=folder)
+    shares = [
+        event["share"]
+        for event in map(json.loads, log.read_text().splitlines())
+        if event["kind"] == "speed_scaling"
+    ]
+    assert run.returncode == 7, f"exit {run.returncode}: {stop['reason']}"
+    assert "another speed than planned" in stop["reason"], stop["reason"]
+    assert shares == [0.7, 1.0], f"events {shares}"
+    page = (run_at / "report.html").read_text("utf-8")
+    assert "speed slider" in page, "the report says nothing"
+    assert resumed.returncode == 0, last_line(resumed.stderr)
+    return f"paused, exit 7, {stop['reason']!r}, events {shares}; hil resume: exit 0"
+
+
 # ---- B5 suspended process -----------------------------------------------------------------------
 
 # ---- B6 killed between verdict and report -------------------------------------------------------
@@ -611,15 +693,7 @@ def yaml_aliases(folder: Path) -> str:
 @finding("B11", "mock UR controller behind the wall clock")
 def _mock_behind(folder: Path) -> str:
     journal, address = folder / "journal.jsonl", "127.0.0.91"
-    mock = subprocess.Popen(
-        [sys.executable, "-m", "hil", "mock", "ur", "--address", address, "--journal", journal],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert mock.stdout is not None
-        assert "ready" in mock.stdout.readline()
+    with mock_ur(address, journal) as mock:
         for _ in range(4):  # it gets 0.2 s of every 2.2 s, as on a computer that is too busy
             mock.send_signal(signal.SIGSTOP)
             time.sleep(2.0)
@@ -627,9 +701,8 @@ def _mock_behind(folder: Path) -> str:
             time.sleep(0.2)
         asked = ("mock", "ur", "tell", "--address", address, "state")
         state = json.loads(hil(*asked, cwd=folder).stdout)
-    finally:
-        mock.terminate()
-        _, said = mock.communicate(timeout=20.0)
+    assert mock.stderr is not None
+    said = mock.stderr.read()
     slips = [line for line in journal.read_text().splitlines() if '"slip"' in line]
     lines = [line for line in said.splitlines() if "behind the wall clock" in line]
     assert state["behind_s"] > 6.0, f"behind_s {state['behind_s']}"

@@ -46,6 +46,16 @@ class Kinematic(KinematicRobot):
         return super().set_payload(payload)
 
 
+class WithSlider(Kinematic):
+    """Reports the speed slider of its controller, which is lowered with the first read."""
+
+    speed_scaling = float("nan")
+
+    def read(self, timeout_s: float = 1.0) -> StructArray:
+        self.speed_scaling = 0.7
+        return super().read(timeout_s)
+
+
 class JointOnFire(RobotFault):
     """A class of errors that only the driver knows."""
 

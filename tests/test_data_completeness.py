@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hil.data.completeness import dwell_is_over, dwell_settles, step_is_complete
+from hil.data.completeness import (
+    completeness_of,
+    dwell_is_over,
+    dwell_settles,
+    step_is_complete,
+)
 from hil.engine.dwell import DwellWatch
 from hil.excite.motion import FourierSeries
 from hil.plan.plan import DwellRule, Plan, Step
+from hil.record.topic import STATE_TOPIC, state_topic
+from hil.record.writer import McapWriter
 from hil.robot.state import Status, state_dtype
 from hil.typing import FloatArray, StructArray
 
@@ -78,3 +87,22 @@ def test_one_with_a_long_hole_is_not_and_one_with_a_lost_sample_is() -> None:
     step, plan, rows = trajectory()
     assert not step_is_complete(step, np.delete(rows, slice(100, 140)), plan)
     assert step_is_complete(step, np.delete(rows, 100), plan)
+
+
+def recorded(rows: StructArray, path: Path) -> Path:
+    with McapWriter(path, [state_topic(6, RATE, clock="wall", effort_unit="A")]) as writer:
+        writer.write(STATE_TOPIC, rows)
+    return path
+
+
+@pytest.mark.parametrize("marked", [slice(0, 1), slice(200, None)])
+def test_what_was_measured_at_another_speed_than_planned_is_to_be_measured_again(
+    marked: slice, tmp_path: Path
+) -> None:
+    step, plan, rows = trajectory()
+    rows["segment"], rows["host_time"] = step.index, rows["device_time"]
+    assert completeness_of(plan, [recorded(rows, tmp_path / "00.mcap")]).missing == ()
+    rows["status"][marked] |= int(Status.SLOWED)
+    complete = completeness_of(plan, [recorded(rows, tmp_path / "01.mcap")])
+    assert complete.missing == (step.index,)
+    assert complete.slowed == {step.index}

@@ -113,9 +113,10 @@ def test_dwells_that_ran_into_their_time_out_are_marked(tmp_path) -> None:
     assert [c.settled for c in data.of_kind("dwell").conditions] == [True, False]
 
 
-def test_masked_rows_and_repeated_stamps_are_left_out(tmp_path) -> None:
+@pytest.mark.parametrize("bit", [Status.MASKED, Status.SLOWED])
+def test_unusable_rows_and_repeated_stamps_are_left_out(tmp_path, bit: Status) -> None:
     block = rows(FULL)
-    block["status"][100:103] = int(Status.MASKED)
+    block["status"][100:103] |= int(bit)
     block["device_time"][110] = block["device_time"][109]
     data = load_source(run_with(tmp_path, block)).of_kind("trajectory")
     assert len(data) == 96

@@ -26,7 +26,10 @@ name: demo
 robot: ur5
 excitation: {kind: dwell, waypoints: 20}
 """
-ALL = ["tracking_error", "temperature", "torque", "clearance", "stale", "recorder", "disk"]
+ALL = [
+    *("tracking_error", "temperature", "torque", "clearance", "stale", "recorder", "disk"),
+    "speed_scaling",
+]
 
 PLUGIN = """
 import numpy as np

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import os
 import signal
 import subprocess
@@ -29,7 +30,7 @@ from hil.errors import (
     SpecError,
 )
 from hil.payload import Payload
-from hil.robot import HasChecks, HasResource, HasTopics, Robot
+from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
 from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
@@ -319,3 +320,13 @@ def test_a_stop_while_connecting_refuses_and_closes(
     assert robot.process is None
     robot.connect()
     assert len(robot.read())
+
+
+def test_the_speed_scaling_of_its_controller_comes_with_the_rows(make: Make) -> None:
+    robot = make("WithSlider")
+    assert isinstance(robot, HasSpeedScaling)
+    assert not isinstance(make(), HasSpeedScaling)
+    robot.connect()
+    assert math.isnan(robot.speed_scaling)
+    robot.read()
+    assert robot.speed_scaling == 0.7

@@ -217,7 +217,7 @@ AT_THE_TOP = [
     (
         "interlocks: [{limit_c: 70}]",
         "6:14: interlocks.0.kind: is missing: one of tracking_error, temperature, speed, current, "
-        "torque, workspace, clearance, stale, recorder, disk",
+        "torque, workspace, clearance, stale, recorder, disk, speed_scaling",
     ),
     (
         "interlocks: [{kind: speed, limit_deg_s: 60}]",

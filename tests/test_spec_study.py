@@ -61,6 +61,13 @@ def test_a_spec_without_studies_keeps_the_hash_it_had_before_there_were_any() ->
     assert spec_hash(spec_from_text(GOOD)) == BEFORE
 
 
+def test_the_interlock_on_the_speed_slider_changes_the_hash_only_where_it_is_changed() -> None:
+    listed = "interlocks: [{kind: speed_scaling}]"
+    stops = "interlocks: [{kind: speed_scaling, action: stop}]"
+    assert spec_hash(spec_from_text(GOOD + listed)) == BEFORE
+    assert spec_hash(spec_from_text(GOOD + stops)) != BEFORE
+
+
 def test_a_study_is_part_of_what_a_spec_says() -> None:
     asked = spec_from_text(GOOD + "study: [{study: counted}]")
     other = spec_from_text(GOOD + "study: [{study: counted, rounds: 2}]")

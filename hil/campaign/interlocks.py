@@ -12,7 +12,7 @@ from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
 from hil.plan.interlocks import flange_space
 from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
-from hil.robot import Robot
+from hil.robot import HasSpeedScaling, Robot
 
 
 def interlocks_for(
@@ -52,6 +52,7 @@ def interlocks_for(
         flange=partial(flange_space, arm, sizes=sizes) if arm else None,
         behind_s=behind_s,
         folder=folder,
+        speed_scaling=(lambda: robot.speed_scaling) if isinstance(robot, HasSpeedScaling) else None,
         clock=can.clock,
     )
     return from_spec(experiment.spec.interlocks, context)

@@ -39,11 +39,13 @@ class Completeness:
         done: Measuring steps that are complete.
         unsettled: Dwells among them that ran into their time-out.
         expected: Measuring steps of the plan.
+        slowed: Measuring steps that lack a measurement at the planned speed.
     """
 
     done: frozenset[int]
     unsettled: frozenset[int]
     expected: tuple[Step, ...] = field(repr=False)
+    slowed: frozenset[int] = frozenset()
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -78,16 +80,24 @@ def completeness_of(plan: Plan, recordings: Iterable[Path]) -> Completeness:
     expected = {step.index: step for step in plan if step.measures}
     done: set[int] = set()
     unsettled: set[int] = set()
+    slowed: set[int] = set()
     for _, files in groupby(recordings, attempt_of):
         for index, rows in _steps_in(files):
             step = expected.get(index)
-            if step is None or not step_is_complete(step, rows, plan):
+            if step is None:
+                continue
+            if (rows["status"] & int(Status.SLOWED)).any():
+                slowed.add(index)
+                continue
+            if not step_is_complete(step, rows, plan):
                 continue
             done.add(index)
             unsettled.discard(index)
             if step.kind != "trajectory" and not dwell_settles(rows, plan.dwell_rule(step)):
                 unsettled.add(index)
-    return Completeness(frozenset(done), frozenset(unsettled), tuple(expected.values()))
+    return Completeness(
+        frozenset(done), frozenset(unsettled), tuple(expected.values()), frozenset(slowed - done)
+    )
 
 
 def recorded_steps(

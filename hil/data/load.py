@@ -57,8 +57,9 @@ def load_source(
 
     A run's plan says which step every sample belongs to; a step recorded several times (after a
     stop and a resume) counts once, as it was recorded last. An imported file is one trajectory,
-    or one per window of its map. Rows that the robot marked as unusable are left out, repeated
-    time stamps too, and a pause in the time stamps cuts a series in two.
+    or one per window of its map. Rows that the robot marked as unusable and those at another speed
+    than planned are left out, repeated time stamps too, and a pause in the time stamps cuts a
+    series in two.
 
     Args:
         path: Run directory or MCAP file.

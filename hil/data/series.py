@@ -83,7 +83,8 @@ def cut(rows: StructArray, steps: Mapping[int, StepNote], attempt: int) -> list[
         steps: The steps that are wanted.
         attempt: Number of the recording.
     """
-    usable = np.flatnonzero((rows["status"] & int(Status.MASKED)) == 0)
+    unusable = int(Status.MASKED | Status.SLOWED)
+    usable = np.flatnonzero((rows["status"] & unusable) == 0)
     usable = usable[_advancing(rows["device_time"][usable])]
     if not len(usable):
         return []

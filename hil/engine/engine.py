@@ -35,7 +35,7 @@ from hil.errors import (
     StaleState,
     Stopped,
 )
-from hil.plan.plan import Plan
+from hil.plan.plan import Plan, Step
 from hil.robot import Robot
 from hil.typing import StructArray
 
@@ -147,7 +147,7 @@ class Engine:
         except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
             error = self._unexpected(caught)
         error = self._halt(error)
-        self._notes += self._reading.judge.notes
+        self._notes += [*self._reading.judge.notes, *self._reading.notes]
         self._machine.to(RunState.DONE)
         result = result_of(error, self._reading.progress, self._telling.wall_s, tuple(self._notes))
         self._telling.state(RunState.DONE, result.reason or result.outcome.value)
@@ -179,15 +179,23 @@ class Engine:
             for step in self._plan:
                 if step.checkpoint:
                     self._pausing.pause_if_asked()
+                    self._reading.begin_leg()
                     self._sink.event("checkpoint", step=step.index)
                 self._telling.step(step)
                 try:
                     self._steps.execute(step)
-                except (RobotFault, RobotConnectionError, StaleState) as error:
-                    # A driver does not know which step of the plan it executes.
-                    error.message += f", {under_way(self._plan, step)}"
+                except RobotError as error:
+                    self._explain(error, step)
                     raise
         self._telling.progress()
+
+    def _explain(self, error: RobotError, step: Step) -> None:
+        """Add what a driver does not know: the step of the plan, and that it was slowed down."""
+        if isinstance(error, RobotFault | RobotConnectionError | StaleState):
+            error.message += f", {under_way(self._plan, step)}"
+        if slowed := self._reading.slowed:
+            error.message += f"; {slowed}"
+            error.hint = "; ".join(filter(None, (error.hint, "set the speed slider to 100 %")))
 
     def _enter(self, state: RunState, reason: str = "") -> None:
         self._requests.obey_stop()

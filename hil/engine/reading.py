@@ -11,11 +11,11 @@ import numpy as np
 
 from hil.engine.bounded import bounded
 from hil.engine.freshness import Deadline, Freshness
-from hil.engine.interlocks import Interlock, Trip
+from hil.engine.interlocks import Interlock, Trip, is_slowed
 from hil.engine.judging import Judge
 from hil.engine.requests import Requests
 from hil.errors import HilError, RecordingError, RobotFault
-from hil.robot import HasTopics, Robot, Status
+from hil.robot import HasSpeedScaling, HasTopics, Robot, Status
 from hil.typing import StructArray
 
 REST_RAD_S = 0.01
@@ -26,6 +26,10 @@ STOP_WITHIN_S = 2.0
 
 REST_WITHIN_S = 5.0
 """An arm that still moves this long after it was stopped is reported as not at rest [s]."""
+
+
+NEWS_SHARE = 0.05
+"""A speed scaling that has changed by so much more is another event of the log."""
 
 
 class Sink(Protocol):
@@ -94,6 +98,10 @@ class Reading:
     ) -> None:
         self._robot = robot
         self._topics = robot if isinstance(robot, HasTopics) else None
+        self._scaled = robot if isinstance(robot, HasSpeedScaling) else None
+        self._scaling = self._lowest = 1.0
+        self._slowed_at: list[float] = []
+        self._leg_slowed = False
         self._sink = sink
         self.judge = Judge(interlocks)
         self._joint_names = tuple(joint_names)
@@ -134,6 +142,29 @@ class Reading:
             bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
         raise trip.error(self._joint_names)
 
+    def begin_leg(self) -> None:
+        """Note that what was measured at a lowered speed is over, if the speed is as planned."""
+        self._leg_slowed = is_slowed(self._scaling)
+
+    @property
+    def slowed(self) -> str:
+        """The speed to which the robot's controller scales motions now; empty if as planned."""
+        if not is_slowed(self._scaling):
+            return ""
+        return f"the robot's speed scaling (speed slider) is at {self._scaling:.0%}"
+
+    @property
+    def notes(self) -> list[str]:
+        """What the operator has to know about the data, beside what ended the run."""
+        if not self._slowed_at:
+            return []
+        times = f"{len(self._slowed_at)} times, first" if len(self._slowed_at) > 1 else "once,"
+        return [
+            f"the robot's speed scaling (speed slider) was lowered {times} at device time "
+            f"{self._slowed_at[0]:.3f} s, to {self._lowest:.0%} at the lowest; what was measured "
+            "meanwhile is not used"
+        ]
+
     def deadline(self, seconds: float) -> Deadline:
         """A time-out that begins now."""
         return Deadline(seconds, self.progress.last, wall=self.wall)
@@ -156,6 +187,7 @@ class Reading:
         """A block; a recorder that is dead or behind does not keep us from watching the arm."""
         block = self._robot.read()
         with contextlib.suppress(RecordingError):
+            self._mark_speed(block)
             self._keep(block)
         self.progress.count(block)
         return block
@@ -164,10 +196,34 @@ class Reading:
         if self._topics is not None and not self.progress.samples:
             self._topics.drain()  # belongs to what was read before the run
         block = self._robot.read()
+        self._mark_speed(block)
         self._keep(block)
         self.progress.count(block)
         self.newest = block[-1]
         return block
+
+    def _mark_speed(self, block: StructArray) -> None:
+        """Mark all of a measurement during which the controller moved slower than planned."""
+        if self._scaled is None:
+            return
+        before, now = self._scaling, self._scaled.speed_scaling
+        was, slowed = is_slowed(before), is_slowed(now)
+        if was != slowed or (slowed and abs(now - before) >= NEWS_SHARE):
+            self._scaling = now
+            first, last = block[0], block[-1]
+            if slowed and not was:
+                self._slowed_at.append(float(first["device_time"]))
+            self._sink.event(
+                "speed_scaling",
+                share=round(now, 4),
+                segment=int(last["segment"]),
+                device_time=float(last["device_time"]),
+            )
+        if slowed:
+            self._lowest = min(self._lowest, now)
+        self._leg_slowed = self._leg_slowed or slowed
+        if self._leg_slowed:
+            block["status"] |= int(Status.SLOWED)
 
     def _keep(self, block: StructArray) -> None:
         self._sink.put(block)

@@ -129,7 +129,12 @@ def _continuity(facts: RunFacts, recording: Recording) -> tuple[str, ...]:
 
 
 def _status(recording: Recording) -> tuple[str, ...]:
-    words = {Status.FAULT: "report a controller fault", Status.MASKED: "are marked as not usable"}
+    words = {
+        Status.FAULT: "report a controller fault",
+        Status.MASKED: "are marked as not usable",
+        Status.SLOWED: "belong to measurements at another speed than planned (speed slider); they "
+        "are not used",
+    }
     status = recording.rows["status"]
     found = {said: int(np.count_nonzero(status & bit)) for bit, said in words.items()}
     return tuple(f"{hits} sample(s) {said}." for said, hits in found.items() if hits)

@@ -6,6 +6,7 @@ from hil.robot.findings import Finding, HasChecks, HasReach
 from hil.robot.protocol import (
     Capabilities,
     HasResource,
+    HasSpeedScaling,
     HasTopics,
     Identity,
     Limits,
@@ -25,6 +26,7 @@ __all__ = [
     "HasChecks",
     "HasReach",
     "HasResource",
+    "HasSpeedScaling",
     "HasTopics",
     "Identity",
     "Limits",

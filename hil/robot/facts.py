@@ -12,7 +12,15 @@ from hil.robot.address import Address, HasAddress
 from hil.robot.documents import understood
 from hil.robot.findings import HasChecks
 from hil.robot.frames import dtype_of, dtype_text
-from hil.robot.protocol import Capabilities, HasResource, HasTopics, Identity, Limits, Robot
+from hil.robot.protocol import (
+    Capabilities,
+    HasResource,
+    HasSpeedScaling,
+    HasTopics,
+    Identity,
+    Limits,
+    Robot,
+)
 
 if TYPE_CHECKING:
     from hil.record.topic import Topic
@@ -29,6 +37,7 @@ class Facts:
         topics, resource, address: None when the driver does not opt into them.
         identity: None before connecting.
         checks: Whether it looks at itself before it moves.
+        speed_scaling: Whether it reports how much slower than commanded it moves.
     """
 
     capabilities: Capabilities
@@ -38,6 +47,7 @@ class Facts:
     identity: Identity | None
     checks: bool
     address: Address | None = None
+    speed_scaling: bool = False
 
 
 def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
@@ -54,6 +64,7 @@ def facts_document(robot: Robot, *, connected: bool) -> dict[str, Any]:
         "identity": asdict(robot.identity) if connected else None,
         "checks": isinstance(robot, HasChecks),
         "address": asdict(robot.address) if isinstance(robot, HasAddress) else None,
+        "speed_scaling": isinstance(robot, HasSpeedScaling),
     }
 
 
@@ -74,6 +85,7 @@ def facts_from(document: Mapping[str, Any]) -> Facts:
             identity=None if identity is None else Identity(**identity),
             checks=bool(document["checks"]),
             address=None if address is None else Address(**address),
+            speed_scaling=bool(document["speed_scaling"]),
         )
 
 

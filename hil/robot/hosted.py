@@ -17,7 +17,7 @@ from hil.robot.facts import facts_document
 from hil.robot.findings import HasChecks
 from hil.robot.frames import Message
 from hil.robot.opening import open_driver
-from hil.robot.protocol import HasTopics, Robot
+from hil.robot.protocol import HasSpeedScaling, HasTopics, Robot
 from hil.robot.state import Status
 from hil.typing import StructArray
 
@@ -159,9 +159,11 @@ class HostedRobot:
 
     def _read(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
         self._complain()
-        rows = self._opened().read(how["timeout_s"])
+        robot = self._opened()
+        rows = robot.read(how["timeout_s"])
         self._moving = bool(rows[-1]["status"] & Status.MOVING)
-        return {}, [rows]
+        told = {"speed_scaling": robot.speed_scaling} if isinstance(robot, HasSpeedScaling) else {}
+        return told, [rows]
 
     def _drain(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
         robot = self._opened()

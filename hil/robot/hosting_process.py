@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +34,7 @@ class HostingProcess:
     resource: str
     address: Address
     checks: Callable[[], Sequence[Finding]]
+    speed_scaling: float
 
     def __init__(
         self,
@@ -90,6 +92,8 @@ class HostingProcess:
             self.address = facts.address
         if facts.checks:
             self.checks = self._checks
+        if facts.speed_scaling:
+            self.speed_scaling = math.nan
 
     def _ask(self, call: str, timeout_s: float, *what: Any) -> Message:
         process = self._process

@@ -99,7 +99,9 @@ class RobotProcess(HostingProcess):
         Rows that came too late for the read that asked for them come with the next one.
         """
         patience_s = timeout_s + READ_GRACE_S[self._capabilities.clock]
-        _, arrays = self._ask("read", patience_s, {"timeout_s": timeout_s})
+        said, arrays = self._ask("read", patience_s, {"timeout_s": timeout_s})
+        if "speed_scaling" in said:
+            self.speed_scaling = float(said["speed_scaling"])
         if not arrays or not len(arrays[0]):
             raise garbage("a read without rows")
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

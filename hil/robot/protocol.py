@@ -166,6 +166,21 @@ class HasResource(Protocol):
 
 
 @runtime_checkable
+class HasSpeedScaling(Protocol):
+    """What a robot also offers when its controller can execute motions slower than commanded.
+
+    Such as by the speed slider of a teach pendant. The interlock `speed_scaling` watches it.
+    """
+
+    @property
+    def speed_scaling(self) -> float:
+        """Executed over commanded speed, the lowest since the `read` before the last one.
+
+        1 is as commanded, NaN is not known; never raises.
+        """
+
+
+@runtime_checkable
 class Listens(Protocol):
     """What a robot also offers when it can be recorded while somebody else drives it.
 

@@ -27,6 +27,8 @@ class Status(IntFlag):
     """The controller reports a fault; `fault_code` says which."""
     MASKED = 8
     """The sample must not be used for identification (set-point ignored, limit active)."""
+    SLOWED = 16
+    """The sample belongs to a measurement at another speed than planned; set by the engine."""
 
 
 def state_dtype(n_joints: int) -> np.dtype[Any]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.interlocks import SpeedScalingInterlock
 
 _NEWER = (
     ("study",),
@@ -19,6 +20,9 @@ _NEWER = (
     ("accept", "contradicted_loads"),
 )
 """Keys that came after runs were hashed, and where; unused they count as not there."""
+
+_NEWER_DEFAULTS = [SpeedScalingInterlock(kind="speed_scaling").model_dump(mode="json")]
+"""Interlocks that watch by default since then; as they are by default they leave no trace."""
 
 
 def spec_hash(spec: ExperimentSpec) -> str:
@@ -35,6 +39,7 @@ def spec_hash(spec: ExperimentSpec) -> str:
         SpecError: The file of poses cannot be read.
     """
     raw = spec.model_dump(mode="json", by_alias=True)
+    raw["interlocks"] = [each for each in raw["interlocks"] if each not in _NEWER_DEFAULTS]
     raw["interlocks"].sort(key=lambda interlock: json.dumps(interlock, sort_keys=True))
     for *parts, key in _NEWER:
         at = raw

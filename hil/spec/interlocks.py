@@ -211,6 +211,16 @@ class DiskInterlock(Strict):
     enabled: Enabled = True
 
 
+class SpeedScalingInterlock(Strict):
+    """Stop or pause when the robot's controller moves slower than planned."""
+
+    kind: Literal["speed_scaling"] = Field(
+        description="Watches the speed slider, of robots that report it."
+    )
+    action: StopOrPause = "pause"
+    enabled: Enabled = True
+
+
 class PluggedInterlock(BaseModel):
     """An interlock registered under `hil.interlocks`; further keys are its own parameters."""
 
@@ -237,6 +247,7 @@ BuiltIn = (
     | StaleInterlock
     | RecorderInterlock
     | DiskInterlock
+    | SpeedScalingInterlock
 )
 KINDS: tuple[str, ...] = tuple(
     get_args(model.model_fields["kind"].annotation)[0] for model in get_args(BuiltIn)
@@ -277,6 +288,7 @@ DEFAULTS: tuple[Interlock, ...] = (
     StaleInterlock(kind="stale"),
     RecorderInterlock(kind="recorder"),
     DiskInterlock(kind="disk"),
+    SpeedScalingInterlock(kind="speed_scaling"),
 )
 """Watch over every run, unless the spec has entries of the same kind."""
 

@@ -5,6 +5,8 @@ Source: Universal Robots, user manuals (safety modes, robot modes) and RTDE guid
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.errors import RobotFault
@@ -72,6 +74,7 @@ EMERGENCY = (6, 7)
 
 RUNTIME = {0: "stopping", 1: "stopped", 2: "playing", 3: "pausing", 4: "paused", 5: "resuming"}
 FULL_SPEED = 0.99
+SLIDER = "target_speed_fraction"
 
 
 def complaints(row: np.void) -> list[tuple[str, str]]:
@@ -86,10 +89,15 @@ def complaints(row: np.void) -> list[tuple[str, str]]:
     return said
 
 
+def slider_of(raw: StructArray | np.void) -> float:
+    """Return the lowest position of the speed slider, 0 to 1, in raw rows; NaN if not sent."""
+    return float(raw[SLIDER].min()) if SLIDER in (raw.dtype.names or ()) else math.nan
+
+
 def speed_complaint(row: np.void) -> list[tuple[str, str]]:
     """A speed slider that is not at its end makes every motion another one than planned."""
-    share = float(row["target_speed_fraction"]) if _has(row, "target_speed_fraction") else 1.0
-    if share >= FULL_SPEED:
+    share = slider_of(row)
+    if not share < FULL_SPEED:
         return []
     return [(f"the speed slider is at {share:.0%}", "set it to 100 % at the teach pendant")]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,6 +25,7 @@ from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller
 from hil_drivers.ur.direct_stop import stop_directly, stop_program
 from hil_drivers.ur.facts import capabilities_of
+from hil_drivers.ur.faults import slider_of
 from hil_drivers.ur.findings import Looked, findings_of
 from hil_drivers.ur.motion import MotionProcess
 from hil_drivers.ur.options import options_of
@@ -58,6 +60,7 @@ class UrRobot:
         self._prepared: Segment | None = None
         self._stops = 0
         self._newest: StructArray | None = None
+        self._slider = math.nan
 
     @property
     def resource(self) -> str:
@@ -89,6 +92,11 @@ class UrRobot:
     def topics(self) -> Sequence[Topic]:
         """See `hil.robot.HasTopics`."""
         return (self._topic,)
+
+    @property
+    def speed_scaling(self) -> float:
+        """See `hil.robot.HasSpeedScaling`: the speed slider of the teach pendant."""
+        return self._slider
 
     def drain(self) -> Mapping[str, StructArray]:
         """See `hil.robot.HasTopics`."""
@@ -229,6 +237,7 @@ class UrRobot:
         raw = self._controller.receiver.take(timeout_s)
         # From here on nothing is raised: what was taken is in nobody else's hands.
         self._newest = raw
+        self._slider = slider_of(raw)
         rows = state_rows(raw, self._options.torque_source)
         self._further.append(further_rows(raw, self._topic))
         if self._listening:

@@ -10,6 +10,7 @@ from hil.engine.interlocks.from_spec import from_spec
 from hil.engine.interlocks.interlock import Action, HasMargin, Interlock, Margin, Trip
 from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
+from hil.engine.interlocks.speed_scaling import SpeedScaling, is_slowed
 from hil.engine.interlocks.threshold import Threshold
 
 __all__ = [
@@ -24,7 +25,9 @@ __all__ = [
     "LeastDistance",
     "Margin",
     "Off",
+    "SpeedScaling",
     "Threshold",
     "Trip",
     "from_spec",
+    "is_slowed",
 ]

@@ -49,6 +49,8 @@ class InterlockContext:
             tell where the flange is.
         behind_s: How far writing is behind reading [s]; None without a recorder.
         folder: Where is recorded; None when nothing is.
+        speed_scaling: Executed over planned speed, the lowest of the newest block; None for a
+            robot that does not report it.
         clock: `virtual` robots stand still while the recorder catches up.
     """
 
@@ -61,4 +63,5 @@ class InterlockContext:
     flange: Callable[[WorkspaceInterlock], Distances] | None = None
     behind_s: Callable[[], float] | None = None
     folder: Path | None = None
+    speed_scaling: Callable[[], float] | None = None
     clock: ClockKind = "wall"

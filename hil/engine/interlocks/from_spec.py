@@ -14,6 +14,7 @@ from hil.engine.interlocks.context import InterlockContext
 from hil.engine.interlocks.interlock import Interlock
 from hil.engine.interlocks.least_distance import LeastDistance
 from hil.engine.interlocks.recording import Backlog, FreeSpace
+from hil.engine.interlocks.speed_scaling import SpeedScaling
 from hil.engine.interlocks.threshold import PerJoint, Threshold
 from hil.errors import PlanError
 from hil.spec.interlocks import COOLER_C, KINDS
@@ -168,6 +169,12 @@ def _disk(spec: Any, context: InterlockContext) -> Interlock | str:
     return FreeSpace(context.folder, spec.free_mb, action=spec.action)
 
 
+def _speed_scaling(spec: Any, context: InterlockContext) -> Interlock | str:
+    if context.speed_scaling is None:
+        return "the robot does not report it"
+    return SpeedScaling(context.speed_scaling, action=spec.action)
+
+
 def _plugged(spec: Any, context: InterlockContext) -> Interlock:
     known = plugins.names(GROUP)
     if spec.kind not in known:
@@ -194,6 +201,7 @@ _BUILDERS: dict[str, Build] = {
     "clearance": _clearance,
     "recorder": _recorder,
     "disk": _disk,
+    "speed_scaling": _speed_scaling,
 }
 
 
