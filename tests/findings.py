@@ -25,7 +25,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -80,25 +80,6 @@ def wait_for(what: Callable[[], Any], name: str, within_s: float = 120.0) -> Any
                 return answer
         assert time.monotonic() < until, f"{name} has not come within {within_s:g} s"
         time.sleep(0.02)
-
-
-@contextlib.contextmanager
-def mock_ur(address: str, journal: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a mock UR controller in a process of its own."""
-    command = ["-m", "hil", "mock", "ur", "--address", address, "--journal", str(journal), *more]
-    mock = subprocess.Popen(
-        [sys.executable, *command],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert mock.stdout is not None
-        assert "ready" in mock.stdout.readline()
-        yield mock
-    finally:
-        mock.terminate()
-        mock.wait(20.0)
 
 
 def hil_in_background(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
@@ -466,7 +447,7 @@ def _slider_lowered(folder: Path) -> str:
     text = station.read_text("utf-8").replace("127.0.0.1", address)
     (folder / "station.yaml").write_text(text, "utf-8")
     spec = REPOSITORY / "experiments" / "ci_dwell_12.yaml"
-    with mock_ur(address, folder / "journal.jsonl", "--speed", "4"):
+    with mock_ur("--speed", "4", journal=folder / "journal.jsonl", address=address):
         less = ("--set", "fit=[]", "--set", "warm_up.duration_s=0")
         asked = ("run", spec, "--station", "station.yaml", "--runs", "runs", *less)
         run = hil_in_background(*asked, cwd=folder)
@@ -496,6 +477,37 @@ def _slider_lowered(folder: Path) -> str:
 
 
 # ---- B5 suspended process -----------------------------------------------------------------------
+
+
+@finding("B5", "suspended process")
+def _suspended(folder: Path) -> str:
+    wall = REPOSITORY / "experiments" / "stations" / "mock_wall.yaml"
+    rtde = REPOSITORY / "experiments" / "stations" / "ur5_rtde_mock.yaml"
+    (folder / "wall.yaml").write_text(wall.read_text("utf-8"), "utf-8")
+    (folder / "rtde.yaml").write_text(rtde.read_text("utf-8").replace("127.0.0.1", "127.0.0.94"))
+    ends = {}
+    with mock_ur(address="127.0.0.94"):
+        for station in ("wall", "rtde"):
+            ends[station] = _stopped_and_continued(folder, f"{station}.yaml", f"runs-{station}")
+    for station, (code, reason) in ends.items():
+        assert code == 5, f"{station}: exit {code}, {reason}"
+        assert "this process did not run for 10." in reason, f"{station}: {reason}"
+    return f"exit 5 on the embedded mock and on UR: {ends['rtde'][1]!r}"
+
+
+def _stopped_and_continued(folder: Path, station: str, runs: str) -> tuple[int, str]:
+    spec = REPOSITORY / "experiments" / "ci_fourier_2.yaml"
+    asked = ("run", spec, "--station", station, "--runs", runs, "--set", "fit=[]")
+    run = hil_in_background(*asked, cwd=folder)
+    (run_at,) = wait_for(lambda: list((folder / runs).glob("*/*/0*")), "the run's folder")
+    log = run_at / "events.jsonl"
+    wait_for(lambda: '"checkpoint", "step": 2' in log.read_text(), "a third step")
+    run.send_signal(signal.SIGSTOP)
+    time.sleep(10.0)
+    run.send_signal(signal.SIGCONT)
+    run.communicate(timeout=60.0)
+    return run.returncode, json.loads((run_at / "stop.json").read_text())["reason"]
+
 
 # ---- B6 killed between verdict and report -------------------------------------------------------
 
@@ -693,7 +705,15 @@ def yaml_aliases(folder: Path) -> str:
 @finding("B11", "mock UR controller behind the wall clock")
 def _mock_behind(folder: Path) -> str:
     journal, address = folder / "journal.jsonl", "127.0.0.91"
-    with mock_ur(address, journal) as mock:
+    mock = subprocess.Popen(
+        [sys.executable, "-m", "hil", "mock", "ur", "--address", address, "--journal", journal],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert mock.stdout is not None
+        assert "ready" in mock.stdout.readline()
         for _ in range(4):  # it gets 0.2 s of every 2.2 s, as on a computer that is too busy
             mock.send_signal(signal.SIGSTOP)
             time.sleep(2.0)
@@ -701,8 +721,9 @@ def _mock_behind(folder: Path) -> str:
             time.sleep(0.2)
         asked = ("mock", "ur", "tell", "--address", address, "state")
         state = json.loads(hil(*asked, cwd=folder).stdout)
-    assert mock.stderr is not None
-    said = mock.stderr.read()
+    finally:
+        mock.terminate()
+        _, said = mock.communicate(timeout=20.0)
     slips = [line for line in journal.read_text().splitlines() if '"slip"' in line]
     lines = [line for line in said.splitlines() if "behind the wall clock" in line]
     assert state["behind_s"] > 6.0, f"behind_s {state['behind_s']}"

@@ -223,6 +223,16 @@ def test_an_arm_that_moves_while_hil_is_suspended_is_stopped_and_the_next_call_s
     took.require(2.0 + 0.5, stopped)
 
 
+def test_a_driver_whose_process_is_suspended_is_named_as_such(make: Make) -> None:
+    robot = make()
+    set_off(robot)
+    assert robot.process is not None
+    os.kill(robot.process.pid, signal.SIGSTOP)
+    with pytest.raises(RobotTimeout, match=rf"process {robot.process.pid} is suspended"):
+        robot.read(timeout_s=0.1)
+    os.kill(robot.process.pid, signal.SIGCONT)
+
+
 def test_after_it_was_stopped_for_want_of_readers_a_robot_can_be_read_again(
     make: Make, monkeypatch: pytest.MonkeyPatch, journal: Path
 ) -> None:

@@ -24,7 +24,7 @@ from hil.engine.result import RunResult, result_of
 from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling, under_way
-from hil.engine.watchdog import Watchdog
+from hil.engine.watchdog import HUNG_AFTER_S, Watchdog
 from hil.errors import (
     HilError,
     InterlockTripped,
@@ -41,6 +41,12 @@ from hil.typing import StructArray
 
 READ_WITHIN_S = 3.0
 """What a driver may take for the last `read`, beside the time the arm needs to come to rest."""
+
+
+SILENCE = (RobotTimeout, RobotConnectionError, StaleState)
+"""What a robot looks like to a process that did not run, however short that was."""
+
+HANGS = "see to the robot itself; own_process: true in the station gives the driver its own process"
 
 
 class Engine:
@@ -85,7 +91,10 @@ class Engine:
         self._health = health
         self._telling = Telling(plan, observers or Observers(), self._told_health, steps)
         self._given_up = threading.Event()
-        self._watchdog = Watchdog(self._hung, on=robot.capabilities.clock == "wall")
+        self._suspended: InterlockTripped | None = None
+        self._watchdog = Watchdog(
+            self._hung, self._was_suspended, on=robot.capabilities.clock == "wall"
+        )
         self._reading = Reading(
             robot,
             sink,
@@ -146,7 +155,7 @@ class Engine:
             error = Stopped("stopped by the keyboard", by_signal=True)
         except Exception as caught:  # a bug in hil or in a driver must not lose the run's end
             error = self._unexpected(caught)
-        error = self._halt(error)
+        error = self._halt(self._or_suspension(error))
         self._notes += [*self._reading.judge.notes, *self._reading.notes]
         self._machine.to(RunState.DONE)
         result = result_of(error, self._reading.progress, self._telling.wall_s, tuple(self._notes))
@@ -207,7 +216,8 @@ class Engine:
         return {**self._health(), "pausing": self._requests.why_paused}
 
     def _block(self, rows: StructArray) -> None:
-        self._watchdog.feed()
+        if gap_s := self._watchdog.feed():
+            raise self._suspension(gap_s)
         self._telling.block(rows)
 
     def _prompt(self, text: str, meanwhile: Callable[[], object]) -> Reply:
@@ -219,17 +229,51 @@ class Engine:
 
     def _hung(self) -> None:
         """On the watchdog's thread: the control thread has not come round for seconds."""
-        hanging = self._reading.judge.hanging
-        who = hanging.message if hanging else "the driver did not return from a call for seconds"
-        reason = f"{who}; the watchdog stopped the robot"
-        self._notes.append(reason)
+        who = "the driver did not return from a call for seconds"
         # Whatever the thread does when the call returns after all, it is not a motion.
-        self.request_stop(reason)
+        self._requests.ended_by = RobotTimeout(who, hint=HANGS)
         try:
-            bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
-            self._sink.event("hung", reason=reason)
+            with contextlib.suppress(Exception):  # it is stopped once more on the way out
+                bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
+            if hanging := self._reading.judge.hanging:  # looks up whose it is, which takes a while
+                who, self._requests.ended_by = hanging.message, hanging
+            self._notes.append(f"{who}; the watchdog stopped the robot")
+            self._sink.event("hung", reason=self._notes[-1])
         finally:
             self._given_up.set()
+
+    def _was_suspended(self, seconds: float) -> None:
+        """On the watchdog's thread: stop the robot before the control thread comes to it."""
+        self._requests.ended_by = self._suspension(seconds)
+        with contextlib.suppress(HilError):
+            bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
+
+    def _suspension(self, seconds: float) -> InterlockTripped:
+        """Return the error of a process that did not run; the same one, whoever finds it."""
+        if self._suspended is None:
+            self._suspended = InterlockTripped(
+                f"interlock suspended: this process did not run for {seconds:.1f} s (suspended, or "
+                "its computer asleep or overloaded); nothing watched the arm meanwhile",
+                hint="look at the robot, then resume the run; to hold a run, pause it (Ctrl-C, "
+                "hil pause) instead of suspending its process",
+            )
+        return self._suspended
+
+    def _or_suspension(self, error: HilError | None) -> HilError | None:
+        """Return what ended the run, which is not the silence of a robot that was not listened to.
+
+        After a suspension several threads find several things wrong, in any order, and the run's
+        end must depend on none of them. What people asked for stays the reason.
+        """
+        gap_s = self._watchdog.absent_s()
+        if error is None or not gap_s or error is self._suspended:
+            return error
+        long = gap_s > HUNG_AFTER_S and not self._watchdog.patient
+        if isinstance(error, Stopped) or not (long or isinstance(error, SILENCE)):
+            self._notes.append(f"this process did not run for {gap_s:.1f} s just before the end")
+            return error
+        self._notes.append(f"found after the suspension: {error.message}")
+        return self._suspension(gap_s)
 
     def _halt(self, error: HilError | None) -> HilError | None:
         """Stop the robot first, then tell others; nothing here may prevent the stop."""

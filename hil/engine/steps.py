@@ -94,6 +94,7 @@ class Steps:
             self._confirm(load.prompt)
         self._reading.patience(COMMAND_WITHIN_S)
         read_back = self._robot.set_payload(load.payload)
+        self._reading.patience(0.0)
         self._sink.event("payload", load=step.load, mass_kg=read_back.mass, com_m=read_back.com)
         if not load.payload.agrees_with(read_back):
             raise CommandRefused(
@@ -130,6 +131,7 @@ class Steps:
         # An upload may have taken its time, or have been given up by the watchdog.
         self._reading.requests.obey_stop()
         self._robot.start()
+        self._reading.patience(0.0)
 
     def _until_over(self, segment: int, within_s: float, what: str) -> None:
         deadline = self._reading.deadline(within_s)

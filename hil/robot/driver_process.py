@@ -17,7 +17,7 @@ from typing import Any
 from hil.errors import PluginError, RobotConnectionError, RobotTimeout
 from hil.robot.documents import error_from, understood
 from hil.robot.frames import Message, pack
-from hil.robot.spawn import end_of, last_words, new_log, printed_to, spawn
+from hil.robot.spawn import end_of, is_suspended, last_words, new_log, printed_to, spawn
 from hil.robot.stop_line import StopLine
 from hil.robot.wire import EndOfLine, Line
 from hil.typing import StructArray
@@ -81,6 +81,11 @@ class DriverProcess:
         return self.alive and not self._calls.torn
 
     @property
+    def suspended(self) -> bool:
+        """Whether it does not run because it was suspended (SIGSTOP, a debugger, a freezer)."""
+        return is_suspended(self.pid) if self._process.poll() is None else False
+
+    @property
     def exit_code(self) -> int | None:
         """Of the process; None while it runs, negative when a signal has ended it."""
         return self._process.poll()
@@ -120,6 +125,8 @@ class DriverProcess:
         except EndOfLine as error:
             raise self._died() from error
         except RobotTimeout as error:
+            if self.suspended:
+                raise self._is_suspended() from error
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered {call} within {timeout_s:.1f} s",
                 hint=f"it hangs, or its robot does: process {self.pid}",
@@ -154,10 +161,11 @@ class DriverProcess:
                 hint="stop the arm in another way",
             )
         if answer is None:
+            why = ", its process being suspended," if self.suspended else ""
             self._lost = True
             self._process.kill()
             raise RobotTimeout(
-                f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s "
+                f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s{why} "
                 "and was killed; it is for the controller to stop the arm now",
                 hint="see to the robot itself, by its emergency stop if need be",
             )
@@ -181,6 +189,12 @@ class DriverProcess:
             return rows
         late, self._late = self._late, []
         return late + rows
+
+    def _is_suspended(self) -> RobotTimeout:
+        return RobotTimeout(
+            f"{self._name}: the driver's process {self.pid} is suspended and answers nothing",
+            hint="see to the robot; let such a process run (kill -CONT), or end it",
+        )
 
     def _died(self, wait_s: float = _TO_BE_SEEN_S) -> RobotConnectionError:
         self._lost = True

@@ -48,6 +48,15 @@ def end_of(code: int | None) -> str:
     return f"ended (exit code {code})"
 
 
+def is_suspended(pid: int) -> bool:
+    """Return whether a process is stopped by a signal or a debugger, as Linux tells."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
+            return file.read().rpartition(")")[2].split()[0] in ("T", "t")
+    except (OSError, IndexError):
+        return False
+
+
 def printed_to(log: int) -> str:
     """The end of what was printed."""
     size = os.fstat(log).st_size
