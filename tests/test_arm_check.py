@@ -76,3 +76,34 @@ def test_the_description_of_an_arm_is_told_as_one(tmp_path: Path) -> None:
     text = files("hil.arms").joinpath("ur5.yaml").read_text("utf-8")
     (told,) = refused(text, tmp_path)
     assert told.endswith("this file is the description of an arm, but an experiment is needed here")
+
+
+BOX = """\
+hil: 1
+name: boxed
+robot: ur5
+excitation: {kind: dwell, waypoints: 24}
+interlocks: [{kind: workspace, min_m: [-1, -1, 0], max_m: [1, 1, 0.5]}]
+fit: [{estimator: static-wls}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("max_m: [1, 1, 0.5]", "max_m: [1, 1, 0.04]"), "leaves 40 mm on z from min_m"),
+        (("min_m: [-1, -1, 0]", "min_m: [0.98, -1, 0]"), "max_m.0: leaves 20 mm on x"),
+        (("min_m: [-1, -1, 0], max_m: [1", "min_m: [1, -1, 0], max_m: [2"), "beyond x of min_m"),
+        (("fit:", "reference: {q_deg: [0, -90, 0, -90, 0, 0]}\nfit:"), "beyond z of max_m"),
+        (("waypoints: 24", "file: p.csv, file_unit: deg"), "p.csv:2: the flange is 501.1 mm"),
+    ],
+    ids=["flat", "narrow", "out of reach", "reference", "pose of a file"],
+)
+def test_what_a_workspace_leaves_no_room_for_is_refused_without_a_plan(
+    change: tuple[str, str], message: str, tmp_path: Path
+) -> None:
+    low, upright = "0,-60,110,-90,0,0", "0,-90,0,-90,0,0"
+    (tmp_path / "p.csv").write_text("\n".join([low, upright, *[low] * 30]), "utf-8")
+    lines = refused(BOX.replace(*change), tmp_path)
+    assert len(lines) == 1
+    assert message in lines[0]

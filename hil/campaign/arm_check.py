@@ -9,7 +9,8 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.needs import unmet
 from hil.errors import SpecError
 from hil.excite.waypoint_file import WaypointFile, read_waypoints
-from hil.excite.workspace import beyond_range
+from hil.excite.workspace import beyond_range, outside
+from hil.plan.interlocks import declared_space
 from hil.plan.limits import excesses
 from hil.robot import Capabilities
 from hil.spec.experiment import Dwell
@@ -46,7 +47,7 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
         clearance_m = experiment.robot.surroundings.clearance_m
         found += excesses(spec, arm, robot.rate_hz, clearance_m)
     if isinstance(spec.excitation, Dwell):
-        poses, faults = _poses(spec.excitation, robot.joint_names, arm)
+        poses, faults = _poses(experiment, spec.excitation, robot.joint_names, arm)
         found += faults
         motions = poses if not faults else None
     if judged:
@@ -74,7 +75,10 @@ def _source_of(experiment: Experiment) -> Source:
 
 
 def _poses(
-    program: Dwell, joint_names: tuple[str, ...], arm: ArmDescription | None
+    experiment: Experiment,
+    program: Dwell,
+    joint_names: tuple[str, ...],
+    arm: ArmDescription | None,
 ) -> tuple[int, list[Excess]]:
     """How many poses a program has, and what is wrong with those of its file."""
     if program.file is None:
@@ -86,14 +90,23 @@ def _poses(
         return 0, [Excess(POSES, f"{message} → {error.hint}")]
     messages = list(file.problems)
     if arm is not None:
-        messages += _beyond_range(file, arm)
+        messages += _beyond_range(file, arm) or _outside(file, arm, experiment)
     return len(file.q), [Excess(POSES, message) for message in messages]
 
 
 def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
     complaints = [beyond_range(q, arm.joint_names, arm.q_min, arm.q_max) for q in file.q]
-    outside = [row for row, complaint in enumerate(complaints) if complaint]
-    if suspicion := file.suspected(len(outside)):
-        share = f"{len(outside)} of {len(file.q)} poses"
+    rows = [row for row, complaint in enumerate(complaints) if complaint]
+    if suspicion := file.suspected(len(rows)):
+        share = f"{len(rows)} of {len(file.q)} poses"
         return [f"{share} are beyond the range of a joint: {suspicion}"]
-    return [f"{file.place(row)}: {complaints[row]}" for row in outside]
+    return [f"{file.place(row)}: {complaints[row]}" for row in rows]
+
+
+def _outside(file: WaypointFile, arm: ArmDescription, experiment: Experiment) -> list[str]:
+    spec, clearance_m = experiment.spec, experiment.robot.surroundings.clearance_m
+    space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
+    if space is None:
+        return []
+    complaints = [outside(space, q, clearance_m) for q in file.q]
+    return [f"{file.place(row)}: {text}" for row, text in enumerate(complaints) if text]
