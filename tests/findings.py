@@ -219,6 +219,62 @@ def real_robot_is_confirmed(folder: Path) -> str:
     )
 
 
+@finding("A2s", "schedules, series and fleets of real robots")
+def unattended_robots_are_armed(folder: Path) -> str:
+    """A real robot must be in the file with its address, and be armed or confirmed at the start."""
+    from pipeline_parts import SCHEDULE, write_schedule
+
+    at, named = "198.51.100.7", {"robots": {"ur5": "198.51.100.7"}}
+    info = folder / "real_arm-1.dist-info"
+    info.mkdir()
+    (folder / "real_arm.py").write_text(REAL_ARM)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: real-arm\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[hil.drivers]\nreal-arm = real_arm:RealArm\n")
+    path = {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
+    station = folder / "station.yaml"
+    station.write_text(
+        f"hil_station: 1\nrobots:\n  ur5: {{driver: real-arm, model: ur5, options: {{at: {at}}}}}\n"
+    )
+    series = {"hil_series": 1, "name": "one", "series": [{"spec": "probe.yaml"}]}
+    (folder / "series.yaml").write_text(json.dumps(series))
+    write_schedule(folder)
+    fleet = ("fleet", "run", "probe.yaml", "--robots", "ur*")
+    for words in (("run", "weekly.yaml"), ("run", "series.yaml"), fleet):
+        unnamed = hil(*words, cwd=folder, **path)
+        assert unnamed.returncode == 2, unnamed.stderr
+        assert f"ur5 is a real robot at {at}" in unnamed.stderr, unnamed.stderr
+    write_schedule(folder, schedule=SCHEDULE | named)
+    (folder / "series.yaml").write_text(json.dumps(series | named))
+    (folder / "arms.yaml").write_text(json.dumps({"hil_fleet": 1} | named))
+    starts = (
+        ("schedule", "run", "weekly.yaml", "--once"),
+        ("run", "weekly.yaml"),
+        ("run", "series.yaml"),
+        (*fleet[:-1], "arms.yaml"),
+    )
+    for words in starts:
+        refused = hil(*words, cwd=folder, **path)
+        assert refused.returncode == 3, refused.stderr
+    assert not list(folder.glob("runs/*/*/*/start.json")), "something was run"
+    armed = hil("schedule", "arm", "weekly.yaml", "--yes", cwd=folder, **path)
+    assert armed.returncode == 0, armed.stderr
+    ran = hil("run", "weekly.yaml", cwd=folder, **path)
+    assert ran.returncode == 0, ran.stderr
+    begun = [json.loads(one.read_text()) for one in folder.glob("runs/*/ur5/*/start.json")]
+    assert {one["confirmation"]["how"] for one in begun} == {"armed"}, begun
+    for old, new in ((at, "198.51.100.8"), ("198.51.100.8", at)):
+        station.write_text(station.read_text().replace(old, new))
+        again = hil("run", "weekly.yaml", cwd=folder, **path).returncode
+        assert again == (2 if old == at else 0), again
+    write_schedule(folder, schedule=SCHEDULE | named | {"description": "changed"})
+    assert hil("run", "weekly.yaml", cwd=folder, **path).returncode == 3
+    return (
+        "a schedule, a series and a fleet that do not name robot and address end with code 2, "
+        "unconfirmed with 3, before anything moves; armed, the schedule runs and records it; "
+        "another address (2) or a changed file (3) stops it again"
+    )
+
+
 # ---- A3 programs that must fail -----------------------------------------------------------------
 
 SIX_POSES = """\

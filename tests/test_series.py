@@ -200,7 +200,13 @@ def test_what_is_left_of_a_slow_series_is_run_as_slowly(series: Series, tmp_path
         raise Stopped("enough seen")
 
     with pytest.raises(Stopped):
-        resume_series(folder.path, begin, lambda run: begin(series.experiments[0]), False)
+        resume_series(
+            folder.path,
+            begin,
+            lambda run: begin(series.experiments[0]),
+            False,
+            confirm=lambda moves: None,
+        )
     assert asked == [slow]
 
 

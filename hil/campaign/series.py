@@ -183,6 +183,12 @@ def nothing_left(series: Series, before: Sequence[Document]) -> bool:
     return len(ended) == len(series.experiments) and all(each.measured for each in ended)
 
 
+def not_begun(series: Series, before: Sequence[Document]) -> tuple[Experiment, ...]:
+    """Return the experiments of which there is no run yet; what goes on was confirmed by itself."""
+    begun = [i for i, entry in enumerate(before) if Ended.from_dict(entry).report.get("run")]
+    return tuple(each for i, each in enumerate(series.experiments) if i not in begun)
+
+
 def _require_same(series: Series, ended: Sequence[Ended]) -> None:
     now = [each.spec.name for each in series.experiments]
     then = [each.experiment for each in ended]

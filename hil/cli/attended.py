@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ from hil.cli.live_view import live_view, recorded_capabilities
 from hil.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
+    from hil.campaign.arming import Moves
     from hil.campaign.confirmation import Confirm
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
@@ -31,6 +32,7 @@ class Attended:
         elsewhere: Whether prompts wait for answers from elsewhere.
         yes: Whether a real robot moves without asking.
         confirmed: File with the facts that were confirmed elsewhere.
+        together: What was confirmed for all runs at once, by robot.
     """
 
     operator: str
@@ -41,6 +43,16 @@ class Attended:
     elsewhere: bool = False
     yes: bool = False
     confirmed: Path | None = None
+    together: dict[str, Confirm] = field(default_factory=dict)
+
+    def confirm_together(self, moves: Moves) -> None:
+        """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
+        from hil.campaign.arming import confirm_together
+
+        if self.confirmed is not None:  # it names robot and address itself
+            moves.real()
+            return
+        self.together.update(confirm_together(moves, who=self.operator, yes=self.yes))
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
@@ -48,16 +60,23 @@ class Attended:
         from hil.campaign.driver_check import check_driver
 
         robot = check_driver(experiment)
-        return self._attend(lambda: robot, partial(api.run, experiment, runs=runs))
+        confirm = self.together.get(experiment.spec.robot) or self._confirm()
+        return self._attend(lambda: robot, partial(api.run, experiment, runs=runs), confirm)
 
     def resume(self, run: Path) -> RunReport:
         """Go on with a run."""
         from hil import api
+        from hil.record.rundir import RunDirectory
 
-        return self._attend(lambda: recorded_capabilities(run), partial(api.resume, run))
+        robot = str(RunDirectory.open(run).start.get("robot_name", ""))
+        confirm = self.together.get(robot) or self._confirm()
+        return self._attend(lambda: recorded_capabilities(run), partial(api.resume, run), confirm)
 
     def _attend(
-        self, robot: Callable[[], Capabilities], move: Callable[..., RunReport]
+        self,
+        robot: Callable[[], Capabilities],
+        move: Callable[..., RunReport],
+        confirm: Confirm | None,
     ) -> RunReport:
         from hil.campaign.desk import console_desk
         from hil.cli.progress import ProgressLines
@@ -67,7 +86,7 @@ class Attended:
             answers=self.answers,
             wait_s=self.wait_s,
             elsewhere=self.elsewhere,
-            confirm=self._confirm(),
+            confirm=confirm,
         )
         with live_view(robot, *self.live) as views:
             return move(

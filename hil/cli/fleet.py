@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hil.cli import fleet_models
+from hil.cli.attended import waivers_of
 from hil.cli.fleet_models import FolderArgument, WorkersOption
 from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_json, print_table
-from hil.cli.running import OperatorOption, WaiveOption
+from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 
 if TYPE_CHECKING:
+    from hil.campaign.arming import Moves
     from hil.campaign.series import Ended
     from hil.fleet.folder import FleetFolder
     from hil.fleet.run import FleetReport
+    from hil.fleet.workers import Manner
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -34,29 +39,40 @@ def run(
     spec: SpecPath,
     robots: Annotated[
         list[str],
-        typer.Option("--robots", help="Such as 'ur5-*'; repeat for several.", show_default=False),
+        typer.Option(
+            "--robots",
+            help="Such as 'ur5-*', or a file with real robots and their addresses; repeat for "
+            "several.",
+            show_default=False,
+        ),
     ],
     station: StationOption = None,
     workers: WorkersOption = 0,
     runs: RunsOption = Path("runs"),
     operator: OperatorOption = "",
     waive: WaiveOption = None,
+    yes: YesFlag = False,
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
+    from hil.campaign.arming import confirm_together
     from hil.campaign.experiment import find_station
+    from hil.executor import cores
     from hil.fleet.folder import FleetFolder
-    from hil.fleet.members import experiment_for, robots_like, spec_for
+    from hil.fleet.members import named_in, robots_like, spec_for
+    from hil.fleet.workers import Manner
 
+    waived = waivers_of(waive or ())
     bench, _, where = find_station(spec.resolve().parent, station)
-    text = spec.read_text("utf-8")
-    specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, robots, where)}
+    text, (patterns, naming, named) = spec.read_text("utf-8"), named_in(robots)
+    specs = {name: spec_for(text, str(spec), name) for name in robots_like(bench, patterns, where)}
     file = where if Path(where).is_file() else ""
-    first = next(iter(specs.values()))
-    named = Path(file) if file else None
-    experiment = experiment_for(first, spec.resolve().parent, named, spec)
-    folder = FleetFolder.create(runs, experiment.spec.name, specs, spec, file)
-    _run(folder, [{"robot": name} for name in specs], workers, operator, waive, json)
+    moves = _moves(specs, spec, file, naming, named)
+    confirmed = confirm_together(moves, who=operator, yes=yes)
+    name = moves.experiments[0].spec.name
+    folder = FleetFolder.create(runs, name, specs, spec, file, robots=naming if named else None)
+    members = [{"robot": name} for name in specs]
+    _run(folder, members, Manner(workers or cores(), operator, waived, confirmed), json)
 
 
 @app.command()
@@ -65,34 +81,55 @@ def resume(
     workers: WorkersOption = 0,
     operator: OperatorOption = "",
     waive: WaiveOption = None,
+    yes: YesFlag = False,
     json: JsonFlag = False,
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
+    from hil.campaign.arming import confirm_together
+    from hil.executor import cores
     from hil.fleet.folder import FleetFolder
+    from hil.fleet.members import named_in
+    from hil.fleet.run import left_of
+    from hil.fleet.workers import Manner
 
     opened, members = FleetFolder.open(folder)
-    _run(opened, members, workers, operator, waive, json)
+    head, naming = opened.head, opened.head.get("robots")
+    left = {name: opened.spec_of(name).read_text("utf-8") for name in left_of(opened, members)}
+    _, file, named = named_in([naming] if naming else [])
+    moves = _moves(left, Path(head["source"]), head["station"], file, named)
+    confirmed = confirm_together(moves, who=operator, yes=yes)
+    manner = Manner(workers or cores(), operator, waivers_of(waive or ()), confirmed)
+    _run(opened, members, manner, json)
 
 
-def _run(
-    folder: FleetFolder,
-    members: list[dict[str, Any]],
-    workers: int,
-    operator: str,
-    waive: list[str] | None,
-    json: bool,
-) -> None:
-    from hil.cli.attended import waivers_of
+def _moves(
+    specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
+) -> Moves:
+    """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
+    from hil.campaign.arming import Moves
+    from hil.fleet.members import experiment_for
+
+    if not specs:
+        return Moves(naming, named, ())
+    at = Path(station) if station else None
+    first = experiment_for(next(iter(specs.values())), spec.resolve().parent, at, spec)
+    robots = first.station.robots  # the specs differ in nothing else: reading each takes too long
+    members = (
+        replace(first, spec=first.spec.model_copy(update={"robot": name}), robot=robots[name])
+        for name in specs
+        if name in robots
+    )
+    return Moves(naming, named, tuple(members))
+
+
+def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, json: bool) -> None:
     from hil.engine.signals import ignore_from_now_on
-    from hil.executor import cores
     from hil.fleet.run import run_fleet
-    from hil.fleet.workers import Manner
 
     def tell(ended: Ended, number: int, total: int) -> None:
         why = f": {ended.error.message}" if ended.error else ""
         typer.echo(f"{number} of {total}: {ended.robot}: {ended.word}{why}", err=True)
 
-    manner = Manner(workers or cores(), operator, waivers_of(waive or ()))
     with folder.held():
         report = run_fleet(folder, members, manner, tell)
     ignore_from_now_on()

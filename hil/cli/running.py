@@ -134,7 +134,15 @@ def run(
 
     if is_series(spec):
         refuse_set(set_, "a series")
-        series.run_series(spec, station, runs, part, lambda each: attended.run(each, runs), json)
+        series.run_series(
+            spec,
+            station,
+            runs,
+            part,
+            lambda each: attended.run(each, runs),
+            json,
+            confirm=attended.confirm_together,
+        )
         return
     experiment = replace(load_with(spec, station, set_), commissioning=part)
     if not json:
@@ -191,7 +199,13 @@ def resume(
     )
     if is_series_folder(path):
         above = path.parents[2]
-        series.resume_series(path, lambda each: attended.run(each, above), attended.resume, json)
+        series.resume_series(
+            path,
+            lambda each: attended.run(each, above),
+            attended.resume,
+            json,
+            confirm=attended.confirm_together,
+        )
         return
     if is_live(path):
         live_verbs.let_go_on(path, operator, json)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 from zoneinfo import ZoneInfo
 
 import typer
@@ -18,8 +18,9 @@ from hil.cli.output import (
     say,
 )
 from hil.cli.registry import HERE, RegistryOption
+from hil.cli.running import OperatorOption
 from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
-from hil.errors import DataError, SpecError
+from hil.errors import DataError, HilError, SpecError
 
 if TYPE_CHECKING:
     from hil.schedule.ledger import Ledger
@@ -54,6 +55,7 @@ def run(
     station: StationOption = None,
 ) -> None:
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
+    from hil.campaign.arming import require_armed
     from hil.campaign.extras import require_extras
     from hil.pipeline.bound import bind_file
     from hil.pipeline.reidentify import reidentification
@@ -73,9 +75,11 @@ def run(
     if spec.blackout:  # nothing else asks, and planning takes seconds
         took = motions(spec, bound.probe, bound.campaign)
         require_room(spec, took, datetime.now(UTC))
+    confirm = require_armed(bound.moves(file), _state(spec, state))
     work = reidentification(
-        spec, registry=Registry(registry), runs=runs, station=station, tell=_tell_stage
-    )
+        spec, registry=Registry(registry), runs=runs, station=station, confirm=confirm,
+        tell=_tell_stage,
+    )  # fmt: skip
     zone, wait_s = ZoneInfo(spec.timezone), spec.wait_for_robot.total_seconds()
     with kept(_state(spec, state), spec.name) as ledger, WallClock() as clock:
         scheduler = Scheduler(
@@ -98,6 +102,34 @@ def run(
             scheduler.run()
     if once and scheduler.failure is not None:
         raise scheduler.failure
+
+
+@app.command()
+def arm(
+    file: FileArgument,
+    state: StateOption = None,
+    station: StationOption = None,
+    operator: OperatorOption = "",
+    yes: Annotated[bool, typer.Option("--yes", help="Confirm without asking; recorded.")] = False,
+    json: JsonFlag = False,
+) -> None:
+    """Confirm once that a schedule moves its real robot; nothing is connected and nothing moves.
+
+    To be done again when the file, an experiment, or the robot's entry in the station changes.
+    """
+    from hil.campaign.arming import arm as arm_moves
+    from hil.pipeline.bound import bind_file
+
+    bound = bind_file(file, station)
+    folder = _state(bound.spec, state)
+    moves = bound.moves(file)
+    done = arm_moves(moves, folder, station=station, who=operator, yes=yes)
+    if json:
+        print_json({"schedule": bound.spec.name, "armed": done})
+    elif done is None:
+        say(f"{bound.spec.name} moves no real robot and needs no arming")
+    else:
+        say(f"{bound.spec.name}: {_armed_words(done)}")
 
 
 @app.command()
@@ -155,21 +187,25 @@ def plan(
 @app.command()
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
+    from hil.campaign.arming import read_armed
     from hil.held_file import holder_of
     from hil.schedule.holding import ahead
     from hil.schedule.ledger import LOCK
 
     spec, folder, ledger = _led(file, state)
     zone, now, standing = ZoneInfo(spec.timezone), datetime.now(UTC), ledger.standing
-    holder, coming = holder_of(folder / LOCK), _coming(spec, ledger, now)
+    holder, coming, armed = holder_of(folder / LOCK), _coming(spec, ledger, now), read_armed(folder)
     if json:
         print_json({
             "schedule": spec.name, "state": str(folder), "run_by": holder and holder.told(zone),
             "held": dict(standing.held) if standing.held else None,
+            "armed": armed and {key: armed[key] for key in ("how", "by", "at", "robots")},
             "open": standing.open.id if standing.open else None,
             "next": coming and _iso(coming, zone), "lines": [dict(line) for line in ledger.lines],
         })  # fmt: skip
         return
+    if armed is not None or spec.robots:
+        say(_armed_now(armed, file))
     if not ledger.lines:
         say(f"{spec.name} has never been started: hil schedule run {file}")
         return
@@ -241,6 +277,29 @@ def systemd(
     typer.echo("to install them:")
     for command in commands:
         typer.echo(f"  {command}")
+
+
+def _armed_words(armed: dict[str, Any]) -> str:
+    robots = ", ".join(f"{name} at {address}" for name, address in armed["robots"].items())
+    return f"armed for {robots} by {armed['by']} ({armed['how']}, {armed['at'][:16]} UTC)"
+
+
+def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
+    """Say whether a schedule is armed, and what has changed since."""
+    from hil.campaign.arming import changed_since
+    from hil.pipeline.bound import bind_file
+
+    if armed is None:
+        return f"not armed: hil schedule arm {file}"
+    station = Path(armed["station"]) if armed.get("station") else None
+    try:
+        changed = changed_since(armed, bind_file(file, station).moves(file))
+    except HilError as error:
+        return f"{_armed_words(armed)}, but: {error.message}"
+    if not changed:
+        return _armed_words(armed)
+    another = ", another ".join(changed)
+    return f"{_armed_words(armed)}, but since then there is another {another}: arm it again"
 
 
 def _state(spec: ScheduleSpec, given: Path | None) -> Path:

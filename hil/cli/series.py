@@ -14,6 +14,7 @@ from hil.cli.runs import fail, tell_run
 from hil.errors import HilError
 
 if TYPE_CHECKING:
+    from hil.campaign.arming import Moves
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
     from hil.campaign.series import Series, SeriesReport
@@ -29,6 +30,7 @@ Resume = Callable[[Path], "RunReport"]
 
 def validate_series(path: Path, station: Path | None, json: bool) -> None:
     """Check a series with everything it names; all problems at once."""
+    from hil.campaign.arming import Moves
     from hil.campaign.driver_check import check_driver
     from hil.campaign.extras import missing_extras
     from hil.campaign.series import load_series
@@ -36,6 +38,7 @@ def validate_series(path: Path, station: Path | None, json: bool) -> None:
     series = load_series(path, station)
     for experiment in series.experiments:
         check_driver(experiment)
+    Moves(path, series.spec.robots, series.experiments).real()
     missing = dict.fromkeys(told for one in series.experiments for told in missing_extras(one.spec))
     facts = [
         {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
@@ -90,6 +93,8 @@ def run_series(
     part: Commissioning | None,
     begin: Begin,
     json: bool,
+    *,
+    confirm: Callable[[Moves], object],
 ) -> None:
     """Run a series from its beginning.
 
@@ -100,7 +105,9 @@ def run_series(
         part: What of each experiment is executed, and how fast; None for all of it.
         begin: Runs an experiment.
         json: Whether to print one document and nothing else.
+        confirm: Confirms all robots at once.
     """
+    from hil.campaign.arming import Moves
     from hil.campaign.driver_check import check_driver
     from hil.campaign.extras import require_extras
     from hil.campaign.series import load_series
@@ -111,6 +118,8 @@ def run_series(
         check_driver(replace(experiment, commissioning=part))
         if part is None:
             require_extras(experiment.spec)
+    parts = tuple(replace(each, commissioning=part) for each in series.experiments)
+    confirm(Moves(path, series.spec.robots, parts))
     folder = SeriesFolder.create(runs, series.spec, path, station, part)
 
     def execute(experiment: Experiment, told: Document) -> Outcome:
@@ -119,7 +128,9 @@ def run_series(
     _run(series, folder, [], execute, json)
 
 
-def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
+def resume_series(
+    path: Path, begin: Begin, resume: Resume, json: bool, *, confirm: Callable[[Moves], object]
+) -> None:
     """Go on with a series that ended early, from the run in which it did.
 
     Of one that came to its end only the overview is made anew.
@@ -129,8 +140,10 @@ def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
         begin: Runs an experiment.
         resume: Goes on with a run.
         json: Whether to print one document and nothing else.
+        confirm: Confirms all robots that are left at once.
     """
-    from hil.campaign.series import load_series, nothing_left
+    from hil.campaign.arming import Moves
+    from hil.campaign.series import load_series, not_begun, nothing_left
     from hil.campaign.series_folder import SeriesFolder
 
     folder, before = SeriesFolder.open(path)
@@ -148,6 +161,9 @@ def resume_series(path: Path, begin: Begin, resume: Resume, json: bool) -> None:
     if nothing_left(series, before):
         _tell_done(series, folder, before, execute, json)
         return
+    part = folder.commissioning
+    left = (replace(each, commissioning=part) for each in not_begun(series, before))
+    confirm(Moves(series.source, series.spec.robots, tuple(left)))
     _run(series, folder, before, execute, json)
 
 
@@ -210,7 +226,7 @@ def _tell(report: SeriesReport, json: bool) -> None:
                 tell_run(Path(each.report["run"]))
                 typer.echo()
         rows = [(each.experiment, each.robot, each.word) for each in report.ended]
-        print_table(("experiment", "robot", "came of it"), [*rows, *_not_begun(report)])
+        print_table(("experiment", "robot", "came of it"), [*rows, *_rows_not_begun(report)])
         typer.echo(f"overview: {_page(report)}")
     if error is None:
         return
@@ -224,5 +240,5 @@ def _page(report: SeriesReport) -> str:
     return str(report.page or "could not be made")
 
 
-def _not_begun(report: SeriesReport) -> list[tuple[str, str, str]]:
+def _rows_not_begun(report: SeriesReport) -> list[tuple[str, str, str]]:
     return [(name, "", "not begun") for name in report.left]

@@ -46,7 +46,13 @@ class FleetFolder:
 
     @classmethod
     def create(
-        cls, runs: Path, name: str, specs: Mapping[str, str], source: Path, station: str
+        cls,
+        runs: Path,
+        name: str,
+        specs: Mapping[str, str],
+        source: Path,
+        station: str,
+        robots: Path | None = None,
     ) -> FleetFolder:
         """Make the folder of a fleet that begins now.
 
@@ -56,6 +62,8 @@ class FleetFolder:
             specs: Text of the spec by robot.
             source: The spec's file.
             station: The station's file; empty for the one an experiment beside `source` would use.
+
+            robots: File that names real robots with their addresses; None for mocks.
 
         Raises:
             RecordingError: It cannot be written.
@@ -68,6 +76,7 @@ class FleetFolder:
             "source": str(source.resolve()),
             "station": station and str(Path(station).resolve()),
             "started": now.isoformat(timespec="seconds"),
+            **({"robots": str(robots.resolve())} if robots else {}),
         }
         made = cls(new_folder(above, f"fleet-{name_for_path(name)}"), head)
         (made.path / SPECS).mkdir()

@@ -12,6 +12,7 @@ import yaml
 from hil.campaign.experiment import Experiment, find_station
 from hil.errors import SpecError
 from hil.quick_yaml import bounded
+from hil.spec.fleet import load_fleet_spec
 from hil.spec.load import resolve_robot, spec_from_text
 from hil.spec.station import Station
 from hil.suggest import closest
@@ -42,6 +43,20 @@ def robots_like(station: Station, patterns: Sequence[str], where: str) -> tuple[
                 hint=f"{like}it has {known}",
             )
     return tuple(name for name in names if any(fnmatchcase(name, one) for one in patterns))
+
+
+def named_in(given: Sequence[str]) -> tuple[list[str], Path, dict[str, str]]:
+    """Return patterns of robots, the file that names robots with their addresses, and its content.
+
+    Without a file among what is given, there are no addresses, and the file is one to be written.
+
+    Raises:
+        SpecError: The file has problems.
+    """
+    files = [one for one in given if one.endswith((".yaml", ".yml"))]
+    named = {name: at for file in files for name, at in load_fleet_spec(file).robots.items()}
+    patterns = [one for one in given if one not in files]
+    return [*patterns, *named], Path(files[0] if files else "fleet.yaml"), named
 
 
 def spec_for(text: str, name: str, robot: str) -> str:

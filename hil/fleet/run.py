@@ -104,6 +104,11 @@ def run_fleet(
     )
 
 
+def left_of(folder: FleetFolder, members: Sequence[Document]) -> list[str]:
+    """Return the robots of a fleet that have no run yet; what goes on was confirmed by itself."""
+    return [one["robot"] for one in members if folder.run_of(one["robot"]) is None]
+
+
 def _as_it_stands(folder: FleetFolder, entry: Document) -> Ended:
     """A robot's entry, or what its newest run says where that is more."""
     told = Ended.from_dict({"experiment": folder.head["name"], **entry})

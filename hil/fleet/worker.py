@@ -16,6 +16,7 @@ from hil.errors import HilError
 from hil.executor import one_thread
 
 if TYPE_CHECKING:
+    from hil.campaign.confirmation import Granted
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
 
@@ -32,6 +33,7 @@ class Job:
         before: A run to go on with; None to begin one.
         operator: Who is at the robots.
         waivers: Preflight check → why its failure is accepted.
+        confirmed: That a real robot may move; None for a mock.
     """
 
     spec: Path
@@ -41,6 +43,7 @@ class Job:
     before: Path | None = None
     operator: str = ""
     waivers: Mapping[str, str] = field(default_factory=dict)
+    confirmed: Granted | None = None
 
 
 def work(job: Job, answer: Connection) -> None:
@@ -71,11 +74,14 @@ def _told(error: HilError) -> dict[str, Any]:
 
 
 def _run(job: Job) -> RunReport:
+    from hil.campaign.confirmation import Unconfirmed
     from hil.campaign.desk import console_desk
     from hil.campaign.driver_check import check_driver
     from hil.campaign.run import resume_experiment, run_experiment
 
-    desk = console_desk(job.operator)
+    desk = console_desk(
+        job.operator, confirm=job.confirmed or Unconfirmed("start it with: hil fleet run")
+    )
     if job.before is not None:
         return resume_experiment(job.before, operator=job.operator, waivers=job.waivers, desk=desk)
     experiment = _experiment(job)

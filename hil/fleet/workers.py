@@ -8,12 +8,13 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.confirmation import Granted
 from hil.campaign.series import Ended
 from hil.engine.signals import WATCHED
 from hil.fleet.folder import FleetFolder
@@ -33,11 +34,13 @@ class Manner:
         workers: Robots at a time.
         operator: Who is at the robots; by default the user of this process.
         waivers: Preflight check → why its failure is accepted.
+        confirmed: Confirmations of real robots, by name.
     """
 
     workers: int
     operator: str = ""
     waivers: Mapping[str, str] | None = None
+    confirmed: Mapping[str, Granted] = field(default_factory=dict)
 
 
 class Workers:
@@ -83,6 +86,7 @@ class Workers:
         return Job(
             self._folder.spec_of(member.robot), Path(head["source"]).parent, str(head["station"]),
             self._folder.runs, before, manner.operator, manner.waivers or {},
+            manner.confirmed.get(member.robot),
         )  # fmt: skip
 
     @contextmanager

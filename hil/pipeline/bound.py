@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.campaign.arming import Moves
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.errors import SpecError
@@ -34,6 +35,10 @@ class Bound:
     probe: Experiment | None
     campaign: Experiment
     fit: Fit
+
+    def moves(self, file: Path) -> Moves:
+        """Return what the schedule in a file moves."""
+        return Moves(file, self.spec.robots, self.experiments)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -89,6 +94,7 @@ def bind_file(file: Path, station: Path | None = None) -> Bound:
     bound = bind(load_schedule_spec(file), station, file)
     for experiment in bound.experiments:
         check_driver(experiment)
+    bound.moves(file).real()
     return bound
 
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.arming import require_armed
 from hil.campaign.extras import require_extras
 from hil.engine import Observer
 from hil.pipeline.bound import bind_file
@@ -38,11 +39,12 @@ def run_once(
     bound = bind_file(path, station)
     for experiment in bound.experiments:
         require_extras(experiment.spec)
+    confirm = require_armed(bound.moves(path), state or STATES / bound.spec.name)
     job: Job = "campaign" if campaign or bound.probe is None else "probe"
     home = (state or STATES / bound.spec.name) / BY_HAND
     work = reidentification(
         bound.spec, registry=Registry(registry), runs=runs, station=station,
-        observers=observers, tell=lambda stage: tell(f"stage: {stage}"),
+        observers=observers, confirm=confirm, tell=lambda stage: tell(f"stage: {stage}"),
     )  # fmt: skip
     with kept(home, bound.spec.name):
         occasion = _left(home, job, bound.spec.missed_within)

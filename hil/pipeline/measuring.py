@@ -9,11 +9,12 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hil.campaign.beginning import describe_robot, whole
+from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment
@@ -41,12 +42,14 @@ class Measuring:
         wait_s: How long to wait for a robot that somebody else holds [s].
         observers: Told about progress.
         operator: Recorded; by default the user of this process.
+        confirm: Confirms that a real robot may move; by default it may not.
     """
 
     runs: Path
     wait_s: float = 0.0
     observers: Sequence[Observer] = ()
     operator: str = ""
+    confirm: Confirm = field(default_factory=Unconfirmed)
 
     def measure(self, experiment: Experiment, occasion: str) -> Path:
         """The run of an occasion: found, gone on with, or made now.
@@ -76,7 +79,7 @@ class Measuring:
 
     def _attendance(self) -> dict[str, Any]:
         operator = ConsoleOperator(console=_NoConsole())
-        desk = Desk(operator, nobody_goes_on, self.wait_s)
+        desk = Desk(operator, nobody_goes_on, self.wait_s, self.confirm)
         return {"desk": desk, "observers": self.observers, "operator": self.operator}
 
     def _require_its_robot(self, run: Path, experiment: Experiment) -> None:

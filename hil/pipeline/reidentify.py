@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.campaign.experiment import Experiment
 from hil.engine import Observer
 from hil.pipeline.bound import Bound, bind
@@ -30,6 +31,7 @@ def reidentification(
     station: Path | None = None,
     adapt: Adapt = as_it_is,
     observers: Sequence[Observer] = (),
+    confirm: Confirm | None = None,
     tell: Callable[[str], object] = lambda stage: None,
 ) -> Work:
     """The work of a schedule.
@@ -41,6 +43,7 @@ def reidentification(
         station: In place of the one the schedule names.
         adapt: Changes an experiment for an occasion, for simulations; see `with_options`.
         observers: Told about the progress of runs.
+        confirm: Confirms that a real robot may move; by default it may not.
         tell: Told the name of every stage that has something to do, when it begins.
 
     Returns:
@@ -52,7 +55,8 @@ def reidentification(
         SpecError: With every problem of the schedule and the files it names.
         PluginError: A driver is missing or does not load.
     """
-    measuring = Measuring(runs, spec.wait_for_robot.total_seconds(), tuple(observers))
+    wait_s, may_move = spec.wait_for_robot.total_seconds(), confirm or Unconfirmed()
+    measuring = Measuring(runs, wait_s, tuple(observers), confirm=may_move)
     return Reidentification(bind(spec, station), registry, measuring, adapt, tell)
 
 

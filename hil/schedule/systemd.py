@@ -153,8 +153,8 @@ StartLimitBurst=5
 
 _RESTART = """Restart=on-failure
 RestartSec=30
-# A mistake in a file does not go away by itself.
-RestartPreventExitStatus=2
+# A mistake in a file, or a schedule that is not armed, does not go away by itself.
+RestartPreventExitStatus=2 3
 """
 
 _TIMER = """[Unit]

@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 
 from hil.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.fleet import FleetSpec
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
@@ -38,7 +39,7 @@ class KeyInfo:
         allowed: The values it takes, in words.
         default: Its default as YAML, `required` without one.
         meaning: What it says.
-        file: The kind of file it is in: `experiment`, `station`, `series` or `schedule`.
+        file: The kind of file it is in: `experiment`, `station`, `series`, `schedule` or `fleet`.
     """
 
     path: str
@@ -55,6 +56,7 @@ MODELS: dict[str, Model] = {
     "station": Station,
     "series": SeriesSpec,
     "schedule": ScheduleSpec,
+    "fleet": FleetSpec,
 }
 """The YAML files by what they are called."""
 

@@ -188,6 +188,7 @@ _KINDS = {
     "hil_map": "an import map",
     "hil_series": "a series of experiments",
     "hil_schedule": "a schedule",
+    "hil_fleet": "the robots of a fleet",
     "capsules": "the description of an arm",
 }
 _USES = {
@@ -196,6 +197,7 @@ _USES = {
     "hil_map": "hil import RECORDING --map FILE -o OUT",
     "hil_series": "hil run FILE",
     "hil_schedule": "hil run FILE, hil schedule run FILE",
+    "hil_fleet": "hil fleet run SPEC --robots FILE",
     "capsules": "the robots of a station, as `model: FILE`",
 }
 

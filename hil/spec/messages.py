@@ -109,7 +109,7 @@ def _literal(f: Finding) -> str:
     choices = [str(choice) for choice in choices_of(f.expected)]
     if not choices:  # in a mapping whose keys only its plug-in knows
         return f.told
-    if f.key in ("hil", "hil_station", "hil_series", "hil_schedule"):
+    if f.key in ("hil", "hil_station", "hil_series", "hil_schedule", "hil_fleet"):
         return f"this hil reads format {choices[0]}, not {name_of(f.value)}"
     if len(choices) == 1:
         return f"must be {choices[0]}, not {name_of(f.value)}"

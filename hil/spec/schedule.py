@@ -169,6 +169,11 @@ class ScheduleSpec(Strict):
     station: str | None = Field(
         None, description="The station of probe and campaign; by default as with `hil run`."
     )
+    robots: dict[Name, str] = Field(
+        {},
+        description="Every real robot that moves, by its name in the station, with its address, "
+        "such as `{ur5: 192.168.0.5}`; mocks and loopback addresses need none.",
+    )
     timezone: Annotated[str, AfterValidator(_known_zone)] = Field(
         "UTC", description="Of all times of day here, such as `Europe/Berlin`."
     )

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic.json_schema import GenerateJsonSchema
 
 from hil.spec.experiment import ExperimentSpec
+from hil.spec.fleet import FleetSpec
 from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
@@ -42,10 +43,16 @@ def schedule_schema() -> dict[str, Any]:
     return _schema(ScheduleSpec, "schedule")
 
 
+def fleet_schema() -> dict[str, Any]:
+    """JSON Schema of the robots of a fleet."""
+    return _schema(FleetSpec, "fleet")
+
+
 def schema_files() -> dict[str, str]:
     """The text of every schema file by its name."""
     schemas = {
         "experiment": experiment_schema(),
+        "fleet": fleet_schema(),
         "schedule": schedule_schema(),
         "series": series_schema(),
         "station": station_schema(),

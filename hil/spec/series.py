@@ -37,6 +37,11 @@ class SeriesSpec(Strict):
     station: str | None = Field(
         None, description="The station of all experiments that name none themselves."
     )
+    robots: dict[Name, str] = Field(
+        {},
+        description="Every real robot that moves, by its name in the station, with its address, "
+        "such as `{ur5: 192.168.0.5}`; mocks and loopback addresses need none.",
+    )
     series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
 
 

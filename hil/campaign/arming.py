@@ -1,0 +1,280 @@
+"""Real robots that move without a person at each motion: named in a file, confirmed once.
+
+A schedule, a series and a fleet run experiments one after the other or at the same time. Their file
+names every real robot with its address (`robots: {ur5: 192.168.0.5}`). A series and a fleet are
+confirmed when they are started, all robots at once; a schedule is armed, and the record beside its
+ledger holds until its file, an experiment, or the robot's entry in the station changes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hil.campaign.confirmation import (
+    ANSWER_WITHIN_S,
+    LOOK_EVERY_S,
+    Granted,
+    MotionFacts,
+    digest_of,
+    motion_facts,
+)
+from hil.campaign.console import Console
+from hil.campaign.experiment import Experiment
+from hil.campaign.robots import opened, planned
+from hil.errors import DataError, NotConfirmed, SpecError
+from hil.record.files import json_document, read_json, write_replacing
+from hil.record.provenance import operator as this_user
+from hil.record.provenance import utc_now
+from hil.robot import address_of
+from hil.spec.hashing import spec_hash
+
+Document = dict[str, Any]
+
+ARMED_FILE = "armed.json"
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Moves:
+    """What a schedule, a series or a fleet would move.
+
+    Attributes:
+        file: The one that names robots and addresses.
+        named: Name of a robot → address, as the file has them.
+        experiments: What is run.
+    """
+
+    file: Path
+    named: Mapping[str, str]
+    experiments: tuple[Experiment, ...]
+
+    def real(self) -> tuple[Experiment, ...]:
+        """Return the experiments whose robots are real; nothing is connected.
+
+        Raises:
+            SpecError: The file names one of these robots not at all, or at another address.
+            PluginError, RobotError: A driver does not load.
+        """
+        found: list[Experiment] = []
+        wrong: list[str] = []
+        addresses: dict[str, str] = {}
+        for experiment in self.experiments:
+            name = experiment.spec.robot
+            with opened(name, experiment.robot) as robot:
+                at = address_of(robot)
+            if not at.real:
+                continue
+            found.append(experiment)
+            addresses[name] = at.text
+            where = f"{name} is a real robot at {at.text} ({experiment.station_source})"
+            if name not in self.named:
+                wrong.append(f"{self.file}: robots: {where}, and the file does not name it")
+            elif self.named[name] != at.text:
+                wrong.append(f"{self.file}: robots: {where}, the file has {self.named[name]}")
+        if wrong:
+            pairs = ", ".join(f'{name}: "{address}"' for name, address in addresses.items())
+            raise SpecError(
+                "\n".join(dict.fromkeys(wrong)),
+                hint=f"if these are the robots that shall move: robots: {{{pairs}}}",
+            )
+        return tuple(found)
+
+
+def confirm_together(
+    moves: Moves, *, who: str = "", yes: bool = False, console: Console | None = None
+) -> dict[str, Granted]:
+    """Return a confirmation for every real robot, confirmed here and now; empty without any.
+
+    Args:
+        moves: What is about to be run.
+        who: Recorded; by default the user of this process.
+        yes: Confirm without asking.
+        console: Where the names are typed; by default the terminal of this process.
+
+    Raises:
+        SpecError: The file does not name a robot with its address.
+        NotConfirmed: A name was not typed.
+    """
+    answers = _answers(moves, who=who, yes=yes, console=console, purpose="move")
+    return {
+        robot: Granted(answer["how"], answer["by"], {"robot": robot, "address": answer["address"]})
+        for robot, answer in answers.items()
+    }
+
+
+def arm(
+    moves: Moves,
+    folder: Path,
+    *,
+    station: Path | None = None,
+    who: str = "",
+    yes: bool = False,
+    console: Console | None = None,
+) -> Document | None:
+    """Confirm once what a schedule moves from now on, and record it.
+
+    Args:
+        moves: Of the schedule.
+        folder: Of its state.
+        station: In place of the one the schedule names.
+        who: Recorded; by default the user of this process.
+        yes: Confirm without asking.
+        console: Where the names are typed; by default the terminal of this process.
+
+    Returns:
+        What was recorded; None where nothing real would move.
+
+    Raises:
+        SpecError: The file does not name a robot with its address.
+        NotConfirmed: A name was not typed.
+    """
+    facts = _facts(moves)
+    answers = _answers(moves, who=who, yes=yes, console=console, purpose="arm", facts=facts)
+    if not answers:
+        return None
+    first = next(iter(answers.values()))
+    document = {
+        "hil_armed": FORMAT,
+        "file": str(moves.file.resolve()),
+        "station": str(station.resolve()) if station else None,
+        "how": first["how"],
+        "by": first["by"],
+        "at": utc_now(),
+        "robots": {robot: answer["address"] for robot, answer in answers.items()},
+        "digests": _digests(moves),
+        "facts": [one.to_dict() for one in facts],
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    write_replacing(folder / ARMED_FILE, json_document(document))
+    return document
+
+
+def require_armed(moves: Moves, folder: Path) -> Granted | None:
+    """Return the confirmation of a schedule that is armed; None where nothing real would move.
+
+    Raises:
+        SpecError: The file does not name a robot with its address.
+        NotConfirmed: The schedule is not armed, or something has changed since.
+        DataError: The record is damaged.
+    """
+    if not (real := moves.real()):
+        return None
+    robot = real[0].spec.robot
+    hint = f"look at the robot, then: hil schedule arm {moves.file}"
+    if (document := read_armed(folder)) is None:
+        raise NotConfirmed(
+            f"{moves.file} moves {robot} at {moves.named[robot]}, a real robot, and is not armed",
+            hint=hint,
+        )
+    if changed := changed_since(document, moves):
+        raise NotConfirmed(
+            f"{moves.file} was armed on {document['at'][:16]} UTC by {document['by']}, but since "
+            f"then there is another {', another '.join(changed)}",
+            hint=hint,
+        )
+    return Granted(
+        "armed",
+        document["by"],
+        {"robot": robot, "address": document["robots"][robot]},
+        {"armed_at": document["at"], "armed_how": document["how"]},
+    )
+
+
+def read_armed(folder: Path) -> Document | None:
+    """Return the record of an armed schedule; None where it was never armed.
+
+    Raises:
+        DataError: The record is damaged.
+    """
+    path = folder / ARMED_FILE
+    if not path.exists():
+        return None
+    document = read_json(path)
+    texts = all(isinstance(document.get(key), str) for key in ("how", "by", "at"))
+    maps = all(isinstance(document.get(key), dict) for key in ("robots", "digests"))
+    if document.get("hil_armed") != FORMAT or not (texts and maps):
+        raise DataError(f"{path} is no record of an armed schedule", hint="arm it again")
+    return document
+
+
+def changed_since(document: Mapping[str, Any], moves: Moves) -> list[str]:
+    """Return what is another one than when a schedule was armed, each in a few words."""
+    then, now = document["digests"], _digests(moves)
+    return sorted(what for what in then.keys() | now.keys() if then.get(what) != now.get(what))
+
+
+def _answers(
+    moves: Moves,
+    *,
+    who: str,
+    yes: bool,
+    console: Console | None,
+    purpose: str,
+    facts: Sequence[MotionFacts] = (),
+) -> dict[str, Document]:
+    """Return how, by and address of every real robot; a name is typed for each."""
+    by = who or this_user()
+    if not (real := moves.real()):
+        return {}
+    robots = {one.spec.robot: moves.named[one.spec.robot] for one in real}
+    if yes:
+        return {name: {"how": "--yes", "by": by, "address": at} for name, at in robots.items()}
+    console = console or Console()
+    if not console.present:
+        which = ", ".join(f"{name} at {at}" for name, at in robots.items())
+        raise NotConfirmed(
+            f"{which}: real robots, and nobody can confirm their motion: there is no terminal",
+            hint="start it in a terminal, or confirm with --yes what a script starts",
+        )
+    _show(console, facts or _facts(moves))
+    for name in robots:
+        console.forget_typed()
+        console.say(ask=f"type {name} to {purpose}, Enter to leave all where they are: ")
+        if _typed(console) != name:
+            raise NotConfirmed(
+                f"{name} was not confirmed; nothing has moved", hint=f"start again and type {name}"
+            )
+    return {name: {"how": "typed", "by": by, "address": at} for name, at in robots.items()}
+
+
+def _facts(moves: Moves) -> list[MotionFacts]:
+    """Return the facts of every motion of a real robot, planned without connecting to it."""
+    found = []
+    for experiment in moves.real():
+        with planned(experiment) as (robot, plan, _):
+            found.append(motion_facts(experiment, robot, plan))
+    return found
+
+
+def _show(console: Console, facts: Iterable[MotionFacts]) -> None:
+    console.show(["", "Real robots will move, nobody is asked before each motion:"])
+    checklist: dict[str, None] = {}
+    for one in facts:
+        console.show([*(f"  {line}" for line in one.lines()), ""])
+        checklist |= dict.fromkeys(one.checklist)
+    if checklist:
+        must = [f"  [ ] {item}" for item in checklist]
+        console.show(["The names also confirm that:", *must])
+
+
+def _typed(console: Console) -> str:
+    deadline = time.monotonic() + ANSWER_WITHIN_S
+    while console.present and time.monotonic() < deadline:
+        if (line := console.line(LOOK_EVERY_S)) is not None:
+            return line
+    return ""
+
+
+def _digests(moves: Moves) -> dict[str, str]:
+    """Return a digest of all that decides where a robot moves, by what it is of."""
+    found = {"schedule file": hashlib.sha256(moves.file.read_bytes()).hexdigest()}
+    for one in moves.experiments:
+        found[f"experiment {one.spec.name}"] = spec_hash(one.spec)
+        entry = one.robot.model_dump(mode="json")
+        found[f"entry of {one.spec.robot} in the station"] = digest_of(entry)
+    return found

@@ -1,0 +1,35 @@
+"""What a fleet YAML may say: the robots that an experiment is run on, with their addresses."""
+
+from __future__ import annotations
+
+from pathlib import Path as FilePath
+
+from pydantic import Field
+
+from hil.spec.load import refuse_other_kind, validated
+from hil.spec.quantities import FormatVersion, Name, Strict
+from hil.spec.yaml_source import read_source
+
+KEY = "hil_fleet"
+
+
+class FleetSpec(Strict):
+    """Robots of one station that an experiment is run on; needed where they are real."""
+
+    hil_fleet: FormatVersion = Field(description="Version of the fleet format.")
+    robots: dict[Name, str] = Field(
+        min_length=1,
+        description="Every robot by its name in the station, with its address, such as "
+        "`{ur5-001: 192.168.0.11}`.",
+    )
+
+
+def load_fleet_spec(path: str | FilePath) -> FleetSpec:
+    """Read a fleet's file.
+
+    Raises:
+        SpecError: With a line `file:line:column: path: message` for every problem.
+    """
+    source = read_source(path)
+    refuse_other_kind(source, KEY)
+    return validated(source, FleetSpec)

@@ -1,0 +1,272 @@
+"""Schedules, series and fleets: a real robot is named with its address, and confirmed once."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fleet_parts import SPEC as MEMBER
+from pipeline_parts import SCHEDULE, write_schedule
+from test_campaign_confirmation import FakeConsole
+from typer.testing import CliRunner, Result
+
+from hil.campaign import arming
+from hil.campaign.arming import ARMED_FILE
+from hil.cli.app import app
+from hil.errors import NotConfirmed, SpecError, exit_code_of
+from hil.robot import Address
+from hil_mock_robot.driver import MockRobot
+
+AT, ELSEWHERE = "198.51.100.7", "198.51.100.8"
+STATION = "hil_station: 1\nrobots:\n  ur5: {driver: mock, model: ur5, checklist: [Look around.]}\n"
+NAMED = {"robots": {"ur5": AT}}
+REAL_ARM = """
+from hil.robot import Address
+from hil_mock_robot.driver import MockRobot
+
+
+class RealArm(MockRobot):
+    def __init__(self, name, model, *, at, **options):
+        super().__init__(name, model, **options)
+        self.address = Address(at)
+"""
+
+
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """The embedded mock, declared to be a real arm at an address."""
+
+    def at(address: str) -> None:
+        monkeypatch.setattr(MockRobot, "address", Address(address))
+
+    at(AT)
+    return at
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A schedule and a series of one robot, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    write_schedule(tmp_path, schedule=SCHEDULE | NAMED)
+    (tmp_path / "station.yaml").write_text(STATION, "utf-8")
+    write_series(tmp_path, NAMED)
+    return tmp_path
+
+
+@pytest.fixture
+def types(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FakeConsole]:
+    """Put somebody at the terminal who types lines."""
+
+    def so(*lines: str) -> FakeConsole:
+        console = FakeConsole(*lines)
+        monkeypatch.setattr(arming, "Console", lambda: console)
+        return console
+
+    return so
+
+
+def write_series(folder: Path, more: dict[str, Any]) -> None:
+    entries = [{"spec": "probe.yaml"}, {"spec": "campaign.yaml"}]
+    document = {"hil_series": 1, "name": "both", "series": entries, **more}
+    (folder / "series.yaml").write_text(json.dumps(document), "utf-8")
+
+
+def called(*words: object) -> Result:
+    """Run the command line, and raise its error."""
+    done = CliRunner().invoke(app, [*map(str, words)])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done
+
+
+def nothing_moved(folder: Path) -> bool:
+    return not list(folder.glob("runs/*/*/*"))
+
+
+def confirmations(folder: Path) -> list[dict[str, Any]]:
+    """Return those of all runs, oldest first."""
+    starts = sorted(folder.glob("runs/*/ur5/*/start.json"))
+    return [json.loads(path.read_text("utf-8"))["confirmation"] for path in starts]
+
+
+@pytest.mark.parametrize(
+    "words", [("schedule", "run", "weekly.yaml", "--once"), ("run", "weekly.yaml")]
+)
+def test_a_schedule_that_is_not_armed_moves_no_real_robot(
+    words: tuple[str, ...], real: object, folder: Path
+) -> None:
+    with pytest.raises(NotConfirmed, match=f"ur5 at {AT}, a real robot, and is not armed") as error:
+        called(*words)
+    assert "hil schedule arm weekly.yaml" in error.value.hint
+    assert exit_code_of(error.value) == 3
+    assert nothing_moved(folder)
+
+
+def test_a_schedule_is_armed_once_by_the_name_of_its_robot(
+    real: object, folder: Path, types: Callable[..., FakeConsole]
+) -> None:
+    console = types("ur5")
+    armed = called("schedule", "arm", "weekly.yaml", "--operator", "anna").stdout
+    assert f"armed for ur5 at {AT} by anna (typed" in " ".join(armed.split())
+    shown = "\n".join(console.shown)
+    for said in (AT, "payload", "speed", "Look around."):
+        assert said in shown
+    called("run", "weekly.yaml")
+    called("run", "weekly.yaml", "--campaign")
+    answers = confirmations(folder)
+    assert len(answers) >= 2
+    assert {(one["how"], one["by"]) for one in answers} == {("armed", "anna")}
+    assert all(one["facts"]["address"] == AT for one in answers)
+
+
+@pytest.mark.parametrize("typed", ["", "ur", "yes"])
+def test_another_answer_arms_nothing(
+    typed: str, real: object, folder: Path, types: Callable[..., FakeConsole]
+) -> None:
+    types(typed)
+    with pytest.raises(NotConfirmed):
+        called("schedule", "arm", "weekly.yaml")
+    assert not (folder / "schedules" / "weekly" / ARMED_FILE).exists()
+
+
+def test_without_a_terminal_nothing_is_armed_but_by_yes(real: object, folder: Path) -> None:
+    with pytest.raises(NotConfirmed, match="there is no terminal"):
+        called("schedule", "arm", "weekly.yaml")
+    done = json.loads(called("schedule", "arm", "weekly.yaml", "--yes", "--json").stdout)["armed"]
+    assert done["how"] == "--yes"
+    assert done["robots"] == {"ur5": AT}
+    record = json.loads((folder / "schedules" / "weekly" / ARMED_FILE).read_text("utf-8"))
+    assert record == done
+    assert [one["robot"] for one in record["facts"]] == ["ur5", "ur5"]
+
+
+def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text("utf-8")
+        assert old in text
+        (folder / name).write_text(text.replace(old, new), "utf-8")
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (edit("weekly.yaml", '"7d"', '"6d"'), "another schedule file"),
+        (edit("station.yaml", "Look around.", "Look."), "another entry of ur5 in the station"),
+        (edit("campaign.yaml", '"seed": 7', '"seed": 8'), "another experiment campaign"),
+        (
+            edit("probe.yaml", '"robot": "ur5"', '"robot": "ur5", "loads": [{"mass_kg": 2}]'),
+            "another experiment probe",
+        ),
+    ],
+    ids=["file", "station", "motion", "payload"],
+)
+def test_what_has_changed_needs_arming_again(
+    change: Callable[[Path], None], words: str, real: object, folder: Path
+) -> None:
+    called("schedule", "arm", "weekly.yaml", "--yes")
+    assert "armed for ur5" in called("schedule", "show", "weekly.yaml").stdout
+    change(folder)
+    with pytest.raises(NotConfirmed, match=words):
+        called("run", "weekly.yaml")
+    shown = " ".join(called("schedule", "show", "weekly.yaml").stdout.split())
+    assert f"since then there is {words}: arm it again" in shown
+    assert nothing_moved(folder)
+    called("schedule", "arm", "weekly.yaml", "--yes")
+    called("run", "weekly.yaml")
+
+
+@pytest.mark.parametrize("verb", [("validate",), ("run",), ("schedule", "arm")])
+@pytest.mark.parametrize(
+    ("named", "words"),
+    [({}, "the file does not name it"), ({"robots": {"ur5": ELSEWHERE}}, f"has {ELSEWHERE}")],
+)
+def test_the_schedule_names_robot_and_address(
+    verb: tuple[str, ...], named: dict[str, Any], words: str, real: object, folder: Path
+) -> None:
+    write_schedule(folder, schedule=SCHEDULE | named)
+    with pytest.raises(SpecError, match=words) as error:
+        called(*verb, "weekly.yaml")
+    assert f'robots: {{ur5: "{AT}"}}' in error.value.hint
+    assert nothing_moved(folder)
+
+
+def test_mocks_need_neither_names_nor_arming(folder: Path) -> None:
+    write_schedule(folder)
+    assert "needs no arming" in called("schedule", "arm", "weekly.yaml").stdout
+    assert "armed" not in called("schedule", "show", "weekly.yaml").stdout
+    called("run", "weekly.yaml")
+    write_series(folder, {})
+    called("run", "series.yaml")
+
+
+def test_a_series_is_confirmed_at_its_start_for_all_runs(
+    real: object, folder: Path, types: Callable[..., FakeConsole]
+) -> None:
+    console = types("ur5")
+    called("run", "series.yaml", "--operator", "anna")
+    assert sum("type ur5 to move" in line for line in console.shown) == 1
+    assert [(one["how"], one["by"]) for one in confirmations(folder)] == [("typed", "anna")] * 2
+
+
+def test_a_series_without_the_name_of_its_robot_moves_nothing(
+    real: object, folder: Path, types: Callable[..., FakeConsole]
+) -> None:
+    types("no")
+    with pytest.raises(NotConfirmed, match="nothing has moved"):
+        called("run", "series.yaml")
+    write_series(folder, {"robots": {"ur5": ELSEWHERE}})
+    for verb in ("run", "validate"):
+        with pytest.raises(SpecError, match=f"at {AT} .*has {ELSEWHERE}"):
+            called(verb, "series.yaml")
+    assert nothing_moved(folder)
+
+
+def fleet(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command of a fleet whose arms say that they are real ones."""
+    info = folder / "real_arm-1.dist-info"
+    info.mkdir(exist_ok=True)
+    (folder / "real_arm.py").write_text(REAL_ARM)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: real-arm\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[hil.drivers]\nreal-arm = real_arm:RealArm\n")
+    entries = "".join(
+        f"  arm-{k}: {{driver: real-arm, model: ur5, options: {{at: 198.51.100.{k}}}}}\n"
+        for k in (1, 2)
+    )
+    (folder / "station.yaml").write_text(f"hil_station: 1\nrobots:\n{entries}")
+    (folder / "small.yaml").write_text(MEMBER)
+    path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, "-m", "hil", "fleet", *map(str, words)],
+        cwd=folder, env=os.environ | {"PYTHONPATH": path}, stdin=subprocess.DEVNULL,
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+
+
+@pytest.mark.wire
+def test_a_fleet_names_its_robots_in_a_file_and_is_confirmed_at_its_start(tmp_path: Path) -> None:
+    begin = ("run", "small.yaml", "--station", "station.yaml", "--robots")
+    unnamed = fleet(tmp_path, *begin, "arm-*", "--yes")
+    assert unnamed.returncode == 2
+    assert "arm-1 is a real robot at 198.51.100.1" in unnamed.stderr
+    (tmp_path / "arms.yaml").write_text(
+        "hil_fleet: 1\nrobots: {arm-1: 198.51.100.1, arm-2: 198.51.100.2}\n"
+    )
+    unasked = fleet(tmp_path, *begin, "arms.yaml")
+    assert unasked.returncode == 3, unasked.stderr
+    assert nothing_moved(tmp_path)
+    done = fleet(tmp_path, *begin, "arms.yaml", "--yes", "--operator", "anna")
+    assert done.returncode == 0, done.stderr
+    starts = sorted(tmp_path.glob("runs/*/arm-*/*/start.json"))
+    answers = [json.loads(path.read_text("utf-8"))["confirmation"] for path in starts]
+    assert [(one["by"], one["facts"]["address"]) for one in answers] == [
+        ("anna", "198.51.100.1"),
+        ("anna", "198.51.100.2"),
+    ]
