@@ -275,6 +275,55 @@ def unattended_robots_are_armed(folder: Path) -> str:
     )
 
 
+@finding("A2d", "confirmation in the dashboard")
+def confirmed_in_the_dashboard(folder: Path) -> str:
+    """Check a run of an arm at a real address, and start it without and with its name."""
+    from types import SimpleNamespace
+    from unittest import mock
+
+    from starlette.testclient import TestClient
+
+    from hil.robot import Address
+    from hil.web import plan_process, start_pages
+    from hil.web.app import create_app
+    from hil.web.settings import Settings
+    from hil_mock_robot.driver import MockRobot
+
+    (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
+    settings = Settings(runs=folder / "runs", registry=folder, specs=folder, port=8350)
+    client = TestClient(create_app(settings), base_url="http://127.0.0.1:8350")
+    started: list[dict[str, Any]] = []
+
+    async def plan(asked: Any, gone: object) -> dict[str, Any]:
+        return plan_process._planned(asked)
+
+    def start(*arguments: object, **more: Any) -> Any:
+        started.append(more)
+        return SimpleNamespace(id="1")
+
+    def post(do: str, **fields: str) -> Any:
+        form = {"csrf": settings.csrf, "spec": "a.yaml", "do": do} | fields
+        return client.post("/start", data=form, follow_redirects=False)
+
+    with (
+        mock.patch.object(MockRobot, "address", Address("198.51.100.7")),
+        mock.patch.object(start_pages, "plan_apart", plan),
+        mock.patch.object(start_pages, "start_run", start),
+    ):
+        bare = post("start")
+        shown = dict(re.findall(r'name="(checked|facts)" value="([0-9a-f]{64})"', bare.text))
+        unnamed = post("start", **shown)
+        assert not started, "it was started without a confirmation"
+        named = post("start", confirm="ur5", **shown)
+    codes = [answer.status_code for answer in (bare, unnamed, named)]
+    assert codes == [409, 409, 303], f"answers {codes}"
+    facts = started[0]["confirmed"]
+    return (
+        f"Start alone and without the name are refused (409) and show the facts; with it the run "
+        f"of {facts['robot']} at {facts['address']} starts, with {len(facts)} confirmed facts"
+    )
+
+
 # ---- A3 programs that must fail -----------------------------------------------------------------
 
 SIX_POSES = """\

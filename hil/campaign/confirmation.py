@@ -77,6 +77,10 @@ class MotionFacts:
 
     def lines(self) -> list[str]:
         """Return plain text, one line per fact."""
+        return aligned(self.rows())
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the facts in words, each with its label."""
         kind = f"{self.model}, driver {self.driver}"
         share = "" if self.speed_share == 1.0 else f" ({100 * self.speed_share:.4g} % of the spec)"
         most, limit = (math.degrees(v) for v in (self.speed_rad_s, self.speed_limit_rad_s))
@@ -87,7 +91,7 @@ class MotionFacts:
             ("payload", "; then ".join(_load_words(load) for load in self.loads)),
             ("speed", f"joints up to {most:.3g}°/s{share}; the robot allows {limit:.3g}°/s"),
         ]
-        return aligned([*rows, *self.swept.rows()])
+        return [*rows, *self.swept.rows()]
 
     def to_dict(self) -> Document:
         """JSON form; SI units."""

@@ -15,7 +15,7 @@ from hil.engine.bounded import bounded
 from hil.excite.setting import Watch, unwatched
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
-from hil.robot import Robot
+from hil.robot import Robot, address_of
 from hil.robot.lease import Lease, leased
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
@@ -73,6 +73,16 @@ def opened(name: str, station_robot: StationRobot) -> Iterator[Robot]:
         yield robot
     finally:
         close_robot(robot)
+
+
+def moves_for_real(experiment: Experiment) -> bool:
+    """Return whether the motion of an experiment has to be confirmed; nothing is connected.
+
+    Raises:
+        SpecError, PluginError: The robot cannot be opened.
+    """
+    with opened(experiment.spec.robot, experiment.robot) as robot:
+        return address_of(robot).real
 
 
 @contextlib.contextmanager

@@ -8,9 +8,12 @@ from dataclasses import replace
 from itertools import starmap
 from typing import Any
 
+from hil.campaign.confirmation import MotionFacts, motion_facts
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import prompts_of
 from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
+from hil.campaign.robots import moves_for_real, opened
+from hil.errors import RobotError
 from hil.plan.commissioning import Commissioning
 from hil.plan.picture import picture_of
 from hil.plan.plan import Plan
@@ -38,19 +41,41 @@ def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, 
     Raises:
         PlanError: No safe plan follows from the spec, or nothing of it would be measured.
         RobotError: A robot on a virtual clock cannot be asked where it stands.
+
+    Returns:
+        What the template shows; `motion` is what has to be confirmed before a real robot moves
+        (`MotionFacts.to_dict`), None for mocks and where the robot could not be asked where it
+        stands: what it sweeps depends on that.
     """
-    plan, facts = preview_experiment(replace(experiment, commissioning=part))
+    experiment = replace(experiment, commissioning=part)
+    plan, facts, motion, unreached = _previewed(experiment)
     part = part and part.within(plan)
     return {
         "title": experiment.title,
         "description": experiment.spec.description,
         "rows": list(_rows(facts, part)),
         "interlocks": facts.interlocks,
-        "warnings": [text for text in facts.warnings if text != WITHOUT_THE_ROBOT],
+        "warnings": [text for text in facts.warnings if text != WITHOUT_THE_ROBOT] + unreached,
+        "motion": motion and motion.to_dict(),
+        "motion_rows": motion.rows() if motion else [],
         "notes": list(_notes(facts, part)),
         "prompts": prompts_of(plan),
         "picture": _picture(plan),
     }
+
+
+def _previewed(
+    experiment: Experiment,
+) -> tuple[Plan, PlanPreview, MotionFacts | None, list[str]]:
+    if not moves_for_real(experiment):
+        return *preview_experiment(experiment), None, []
+    try:
+        plan, facts = preview_experiment(experiment, connect=True)
+    except RobotError as error:
+        told = f"{error.message}. It is started once it was planned from where it stands."
+        return *preview_experiment(experiment), None, [told]
+    with opened(experiment.spec.robot, experiment.robot) as robot:
+        return plan, facts, motion_facts(experiment, robot, plan), []
 
 
 def _rows(facts: PlanPreview, part: Commissioning | None) -> Iterator[tuple[str, str]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.campaign.robots import moves_for_real
 from hil.campaign.starting import check_start
 from hil.errors import SpecError
 from hil.plan.commissioning import commissioning_of
@@ -19,7 +20,12 @@ from hil.web.settings import Settings
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a form asks for, as it would be started now; `digest` as `hil.web.checked` makes it."""
+    """What a form asks for, as it would be started now.
+
+    Attributes:
+        digest: As `hil.web.checked` makes it.
+        real: A real robot would move; its motion has to be confirmed.
+    """
 
     spec: Path
     station: Path | None
@@ -28,6 +34,7 @@ class Wanted:
     speed: str
     first: str
     digest: str
+    real: bool
 
     @property
     def asked(self) -> dict[str, Any]:
@@ -62,7 +69,8 @@ def wanted_in(given: Mapping[str, str], settings: Settings, who: str) -> Wanted:
     speed, first = given.get("speed", "").strip(), given.get("first", "").strip()
     experiments = check_start(spec, station, overrides, commissioning_of(speed, first))
     digest = digest_of(experiments, speed, first)
-    return Wanted(spec, station, overrides, operator, speed, first, digest)
+    real = any(map(moves_for_real, experiments))
+    return Wanted(spec, station, overrides, operator, speed, first, digest, real)
 
 
 def overrides_in(text: str) -> dict[str, str]:
