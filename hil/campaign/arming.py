@@ -26,7 +26,7 @@ from hil.campaign.confirmation import (
 from hil.campaign.console import Console
 from hil.campaign.experiment import Experiment
 from hil.campaign.robots import opened, planned
-from hil.errors import DataError, NotConfirmed, SpecError
+from hil.errors import DataError, HilError, NotConfirmed, SpecError
 from hil.record.files import json_document, read_json, write_replacing
 from hil.record.provenance import operator as this_user
 from hil.record.provenance import utc_now
@@ -58,15 +58,17 @@ class Moves:
 
         Raises:
             SpecError: The file names one of these robots not at all, or at another address.
-            PluginError, RobotError: A driver does not load.
         """
         found: list[Experiment] = []
         wrong: list[str] = []
         addresses: dict[str, str] = {}
         for experiment in self.experiments:
             name = experiment.spec.robot
-            with opened(name, experiment.robot) as robot:
-                at = address_of(robot)
+            try:
+                with opened(name, experiment.robot) as robot:
+                    at = address_of(robot)
+            except (HilError, TypeError, ValueError):
+                continue  # its own run says what is wrong, and does not move it unconfirmed
             if not at.real:
                 continue
             found.append(experiment)
