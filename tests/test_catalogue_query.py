@@ -135,4 +135,5 @@ def test_without_a_query_the_command_says_what_it_always_said(runs: Path) -> Non
     told = CliRunner().invoke(app, ["runs", "--runs", str(runs), "--json"])
     assert list(json.loads(told.stdout)[0]) == [
         "run", "status", "robot", "date", "uid", "duration_s", "verdict", "studies", "problem",
+        "next",
     ]  # fmt: skip

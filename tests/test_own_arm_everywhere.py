@@ -51,10 +51,11 @@ NOT_ASKED = {
     "runs", "show", "prune", "watch", "pause", "stop", "answer", "recover",  # a run's documents
     "figures",  # of the page as it was written
     "export-data",  # rows as they were recorded
-    "models list", "models show", "models rollback", "models log", "models check",  # documents
+    "models list", "models show", "models rollback", "models log", "models check",
+    "models repair",  # documents
     "fleet run", "fleet resume", "fleet drift", "fleet report",  # by what `resume` and `drift` use
     "schedule run", "schedule plan", "schedule show", "schedule hold", "schedule release",
-    "schedule systemd",  # by what `run` and `drift` use
+    "schedule systemd", "schedule arm",  # by what `run` and `drift` use
 }  # fmt: skip
 
 
