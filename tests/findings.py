@@ -553,17 +553,19 @@ def _slider_lowered(folder: Path) -> str:
     (folder / "station.yaml").write_text(text, "utf-8")
     spec = REPOSITORY / "experiments" / "ci_dwell_12.yaml"
     with mock_ur("--speed", "4", journal=folder / "journal.jsonl", address=address):
-        less = ("--set", "fit=[]", "--set", "warm_up.duration_s=0")
+        less = ("--set", "fit=[]", "--set", "accept={}", "--set", "warm_up.duration_s=0")
         asked = ("run", spec, "--station", "station.yaml", "--runs", "runs", *less)
         run = hil_in_background(*asked, cwd=folder)
         wait_for(lambda: '"movej"' in (folder / "journal.jsonl").read_text(), "a first move")
         slider = rtde_io.RTDEIOInterface(address)
-        assert slider.setSpeedSlider(0.7)
-        (run_at,) = wait_for(lambda: list((folder / "runs").glob("*/*/0*")), "the run's folder")
-        log = run_at / "events.jsonl"
-        wait_for(lambda: '"paused"' in log.read_text(), "a pause")
-        assert slider.setSpeedSlider(1.0)
-        slider.disconnect()
+        try:
+            assert slider.setSpeedSlider(0.7)
+            (run_at,) = wait_for(lambda: list((folder / "runs").glob("*/*/0*")), "the run's folder")
+            log = run_at / "events.jsonl"
+            wait_for(lambda: '"paused"' in log.read_text(), "a pause", 60.0)
+            assert slider.setSpeedSlider(1.0)
+        finally:
+            slider.disconnect()  # its thread aborts this process when the controller goes first
         run.communicate(timeout=300.0)
         stop = json.loads((run_at / "stop.json").read_text())
         resumed = hil("resume", run_at, cwd=folder)
@@ -602,7 +604,8 @@ def _suspended(folder: Path) -> str:
 
 def _stopped_and_continued(folder: Path, station: str, runs: str) -> tuple[int, str]:
     spec = REPOSITORY / "experiments" / "ci_fourier_2.yaml"
-    asked = ("run", spec, "--station", station, "--runs", runs, "--set", "fit=[]")
+    less = ("--set", "fit=[]", "--set", "accept={}")
+    asked = ("run", spec, "--station", station, "--runs", runs, *less)
     run = hil_in_background(*asked, cwd=folder)
     (run_at,) = wait_for(lambda: list((folder / runs).glob("*/*/0*")), "the run's folder")
     log = run_at / "events.jsonl"
