@@ -30,6 +30,7 @@ class Suspended(KinematicRobot):
         error: What the driver finds wrong after it.
         call: `read` during the first move, or `prepare` after it.
         clock: Of the robot.
+        blocks: Read without an error after it.
     """
 
     slept_s = 0.0
@@ -40,8 +41,10 @@ class Suspended(KinematicRobot):
         error: HilError | None = None,
         call: str = "read",
         clock: ClockKind = "wall",
+        blocks: int = 0,
     ) -> None:
         super().__init__()
+        self._blocks = blocks
         self._seconds, self._error, self._call, self._clock = seconds, error, call, clock
 
     @property
@@ -57,11 +60,15 @@ class Suspended(KinematicRobot):
         super().prepare(segment)
 
     def _sleep(self, call: str) -> None:
-        if call == self._call and self._segment == 1 and self._seconds:
-            Suspended.slept_s += self._seconds
-            self._seconds = 0.0
-            if self._error is not None:
-                raise self._error
+        if call != self._call or self._segment != 1:
+            return
+        Suspended.slept_s += self._seconds
+        self._seconds = 0.0
+        if self._error is not None and self._blocks == 0:
+            raise self._error
+        if self._blocks > 0:
+            self._blocks -= 1
+            Suspended.slept_s += 0.4  # less than a gap
 
 
 @pytest.fixture(autouse=True)
@@ -99,6 +106,12 @@ def test_a_short_one_explains_a_silence_but_hides_no_fault() -> None:
     fault = engine(Suspended(1.0, RobotFault("protective stop")), ListSink()).run()
     assert fault.reason.startswith("protective stop")
     assert "this process did not run for 1.0 s just before the end" in fault.notes
+
+
+def test_a_short_one_does_not_explain_the_silence_of_a_robot_that_was_heard_again() -> None:
+    error = RobotConnectionError("the cable was pulled")
+    result = engine(Suspended(0.6, error, blocks=4), ListSink()).run()
+    assert result.reason.startswith("the cable was pulled")
 
 
 def test_a_short_one_without_consequence_does_not_end_the_run() -> None:

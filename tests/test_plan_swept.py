@@ -49,13 +49,14 @@ def test_the_tool_box_is_that_of_the_flange_at_every_set_point():
     assert box.high == pytest.approx(places.max(axis=0), abs=1e-9)
 
 
-def test_the_tool_box_includes_the_tip_of_a_load_of_known_length():
-    plan = plan_of(size_m=(0.3, 0.05))
+def test_the_tool_box_includes_a_load_of_known_size():
+    length_m, radius_m = 0.3, 0.05
+    plan = plan_of(size_m=(length_m, radius_m))
     poses = load_model("ur5").flange_pose(positions(plan))
-    places = np.vstack([poses[:, :3, 3], poses[:, :3, 3] + 0.3 * poses[:, :3, 2]])
+    places = np.vstack([poses[:, :3, 3], poses[:, :3, 3] + length_m * poses[:, :3, 2]])
     space = swept(plan, load_arm("ur5"))
-    assert space.tool.low == pytest.approx(places.min(axis=0), abs=1e-9)
-    assert space.tool.high == pytest.approx(places.max(axis=0), abs=1e-9)
+    assert space.tool.low == pytest.approx(places.min(axis=0) - radius_m, abs=1e-9)
+    assert space.tool.high == pytest.approx(places.max(axis=0) + radius_m, abs=1e-9)
     assert any(line.startswith("flange and load") for line in space.lines())
 
 

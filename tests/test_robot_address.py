@@ -36,6 +36,7 @@ def bus(interface: str, channel: str) -> dict[str, Any]:
         ("cia402", "lab6", bus("hil_unix", "can0"), False),
         ("cia402", "lab6", bus("virtual", "can0"), False),
         ("cia402", "lab6", bus("socketcan", "vcan0"), False),
+        ("cia402", "lab6", bus("socketcan", "vcan_of_the_arm"), True),
         ("cia402", "lab6", bus("socketcan", "can0"), True),
         ("cia402", "lab6", bus("udp_multicast", "239.0.0.1"), True),
         ("twincat", "lab6", {"address": "127.0.0.1"}, False),

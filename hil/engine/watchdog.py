@@ -18,8 +18,9 @@ TICK_S = 0.1
 GAP_S = 0.5
 """Two looks that are further apart than this: the process did not run between them [s]."""
 
-RECENT_S = 5.0
-"""How long after such a gap a silence of the robot is put down to it [s]."""
+RECENT_S = 1.0
+"""A gap that ended so long before the last block, or later, explains a silence of the robot [s]:
+before that the robot was heard again."""
 
 _GAPS_KEPT = 100
 
@@ -98,7 +99,7 @@ class Watchdog:
         self._suspended = suspended
         self._limit_s = limit_s
         self._presence = Presence()
-        self._last = self._presence.look()
+        self._last = self._fed = self._presence.look()
         self._patient = False
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hil-watchdog", daemon=True)
@@ -114,7 +115,7 @@ class Watchdog:
         """
         now = self._presence.look()
         gap = 0.0 if self._patient or not self._on else self._presence.longest_s(self._last)
-        self._last, self._patient = now, False
+        self._last, self._fed, self._patient = now, now, False
         return gap if gap > self._limit_s else 0.0
 
     def be_patient(self, seconds: float) -> None:
@@ -128,9 +129,9 @@ class Watchdog:
         return self._patient
 
     def absent_s(self) -> float:
-        """Return the longest gap that ended lately, in which the process did not run [s]."""
-        now = self._presence.look()
-        return self._presence.longest_s(now - RECENT_S) if self._on else 0.0
+        """Return the longest gap since about the last block, without the process running [s]."""
+        self._presence.look()
+        return self._presence.longest_s(self._fed - RECENT_S) if self._on else 0.0
 
     def __enter__(self) -> Watchdog:
         self._presence.begin()

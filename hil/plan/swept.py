@@ -50,9 +50,9 @@ class Swept:
         duration_s: Estimated duration of the whole plan [s].
         joint_names: Length n.
         q_min, q_max: (n,) range of every joint [rad].
-        tool: Box of the flange and, if the length of a load is known, of the load's tip.
+        tool: Box of the flange and of every load whose size is known.
         elbow: Box of the body of the elbow.
-        payload: Whether `tool` includes the tip of a load.
+        payload: Whether `tool` includes a load.
     """
 
     duration_s: float
@@ -117,13 +117,15 @@ def swept(plan: Plan, arm: ArmDescription) -> Swept:
         plan: Exactly what is executed.
         arm: The arm it was planned for.
     """
-    tip_m = max((load.size_m[0] for load in plan.loads if load.size_m is not None), default=0.0)
-    flange = [
-        Capsule(arm.n_joints, (0.0, 0.0, z), (0.0, 0.0, z), 0.0) for z in sorted({0.0, tip_m})
-    ]
+    sizes = [load.size_m for load in plan.loads if load.size_m is not None]
+    flange = (0.0, 0.0, 0.0)
+    tool = [Capsule(arm.n_joints, flange, flange, 0.0)]
+    for length, radius in sizes:
+        ends = (flange, (0.0, 0.0, length))
+        tool += [Capsule(arm.n_joints, end, end, radius) for end in ends]
     elbow = elbow_bodies(arm)
     goes = plan.extremes
-    tool_box, elbow_box = _boxes(plan, arm, flange, elbow)
+    tool_box, elbow_box = _boxes(plan, arm, tool, elbow)
     return Swept(
         duration_s=plan.duration_s,
         joint_names=plan.joint_names,
@@ -131,7 +133,7 @@ def swept(plan: Plan, arm: ArmDescription) -> Swept:
         q_max=goes.q_max,
         tool=tool_box,
         elbow=elbow_box,
-        payload=tip_m > 0,
+        payload=bool(sizes),
     )
 
 

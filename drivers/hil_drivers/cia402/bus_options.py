@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ class Bus:
     @property
     def real(self) -> bool:
         """Whether drives outside this computer may be on it."""
-        vcan = self.interface == "socketcan" and self.channel.startswith("vcan")
+        vcan = self.interface == "socketcan" and re.fullmatch(r"vcan\d+", self.channel)
         return not (vcan or self.interface in SIMULATED)
 
 
