@@ -7,7 +7,7 @@
     ├── PlanError                2   the spec is well formed, but no safe plan follows from it
     ├── PluginError              2   a driver, estimator or check is missing or broken
     ├── PreflightFailed          3   a check before motion failed
-    │   └── NotConfirmed             nobody confirmed that a real robot may move
+    │   └── NotConfirmed             the motion of a real robot was not confirmed
     ├── RobotError               4   the rig, not the result, is broken
     │   ├── RobotConnectionError     (also ConnectionError)
     │   ├── RobotTimeout             (also TimeoutError)
@@ -76,7 +76,7 @@ class PreflightFailed(HilError):
 
 
 class NotConfirmed(PreflightFailed):
-    """A real robot moves only after its motion was confirmed; this one was not, and stands."""
+    """The motion of a real robot was not confirmed; the robot stands still."""
 
 
 class RobotError(HilError):

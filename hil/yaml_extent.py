@@ -102,7 +102,7 @@ class Extent:
         if len(self._open) + held.levels > self._deepest:
             raise ValueError(f"more than {self._deepest} levels")
         if self._values > self._most or self._characters > self._most_characters:
-            raise ValueError("aliases expand to far more than such a file holds")
+            raise ValueError("aliases expand to more values than a file of this size may hold")
         self._reach(held.levels)
 
     def _reach(self, levels: int) -> None:

@@ -136,7 +136,7 @@ def test_another_answer_arms_nothing(
 
 
 def test_without_a_terminal_nothing_is_armed_but_by_yes(real: object, folder: Path) -> None:
-    with pytest.raises(NotConfirmed, match="there is no terminal"):
+    with pytest.raises(NotConfirmed, match="no terminal is attached"):
         called("schedule", "arm", "weekly.yaml")
     done = json.loads(called("schedule", "arm", "weekly.yaml", "--yes", "--json").stdout)["armed"]
     assert done["how"] == "--yes"
@@ -158,12 +158,12 @@ def edit(name: str, old: str, new: str) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (edit("weekly.yaml", '"7d"', '"6d"'), "another schedule file"),
-        (edit("station.yaml", "Look around.", "Look."), "another entry of ur5 in the station"),
-        (edit("campaign.yaml", '"seed": 7', '"seed": 8'), "another experiment campaign"),
+        (edit("weekly.yaml", '"7d"', '"6d"'), "since: schedule file"),
+        (edit("station.yaml", "Look around.", "Look."), "since: entry of ur5 in the station"),
+        (edit("campaign.yaml", '"seed": 7', '"seed": 8'), "since: experiment campaign"),
         (
             edit("probe.yaml", '"robot": "ur5"', '"robot": "ur5", "loads": [{"mass_kg": 2}]'),
-            "another experiment probe",
+            "since: experiment probe",
         ),
     ],
     ids=["file", "station", "motion", "payload"],
@@ -177,7 +177,7 @@ def test_what_has_changed_needs_arming_again(
     with pytest.raises(NotConfirmed, match=words):
         called("run", "weekly.yaml")
     shown = " ".join(called("schedule", "show", "weekly.yaml").stdout.split())
-    assert f"since then there is {words}: arm it again" in shown
+    assert f"{words}; arm it again" in shown
     assert nothing_moved(folder)
     called("schedule", "arm", "weekly.yaml", "--yes")
     called("run", "weekly.yaml")

@@ -100,7 +100,7 @@ def test_what_is_asked_again_within_a_second_is_done_again(
 def test_options_for_somebody_who_attends_are_refused(tmp_path: Path, option: str) -> None:
     file = write_schedule(tmp_path)
     told = CliRunner().invoke(app, ["run", str(file), option])
-    assert "are for runs that somebody attends" in str(told.exception)
+    assert "are for attended runs" in str(told.exception)
     assert not (tmp_path / "runs").exists()
 
 

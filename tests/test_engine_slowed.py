@@ -84,7 +84,7 @@ def test_each_change_is_an_event_and_a_note() -> None:
     assert changes == [0.7, 1.0]
     (note,) = result.notes
     assert "was lowered once, at device time" in note
-    assert "to 70% at the lowest" in note
+    assert "lowest value 70%" in note
 
 
 def test_all_of_a_measurement_is_marked_from_the_change_to_the_next_checkpoint() -> None:

@@ -106,13 +106,13 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "emptied": (keep_lines(0), "lines 1 to 4 are missing"),
     "last line deleted": (keep_lines(-1), "line 4 is missing"),
     "last line edited": (edit_line(-1), "jsonl:4 is not the line that was written"),
-    "cut inside the last line": (cut_inside_a_line, "line 4 is missing or cut off"),
+    "cut inside the last line": (cut_inside_a_line, "line 4 is missing or truncated"),
     "removed": (remove(LOG_FILE), "log.jsonl is missing, with its 4 lines"),
     "removed with the view": (remove(LOG_FILE, ALIASES_FILE), "log.jsonl is missing"),
     "an earlier line edited": (edit_line(1), "jsonl:3 does not follow"),
     "head removed": (remove(HEAD_FILE), "head.json is missing"),
     "head damaged": (lambda home: void((home / HEAD_FILE).write_text("{")), "cannot be read"),
-    "head of another time": (older_head, "has 4 lines, of which head.json knows 1"),
+    "head of another time": (older_head, "has 4 lines but head.json records 1"),
 }
 damages = pytest.mark.parametrize(("damage", "words"), DAMAGES.values(), ids=DAMAGES)
 
@@ -285,8 +285,8 @@ def test_a_repair_says_what_it_does(home: Path) -> None:
     keep_lines(2)(home)
     said = " ".join(called(home, "repair", "ur5").split())
     assert "lines 3 to 4 are missing" in said
-    assert "lines of the log that stay: 2; versions entered from folders: v2" in said
-    assert "champion v2 by head.json" in said
+    assert "intact lines: 2; versions added from folders: v2" in said
+    assert "champion v2 (from head.json)" in said
     assert "damaged-" in said
     assert "the log is sound, nothing to repair" in called(home, "repair", "ur5")
 
@@ -311,7 +311,5 @@ def test_a_repair_that_is_killed_can_be_repeated(
 
 def test_a_repair_without_any_witness_says_that_there_is_no_champion(home: Path) -> None:
     remove(LOG_FILE, HEAD_FILE, ALIASES_FILE)(home)
-    assert "nothing is left that names a champion" in " ".join(
-        called(home, "repair", "ur5").split()
-    )
+    assert "no file names a champion" in " ".join(called(home, "repair", "ur5").split())
     assert Registry(home.parent).aliases("ur5").champion == 0

@@ -114,14 +114,14 @@ def run(
         The report; a run that ended early says so in `outcome` and `error` and is not raised.
 
     Raises:
-        NotConfirmed: The robot is a real one, and was not named.
+        NotConfirmed: The robot is real and was not named.
         SpecError: `robot` is not the robot of the experiment.
         HilError: What else went wrong before there was a run directory.
     """
     if robot not in (None, _loaded(experiment).spec.robot):
         raise SpecError(
             f"robot={robot!r} is not the robot of {experiment.spec.name}",
-            hint=f"it is for {experiment.spec.robot!r}: see {experiment.station_source}",
+            hint=f"its robot is {experiment.spec.robot!r} of {experiment.station_source}",
         )
     return run_experiment(
         experiment,
@@ -134,7 +134,7 @@ def run(
 
 
 def _confirming(desk: Desk | None, robot: str | None, operator: str) -> Desk:
-    """Return the desk, where naming the robot in the call is what confirms its motion."""
+    """Return the desk; the motion counts as confirmed if the call names the robot."""
     confirm: Confirm = Unconfirmed() if desk is None else desk.confirm
     if robot is not None:
         confirm = Granted("robot=", operator, {"robot": robot})

@@ -82,7 +82,7 @@ class Moves:
             pairs = ", ".join(f'{name}: "{address}"' for name, address in addresses.items())
             raise SpecError(
                 "\n".join(dict.fromkeys(wrong)),
-                hint=f"if these are the robots that shall move: robots: {{{pairs}}}",
+                hint=f"to allow these robots, add to the file: robots: {{{pairs}}}",
             )
         return tuple(found)
 
@@ -175,8 +175,8 @@ def require_armed(moves: Moves, folder: Path) -> Granted | None:
         )
     if changed := changed_since(document, moves):
         raise NotConfirmed(
-            f"{moves.file} was armed on {document['at'][:16]} UTC by {document['by']}, but since "
-            f"then there is another {', another '.join(changed)}",
+            f"{moves.file} was armed on {document['at'][:16]} UTC by {document['by']}; changed "
+            f"since: {', '.join(changed)}",
             hint=hint,
         )
     return Granted(
@@ -200,7 +200,7 @@ def read_armed(folder: Path) -> Document | None:
     texts = all(isinstance(document.get(key), str) for key in ("how", "by", "at"))
     maps = all(isinstance(document.get(key), dict) for key in ("robots", "digests"))
     if document.get("hil_armed") != FORMAT or not (texts and maps):
-        raise DataError(f"{path} is no record of an armed schedule", hint="arm it again")
+        raise DataError(f"{path} is not the record of an armed schedule", hint="arm it again")
     return document
 
 
@@ -230,8 +230,8 @@ def _answers(
     if not console.present:
         which = ", ".join(f"{name} at {at}" for name, at in robots.items())
         raise NotConfirmed(
-            f"{which}: real robots, and nobody can confirm their motion: there is no terminal",
-            hint="start it in a terminal, or confirm with --yes what a script starts",
+            f"{which}: real robots, and their motion cannot be confirmed: no terminal is attached",
+            hint="start it in a terminal; in a script confirm with --yes",
         )
     _show(console, facts or _facts(moves))
     for name in robots:
@@ -254,7 +254,7 @@ def _facts(moves: Moves) -> list[MotionFacts]:
 
 
 def _show(console: Console, facts: Iterable[MotionFacts]) -> None:
-    console.show(["", "Real robots will move, nobody is asked before each motion:"])
+    console.show(["", "Real robots will move without a prompt before each motion:"])
     checklist: dict[str, None] = {}
     for one in facts:
         console.show([*(f"  {line}" for line in one.lines()), ""])

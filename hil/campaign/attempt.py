@@ -126,8 +126,8 @@ def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | Non
     if not complete.missing:
         return complete, None
     commissioning = "commissioning" in attempt.directory.start
-    told = f"the recording lacks measurements: {complete} are whole"
+    message = f"the recording lacks measurements: {complete} are whole"
     if slowed := len(complete.slowed):
-        told += f"; {slowed} were made at another speed than planned and do not count"
+        message += f"; {slowed} were measured slower than planned and are excluded"
     again = "run the experiment again" if commissioning else f"hil resume {attempt.directory.path}"
-    return complete, RecordingError(told, hint=f"measure what is missing: {again}")
+    return complete, RecordingError(message, hint=f"measure what is missing: {again}")

@@ -207,10 +207,10 @@ class TypedName:
         """See `Confirm`."""
         if not self.console.present:
             raise NotConfirmed(
-                f"{robot} at {address} is a real robot, and nobody can confirm its motion: there "
-                "is no terminal",
-                hint="start it in a terminal, or confirm with --yes what a script starts; "
-                "robots for rehearsals: hil mock",
+                f"{robot} at {address} is a real robot, and its motion cannot be confirmed: no "
+                "terminal is attached",
+                hint="start it in a terminal; in a script confirm with --yes; to rehearse, start "
+                "a mock robot: hil mock",
             )
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
@@ -272,9 +272,9 @@ class Granted:
     def _require_same(self, different: Sequence[str], robot: str) -> None:
         if different:
             raise NotConfirmed(
-                f"what was confirmed ({self.how}) is not what {robot} is about to do: "
+                f"the confirmation ({self.how}) does not cover this motion of {robot}: "
                 f"{'; '.join(different)}",
-                hint="look at the facts as they are now, and confirm them",
+                hint="check the facts of this motion, and confirm them",
             )
 
 
@@ -289,8 +289,8 @@ def granted_in(path: Path) -> Granted:
     texts = all(isinstance(document.get(key), str) for key in ("how", "by"))
     if not (texts and isinstance(facts, dict) and facts.get("robot") and facts.get("address")):
         raise DataError(
-            f"{path} holds no confirmation of how, by and facts with robot and address",
-            hint="start the run from the page that shows what it will do",
+            f"{path} is not a confirmation: it needs how, by, and facts with robot and address",
+            hint="start the run from the dashboard's start page",
         )
     return Granted(document["how"], document["by"], facts)
 

@@ -1,7 +1,7 @@
-"""What fits, studies and criteria need of a program and a robot, against what they get.
+"""Check that program and robot provide what fits, studies and criteria need.
 
-Asked before motion: a run that measures too little for its own fits, or that no criterion can be
-applied to, would fail after hours of it.
+Checked before motion: a run with too few measurements for its fits, or with a criterion that cannot
+be applied, would fail after hours.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from hil.spec.station import StationRobot
 from hil.study.base import study
 
 MOST_LENGTHENED = 10_000
-"""Poses or trajectories up to which a program that would do is looked for."""
+"""Largest number of poses or trajectories that the search for a sufficient program tries."""
 
 CALIBRATED_LOADS = 3
-"""A bare arm, a load that it is judged with, and another one that says how far gains are off."""
+"""Minimum number of loads to calibrate drive gains: no load, one load to calibrate with, one load
+to judge."""
 
-GAINS_BELONG = (
-    " → they belong into the description of the arm (drive_gain_nm_a), or into the options of a "
-    "driver that takes drive_gains_nm_a"
+GAINS_HINT = (
+    " → set drive_gain_nm_a in the arm description, or drive_gains_nm_a in the driver options if "
+    "the driver has it"
 )
 
 Entry = tuple[Path, str, Any]
@@ -77,13 +78,13 @@ class Size(NamedTuple):
 def unmet(
     spec: ExperimentSpec, robot: Capabilities, station_robot: StationRobot, motions: int | None
 ) -> list[Excess]:
-    """Return what keeps the fits, studies and criteria of a spec from a result.
+    """Return the unmet needs of the fits, studies and criteria of a spec.
 
     Plug-ins that state no needs are not refused.
 
     Args:
         spec: The experiment.
-        robot: What its driver says of itself.
+        robot: Capabilities of its driver.
         station_robot: The arm, and how it is mounted.
         motions: Different poses or trajectories of the program; None if they are not known.
     """
@@ -114,7 +115,7 @@ def _of_one(
     model: RobotModel,
     size: Size | None,
 ) -> Iterator[Excess]:
-    """What an estimator or study lacks."""
+    """Yield the unmet needs of an estimator or study."""
     path, name, plug_in = one
     loaded = any(not load.payload().is_empty for load in spec.loads)
     try:
@@ -128,7 +129,7 @@ def _of_one(
     elif needs.gains:
         fault = gains_fault(robot.effort_kind, robot.drive_gains, robot.joint_names)
         if fault is not None:
-            yield Excess(path, f"{name} needs torques: {fault[0]}{GAINS_BELONG}")
+            yield Excess(path, f"{name} needs torques: {fault[0]}{GAINS_HINT}")
     fitted = path[0] == "fit"
     if size is not None and (short := needs.shortages(size.amounts(after_hold_out=fitted))):
         held = f" (held out: {size.held} of {size.motions})" if fitted and size.held else ""
@@ -137,7 +138,7 @@ def _of_one(
 
 
 def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
-    """The shortest program that would do, in words; empty if none is found."""
+    """Return the shortest sufficient program as text; empty if none is found."""
     program = size.spec.excitation
     what = "excitation.trajectories" if isinstance(program, Fourier) else "excitation.waypoints"
     if getattr(program, "file", None) is not None:
@@ -145,12 +146,12 @@ def _enough(needs: Needs, size: Size, *, after_hold_out: bool) -> str:
     for motions in range(size.motions + 1, MOST_LENGTHENED + 1):
         longer = size._replace(motions=motions)
         if not needs.shortages(longer.amounts(after_hold_out=after_hold_out)):
-            return f"; {what}: {motions} would do"
+            return f"; {what}: at least {motions}"
     return ""
 
 
 def _held_out(size: Size) -> Excess | None:
-    """That the hold-out leaves nothing to fit on, of poses that only their file counts."""
+    """Return the problem if the hold-out takes every pose of `excitation.file`; else None."""
     if not size.spec.fit or size.held < max(1, size.motions):
         return None
     message = f"holds out all {size.motions} poses of excitation.file and leaves none to fit on"
@@ -158,7 +159,7 @@ def _held_out(size: Size) -> Excess | None:
 
 
 def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> Iterator[Excess]:
-    """Criteria that nothing could be held against."""
+    """Yield the criteria that cannot be applied."""
     of_models = [key for key in ("rmse", "nrmse") if getattr(spec.accept, key) is not None]
     honest = any(getattr(model, "protocol", HONEST) == HONEST for model in models)
     for key in of_models if not honest else ():
@@ -175,4 +176,4 @@ def _criteria(spec: ExperimentSpec, robot: Capabilities, models: list[Any]) -> I
     if robot.effort_kind != "current":
         yield Excess(path, f"{spec.robot} measures torques, so no drive gains are calibrated")
     elif len(spec.loads) < CALIBRATED_LOADS:
-        yield Excess(path, "another load must calibrate the drive gains: `loads` needs a third")
+        yield Excess(path, "`loads` needs a third load to calibrate the drive gains with")

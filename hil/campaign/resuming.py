@@ -114,7 +114,7 @@ def open_unfinished(path: Path) -> Unfinished:
     experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
     # The copy of the station in the run is the same station, and its robots the same robots.
     experiment = replace(experiment, station_source=str(start.get("station", "")))
-    require_same_arm(start.get("robot", {}), path, "run the experiment anew")
+    require_same_arm(start.get("robot", {}), path, "run the experiment again")
     _require_same("plan.json", "plan_hash", start, plan.hash)
     _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
     complete = completeness_of(plan, directory.recordings)
@@ -129,7 +129,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         SpecError, PluginError, RobotError: The robot cannot be reached or used.
         PlanError: No clear way leads from where the arm stands back to the plan.
         PreflightFailed: It is another robot.
-        NotConfirmed: Address or payload is another one than was confirmed, and this was not.
+        NotConfirmed: Address or payload differs from the confirmed one, and was not confirmed.
         RecordingError: The run directory cannot be written to.
     """
     experiment, plan = unfinished.experiment, unfinished.plan
@@ -202,17 +202,18 @@ def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str
 
 
 def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
-    """Raise if a run is judged and reported, or judged and not complete any more.
+    """Raise if a run is judged and reported, or judged and no longer complete.
 
-    A verdict is about the recording as it was; nothing is added to it afterwards.
+    A verdict holds for the recording that was judged: nothing is added to it afterwards.
     """
     if not directory.is_judged:
         return
     forget(directory.path)  # a kill between the verdict and this left it
     if complete.missing:
         raise DataError(
-            f"{directory.path} was judged when it was complete, and now only {complete} are whole",
-            hint="its recording was damaged since: take it from a copy, or run the experiment anew",
+            f"{directory.path} was judged when it was complete, but now only {complete} are whole",
+            hint="the recording was damaged since: restore it from a copy, or run the experiment "
+            "again",
         )
     if directory.is_reported:
         raise DataError(
@@ -226,7 +227,7 @@ def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> 
         raise DataError(
             f"{name} is not what the run was begun with: its hash is {found[:12]}…, "
             f"start.json says {str(start.get(key))[:12]}…",
-            hint="put the original file back, or run the experiment anew",
+            hint="put the original file back, or run the experiment again",
         )
 
 
@@ -240,7 +241,7 @@ def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> Non
     if differs:
         raise PreflightFailed(
             f"this is not the robot of {directory.path}: {'; '.join(differs)}",
-            hint="connect the robot that began the run, or run the experiment anew on this one",
+            hint="connect the robot that began the run, or run the experiment again on this one",
         )
 
 

@@ -41,8 +41,8 @@ def run(
         list[str],
         typer.Option(
             "--robots",
-            help="Such as 'ur5-*', or a file with real robots and their addresses; repeat for "
-            "several.",
+            help="Robot name pattern such as 'ur5-*', or a YAML file of real robots with their "
+            "addresses; repeatable.",
             show_default=False,
         ),
     ],
@@ -144,7 +144,7 @@ def _tell(report: FleetReport, json: bool) -> None:
     else:
         rows = [(one.robot, one.word, Path(one.report.get("run", "")).name) for one in report.ended]
         rows += [(name, "not begun", "") for name in report.left]
-        print_table(("robot", "came of it", "run"), rows)
+        print_table(("robot", "result", "run"), rows)
         typer.echo(f"fleet: {report.folder}")
     if (error := report.error) is None:
         return

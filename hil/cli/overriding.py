@@ -26,8 +26,8 @@ SpeedOption = Annotated[
     typer.Option(
         "--speed",
         metavar="SHARE",
-        help="Commissioning: the same program slower, such as 10%, without its warm-up; neither "
-        "fitted nor judged.",
+        help="Commissioning run: the same program at a share of its speed (10%), without warm-up. "
+        "No fit, no judgement.",
     ),
 ]
 FirstOption = Annotated[
@@ -35,8 +35,8 @@ FirstOption = Annotated[
     typer.Option(
         "--first",
         metavar="N|SECONDSs",
-        help="Commissioning: only so many poses or trajectories (10), the nearest poses first, or "
-        "seconds (30s); neither fitted nor judged.",
+        help="Commissioning run: only the first poses or trajectories (10; nearest poses first) or "
+        "the first seconds (30s). No fit, no judgement.",
     ),
 ]
 

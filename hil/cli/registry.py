@@ -230,9 +230,9 @@ def log(name: NameArgument, registry: RegistryOption = HERE, json: JsonFlag = Fa
 
 @app.command()
 def check(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
-    """Compare every file with its digest and every log with its head; make the views anew.
+    """Compare every file with its digest and every log with its head; rebuild the views.
 
-    Of a damaged name nothing is written.
+    Nothing is written for a damaged name.
     """
     from hil.registry.registry import Registry
 
@@ -262,9 +262,9 @@ def repair(
     registry: RegistryOption = HERE,
     json: JsonFlag = False,
 ) -> None:
-    """Rebuild a damaged log from the versions' folders and what is left of it.
+    """Rebuild a damaged log from its intact lines and the version folders.
 
-    Files as they were stay beside it, in a folder damaged-TIME. Of a sound log nothing is changed.
+    Copies of the old files stay beside it, in a folder damaged-TIME. A sound log is not changed.
     """
     from hil.registry.registry import Registry
 
@@ -280,15 +280,15 @@ def repair(
         return
     entered = ", ".join(f"v{number}" for number in done.registered) or "none"
     say(f"{name}: {done.problem}")
-    say(f"  lines of the log that stay: {done.lines}; versions entered from folders: {entered}")
-    say(f"  {champion} by {done.source}; challenger {_label(now.challenger) or 'none'}")
-    say(f"  the files as they were: {done.aside}")
+    say(f"  intact lines: {done.lines}; versions added from folders: {entered}")
+    say(f"  {champion} (from {done.source}); challenger {_label(now.challenger) or 'none'}")
+    say(f"  copies of the old files: {done.aside}")
     if not now.champion:
-        say("  nothing is left that names a champion: the next promotion is a first one")
+        say("  no file names a champion: the next promotion is the first, without a comparison")
 
 
 def _roles(home: Registry, name: str) -> tuple[Aliases, RegistryError | None]:
-    """Return who is what, and what is wrong with the log: then the roles are unknown."""
+    """Return the roles and the problem of the log; with a problem the roles are unknown."""
     from hil.registry.log import Aliases
 
     problem = home.problem(name)

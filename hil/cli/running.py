@@ -53,7 +53,9 @@ WaitOption = Annotated[
 YesFlag = Annotated[
     bool,
     typer.Option(
-        "--yes", help="Move a real robot without asking: what scripts confirm with; recorded."
+        "--yes",
+        help="Move a real robot without a prompt (for scripts). The confirmation is recorded in "
+        "the run.",
     ),
 ]
 ConfirmedOption = Annotated[
@@ -61,8 +63,8 @@ ConfirmedOption = Annotated[
     typer.Option(
         "--confirmed",
         metavar="FILE",
-        help="Facts of the motion that were confirmed elsewhere (JSON), as the dashboard writes "
-        "them; a real robot moves if they are the facts of this run.",
+        help="JSON file with the confirmed facts of the motion, as written by the dashboard; a "
+        "real robot moves only if they cover this run.",
     ),
 ]
 CampaignFlag = Annotated[
@@ -157,7 +159,7 @@ def _refuse_attended(*given: object) -> None:
     if any(given):
         raise SpecError(
             "--operator, --answers, --elsewhere, --waive, --wait, --yes, --confirmed, --speed, "
-            "--first and --live are for runs that somebody attends, not for schedules",
+            "--first and --live are for attended runs, not for schedules",
             hint="run its experiments by themselves to try them",
         )
 

@@ -110,12 +110,12 @@ def arm(
     state: StateOption = None,
     station: StationOption = None,
     operator: OperatorOption = "",
-    yes: Annotated[bool, typer.Option("--yes", help="Confirm without asking; recorded.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Confirm without a prompt; recorded.")] = False,
     json: JsonFlag = False,
 ) -> None:
-    """Confirm once that a schedule moves its real robot; nothing is connected and nothing moves.
+    """Confirm once that a schedule may move its real robot; connects to nothing.
 
-    To be done again when the file, an experiment, or the robot's entry in the station changes.
+    Repeat it after a change of the file, an experiment, or the robot's entry in the station.
     """
     from hil.campaign.arming import arm as arm_moves
     from hil.pipeline.bound import bind_file
@@ -285,7 +285,7 @@ def _armed_words(armed: dict[str, Any]) -> str:
 
 
 def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
-    """Say whether a schedule is armed, and what has changed since."""
+    """Return whether a schedule is armed, and what has changed since."""
     from hil.campaign.arming import changed_since
     from hil.pipeline.bound import bind_file
 
@@ -298,8 +298,7 @@ def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
         return f"{_armed_words(armed)}, but: {error.message}"
     if not changed:
         return _armed_words(armed)
-    another = ", another ".join(changed)
-    return f"{_armed_words(armed)}, but since then there is another {another}: arm it again"
+    return f"{_armed_words(armed)}; changed since: {', '.join(changed)}; arm it again"
 
 
 def _state(spec: ScheduleSpec, given: Path | None) -> Path:

@@ -226,7 +226,7 @@ def _tell(report: SeriesReport, json: bool) -> None:
                 tell_run(Path(each.report["run"]))
                 typer.echo()
         rows = [(each.experiment, each.robot, each.word) for each in report.ended]
-        print_table(("experiment", "robot", "came of it"), [*rows, *_rows_not_begun(report)])
+        print_table(("experiment", "robot", "result"), [*rows, *_rows_not_begun(report)])
         typer.echo(f"overview: {_page(report)}")
     if error is None:
         return

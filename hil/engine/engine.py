@@ -46,7 +46,7 @@ READ_WITHIN_S = 3.0
 SILENCE = (RobotTimeout, RobotConnectionError, StaleState)
 """What a robot looks like to a process that did not run, however short that was."""
 
-HANGS = "see to the robot itself; own_process: true in the station gives the driver its own process"
+HANGS = "look at the robot; own_process: true in the station gives the driver its own process"
 
 
 class Engine:
@@ -272,7 +272,7 @@ class Engine:
         if isinstance(error, Stopped) or not (long or isinstance(error, SILENCE)):
             self._notes.append(f"this process did not run for {gap_s:.1f} s just before the end")
             return error
-        self._notes.append(f"found after the suspension: {error.message}")
+        self._notes.append(f"reported after the suspension: {error.message}")
         return self._suspension(gap_s)
 
     def _halt(self, error: HilError | None) -> HilError | None:

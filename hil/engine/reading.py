@@ -161,8 +161,8 @@ class Reading:
         times = f"{len(self._slowed_at)} times, first" if len(self._slowed_at) > 1 else "once,"
         return [
             f"the robot's speed scaling (speed slider) was lowered {times} at device time "
-            f"{self._slowed_at[0]:.3f} s, to {self._lowest:.0%} at the lowest; what was measured "
-            "meanwhile is not used"
+            f"{self._slowed_at[0]:.3f} s; lowest value {self._lowest:.0%}. Measurements at reduced "
+            "speed are excluded"
         ]
 
     def deadline(self, seconds: float) -> Deadline:

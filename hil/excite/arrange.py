@@ -139,7 +139,7 @@ class Arrangement:
         """
         workspace, start = self.workspace, last or f"the pose {_degrees(here)}"
         problems = [
-            f"{visit.label}: no clear way leads there from {start}; on the straight one "
+            f"{visit.label}: no clear way leads there from {start}; on the straight path: "
             f"{workspace.obstacle([workspace.line(here, visit.entry)])}"
             for visit in visits[:MOST_PROBLEMS]
         ]
@@ -178,7 +178,7 @@ class Arrangement:
         lines = [self.workspace.line(here, poses[i]) for i in order]
         found = self.workspace.first_clear(lines)
         if found is None:
-            why = f"; on the widest one {self.workspace.obstacle(lines[:1])}" if lines else ""
+            why = f"; on the widest line: {self.workspace.obstacle(lines[:1])}" if lines else ""
             raise PlanError(
                 f"there is no room for a warm-up motion{why}",
                 hint=f"{self.workspace.larger_space}set warm_up.duration_s to 0 or widen "

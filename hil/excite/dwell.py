@@ -82,7 +82,8 @@ class DwellProgram:
         ]
         why = next(filter(None, map(roadmap.workspace.obstacle, ways)), "")
         return PlanError(
-            f"{few} can be reached and approached" + (f"; on the way to one {why}" if why else ""),
+            f"{few} can be reached and approached"
+            + (f"; on the way to a rejected one: {why}" if why else ""),
             hint=f"{roadmap.workspace.larger_space}ask for fewer waypoints, a smaller "
             "approach_deg or a wider range_deg",
         )
@@ -131,8 +132,8 @@ def _complaints(roadmap: Roadmap, q: FloatArray, visit: Visit) -> list[str]:
         if complaint := workspace.complaint(motion.q_start):
             return [f"{visit.label}: where the pose is approached from, {complaint}"]
     if not workspace.are_clear(visit.motions):
-        return [f"{visit.label}: on its approach {workspace.obstacle(visit.motions)}"]
+        return [f"{visit.label}: on its approach: {workspace.obstacle(visit.motions)}"]
     if roadmap.way(roadmap.home, visit.entry) is None:
         straight = workspace.obstacle([workspace.line(roadmap.home, visit.entry)])
-        return [f"{visit.label}: no clear way leads there; on the straight one {straight}"]
+        return [f"{visit.label}: no clear way leads there; on the straight path: {straight}"]
     return []

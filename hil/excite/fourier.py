@@ -122,7 +122,7 @@ class FourierExcitation:
             f"not even {CANDIDATES} of {draws} random Fourier series keep "
             f"{1e3 * workspace.clearance_m:.0f} mm from the table, the walls and the arm itself"
             + (" and inside the workspace" if workspace.space is not None else "")
-            + (f"; on the last of them {why}" if why else ""),
+            + (f"; last series tried: {why}" if why else ""),
             hint=f"{workspace.larger_space}lower excitation.amplitude_deg or set "
             "excitation.range_deg where there is room",
         )

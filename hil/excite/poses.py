@@ -74,8 +74,7 @@ def _too_few(workspace: Workspace, q: FloatArray, few: str) -> PlanError:
         )
     nearest = workspace.complaint(free[int(depth.argmax())])
     return PlanError(
-        f"{few} {around}, and the flange inside its workspace; at the nearest of the others "
-        f"{nearest}",
+        f"{few} {around}, and the flange inside its workspace; closest rejected pose: {nearest}",
         hint=f"{workspace.larger_space}widen excitation.range_deg",
     )
 

@@ -124,7 +124,7 @@ def _unconnected(workspace: Workspace, poses: FloatArray) -> PlanError:
     why = workspace.obstacle([workspace.line(poses[a], poses[b])])
     return PlanError(
         "no clear motion leads from one pose to another"
-        + (f"; between the nearest two {why}" if why else ""),
+        + (f"; between the nearest two: {why}" if why else ""),
         hint=f"{workspace.larger_space}see whether the station's surroundings are as described",
     )
 

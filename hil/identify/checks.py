@@ -57,7 +57,7 @@ class Needs:
         ]
 
     def require(self, **have: int) -> None:
-        """Refuse data that have less.
+        """Raise if an amount is too small.
 
         Raises:
             FitError: An amount is too small.
@@ -72,7 +72,7 @@ class Needs:
 def gains_fault(
     effort_kind: str, gains: Sequence[float] | FloatArray | None, joint_names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return why efforts cannot be set against torques, and the remedy; None if they can.
+    """Return why efforts cannot be converted to torques, and the remedy; None if they can.
 
     Args:
         effort_kind: `current` or `torque`.
@@ -84,7 +84,7 @@ def gains_fault(
     if gains is None or not len(gains):
         return (
             "the effort is a motor current [A], but the drive gains [N·m/A] are unknown, so it "
-            "cannot be set against torques",
+            "cannot be converted to torque",
             "add drive_gains_nm_a and drive_gains_source to the import map or the station",
         )
     wrong = [
@@ -96,8 +96,8 @@ def gains_fault(
         return None
     return (
         f"drive gains [N·m/A] must be finite and above 0, but {', '.join(wrong)}",
-        "correct drive_gains_nm_a of the import map or the station; where a current "
-        "counts in the other direction, give its effort the scale -1 in the import map",
+        "correct drive_gains_nm_a of the import map or the station; if a current has the "
+        "opposite sign, give its effort the scale -1 in the import map",
     )
 
 

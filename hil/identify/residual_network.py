@@ -123,7 +123,7 @@ class ResidualNetwork(CorrectedModel):
         """Return what a fit cannot do without: samples to train with, and what its physics needs.
 
         Raises:
-            FitError: The physics is not for this robot.
+            FitError: The physics model does not support this robot.
         """
         return TO_TRAIN.also(needs_of(made(self.base), robot, loaded=loaded))
 

@@ -65,7 +65,7 @@ class PoseClustered(StaticModel):
         """Return what a fit cannot do without: a pose more than the widest regression has columns.
 
         Raises:
-            FitError: `form: paper` is not for this robot.
+            FitError: `form: paper` does not support this robot.
         """
         form, terms = self._form_of(robot), len(self._own_terms())
         widest = len(form.names) + robot.n * terms

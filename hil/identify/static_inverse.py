@@ -88,7 +88,7 @@ class StaticInverse(PoseClustered):
         """Return what a fit cannot do without: poses as `PoseClustered`, and motor currents.
 
         Raises:
-            FitError: `form: paper` is not for this robot.
+            FitError: `form: paper` does not support this robot.
         """
         return replace(super().needs(robot, loaded=loaded), effort="current")
 
@@ -143,8 +143,7 @@ class StaticInverse(PoseClustered):
     def _require_effort(self, dataset: Dataset, needed: str) -> None:
         if dataset.effort_kind != needed:
             raise FitError(
-                f"static-inverse inverts the torque of a motor current, the data hold a "
-                f"{dataset.effort_kind}",
+                f"static-inverse needs motor currents, but the data hold a {dataset.effort_kind}",
                 hint="use static-linear or static-wls for torques",
             )
 

@@ -65,7 +65,7 @@ class StaticModel(WlsEstimator):
         Currents need no gains when every joint is on its own and nothing is mounted.
 
         Raises:
-            FitError: `form: paper` is not for this robot.
+            FitError: `form: paper` does not support this robot.
         """
         return Needs(
             {"dwells": len(self._form_of(robot).names) + robot.n * len(self._own_terms())},

@@ -94,8 +94,8 @@ def interlock_margins(
     if problems:
         raise PlanError(
             "\n".join(problems),
-            hint="change these entries, or keep the motion away: excitation.range_deg, or the "
-            "poses of its file",
+            hint="change these entries, or restrict the motion: excitation.range_deg or the poses "
+            "of excitation.file",
         )
     return {"workspace_m": min(margins)} if margins else {}
 

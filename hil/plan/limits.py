@@ -123,8 +123,8 @@ def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> 
     if complaint := outside(space, nearest, clearance_m):
         yield Excess(
             ("interlocks",),
-            f"none of {SOME_POSES} poses from the joint ranges is inside the workspace: at the "
-            f"nearest {complaint}",
+            f"none of {SOME_POSES} poses from the joint ranges is inside the workspace; closest "
+            f"rejected pose: {complaint}",
         )
     if spec.reference.q_deg is not None and (
         complaint := outside(space, np.radians(np.array(spec.reference.q_deg)), clearance_m)

@@ -93,8 +93,8 @@ def weigh_visits(
         chosen.append(visit)
     if not chosen:
         raise PlanError(
-            "payload-check poses: there is none that can be held with every load, approached and "
-            "reached" + (f"; at the last one tried {why}" if (why := candidates.why) else ""),
+            "payload-check poses: no pose can be held with every load, approached and reached"
+            + (f"; last pose tried: {why}" if (why := candidates.why) else ""),
             hint=f"{roadmap.workspace.larger_space}widen excitation.range_deg, or set weigh: false",
         )
     return tuple(chosen)

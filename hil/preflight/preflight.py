@@ -84,7 +84,8 @@ def require_room_to_begin(runs: Path) -> None:
         return  # whatever is wrong: making the directory says it
     if free < TO_BEGIN_BYTES:
         raise PreflightFailed(
-            f"disk: {free / 1e6:.1f} MB are free, a run begins with {TO_BEGIN_BYTES / 1e6:.1f} MB",
+            f"disk: {free / 1e6:.1f} MB are free, but a run needs {TO_BEGIN_BYTES / 1e6:.1f} MB to "
+            "begin",
             hint=f"make room on the disk of {there}, or record elsewhere: --runs",
         )
 

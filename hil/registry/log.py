@@ -262,8 +262,8 @@ def settle(folder: Path) -> Inspected:
 def inspect(folder: Path) -> Inspected:
     """Compare a log with its head, and one without a head with `aliases.json` and the versions.
 
-    Needs no lock. What confirms the log is read before it, as the log only grows; the head also
-    after it, as a writer may have gone on meanwhile.
+    Needs no lock: head and versions are read before the log, because the log only grows. The head
+    is read again afterwards, because a writer may have appended a line meanwhile.
 
     Raises:
         RegistryError: The log cannot be read.
@@ -286,8 +286,8 @@ def inspect(folder: Path) -> Inspected:
             problem = problem or _lost_lines(folder, len(lines), head)
         elif not problem and confirmed > 1 + _lines_of(_read_head(folder), head.lines):
             problem = (
-                f"{folder / LOG_FILE} has {confirmed} lines, of which {HEAD_FILE} knows "
-                f"{head.lines}: one of the two is not of now"
+                f"{folder / LOG_FILE} has {confirmed} lines but {HEAD_FILE} records "
+                f"{head.lines}: one of the two files is outdated"
             )
         behind = confirmed > head.lines
     else:
@@ -308,12 +308,12 @@ def inspect(folder: Path) -> Inspected:
 
 
 def repair(folder: Path) -> Repair | None:
-    """Rebuild a damaged log from what is left of it and from the versions' folders.
+    """Rebuild a damaged log from its intact lines and the version folders.
 
-    Champion and challenger are those of `head.json` where it knows more than the log, of
-    `aliases.json` where there is no head. The files as they were stay in a folder of their own.
-    Killed on the way, the log is still damaged, and `repair` can be repeated. The caller holds the
-    lock.
+    Champion and challenger come from `head.json` if it records more than the log, and from
+    `aliases.json` if there is no head. Copies of the old files stay in a folder of their own.
+    After a kill on the way the log is still damaged, and `repair` can be repeated. The caller holds
+    the lock.
 
     Returns:
         What was done; None where the log is sound.
@@ -497,7 +497,7 @@ def _states(entries: Sequence[Entry]) -> list[Aliases]:
 
 
 def _lost_lines(folder: Path, there: int, head: _Head) -> str:
-    """Say which lines the head knows and the log has no more."""
+    """Return which of the lines that the head records are missing from the log."""
     path = folder / LOG_FILE
     champion = f"v{head.aliases.champion}" if head.aliases.champion else "none"
     after = f"; the champion after line {head.lines} was {champion}"
@@ -505,16 +505,19 @@ def _lost_lines(folder: Path, there: int, head: _Head) -> str:
         return f"{path} is missing, with its {head.lines} lines{after}"
     lost = f"line {head.lines}" if there == head.lines - 1 else f"lines {there + 1} to {head.lines}"
     verb = "is" if there == head.lines - 1 else "are"
-    return f"{path}: {lost} {verb} missing or cut off, by {HEAD_FILE}{after}"
+    return (
+        f"{path}: {lost} {verb} missing or truncated "
+        f"({HEAD_FILE} records {head.lines} {'line' if head.lines == 1 else 'lines'}){after}"
+    )
 
 
 def _without_head(
     folder: Path, lines: Sequence[_Line], numbers: Sequence[int], view: Aliases | None
 ) -> str:
-    """Say what is missing of a log without a head; empty for a new or an older one.
+    """Return what is missing from a log without a head; empty for a new or an older log.
 
-    An older log is compared with what else there is: a crash leaves at most one version out of the
-    log, and `aliases.json` at most older than the log.
+    An older log is compared with `aliases.json` and the version folders: after a crash at most one
+    version is missing from the log, and `aliases.json` may be older than the log.
     """
     path, entries = folder / LOG_FILE, tuple(line.entry for line in lines)
     if any(line.numbered for line in lines[:-1]):
@@ -530,7 +533,7 @@ def _without_head(
 
 
 def _chain(folder: Path) -> tuple[list[_Line], str]:
-    """Return committed lines as far as each follows the one before, and what ends them."""
+    """Return the committed lines up to the first broken link, and the problem there."""
     path = folder / LOG_FILE
     found: list[_Line] = []
     for number, raw in read_lines(path):

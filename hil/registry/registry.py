@@ -270,9 +270,9 @@ class Registry:
         return damaged(home, problem) if problem else None
 
     def repair(self, name: str) -> Repair | None:
-        """Rebuild a damaged log from what is left of it and from the versions' folders.
+        """Rebuild a damaged log from its intact lines and the version folders.
 
-        The files as they were stay in a folder of their own.
+        Copies of the old files stay in a folder of their own.
 
         Returns:
             What was done; None where the log is sound.

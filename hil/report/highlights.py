@@ -132,8 +132,7 @@ def _status(recording: Recording) -> tuple[str, ...]:
     words = {
         Status.FAULT: "report a controller fault",
         Status.MASKED: "are marked as not usable",
-        Status.SLOWED: "belong to measurements at another speed than planned (speed slider); they "
-        "are not used",
+        Status.SLOWED: "are excluded: measured slower than planned (speed slider)",
     }
     status = recording.rows["status"]
     found = {said: int(np.count_nonzero(status & bit)) for bit, said in words.items()}

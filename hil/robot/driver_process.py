@@ -166,7 +166,7 @@ class DriverProcess:
             self._process.kill()
             raise RobotTimeout(
                 f"{self._name}: the driver has not answered a stop within {STOP_WITHIN_S:g} s{why} "
-                "and was killed; it is for the controller to stop the arm now",
+                "and was killed; only the controller can stop the arm now",
                 hint="see to the robot itself, by its emergency stop if need be",
             )
         if answer:
@@ -192,8 +192,8 @@ class DriverProcess:
 
     def _is_suspended(self) -> RobotTimeout:
         return RobotTimeout(
-            f"{self._name}: the driver's process {self.pid} is suspended and answers nothing",
-            hint="see to the robot; let such a process run (kill -CONT), or end it",
+            f"{self._name}: the driver's process {self.pid} is suspended and does not answer",
+            hint="look at the robot; continue the process (kill -CONT), or end it",
         )
 
     def _died(self, wait_s: float = _TO_BE_SEEN_S) -> RobotConnectionError:

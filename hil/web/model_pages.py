@@ -103,7 +103,7 @@ def _commands(
     where = f"--registry {shell_word(settings.registry)}"
     if broken:
         repair = f"hil models repair {name} {where}"
-        return [("Rebuild the log from the versions and what is left of it:", repair)]
+        return [("Rebuild the log from its intact lines and the version folders:", repair)]
     found = []
     if not aliases.champion:
         which = "challenger" if aliases.challenger else "v1"

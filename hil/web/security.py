@@ -83,7 +83,7 @@ class Guard:
         if (answer := self._unknown(scope, headers)) is not None:
             return answer
         if headers.get("upgrade", "").strip().lower() == "websocket":
-            return _said(400, "this dashboard has no WebSockets: news is at /events")
+            return _said(400, "this dashboard has no WebSockets: its events are at /events")
         if scope["method"] in SAFE:
             return None
         if self._settings.read_only:

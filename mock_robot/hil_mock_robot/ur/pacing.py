@@ -121,7 +121,7 @@ class SlipWarning:
         self._say(
             f"behind the wall clock: device time passes at {slip.pace:.0%} of its pace, "
             f"{slip.total_s:.1f} s were given up since the start. This computer is too busy: "
-            "time-outs of clients are no fault of the protocol; close other programs, or use "
+            "time-outs of clients are then not protocol errors; close other programs, or use "
             "--speed 0.5"
         )
 
