@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+import traceback
 from dataclasses import dataclass
 
 
@@ -44,8 +45,7 @@ class OncePerMinute(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether it is written."""
-        of = record.exc_info[0].__name__ if record.exc_info and record.exc_info[0] else ""
-        kind = (record.name, str(record.msg), of)
+        kind = (record.name, str(record.msg), _origin(record))
         known = self._kinds.setdefault(kind, _Kind(Throttle(self._every_s)))
         if not known.throttle.due():
             known.left_out += 1
@@ -54,6 +54,14 @@ class OncePerMinute(logging.Filter):
             told = f"{record.getMessage()} ({known.left_out} more like it since the last line)"
             record.msg, record.args, known.left_out = told, (), 0
         return True
+
+
+def _origin(record: logging.LogRecord) -> str:
+    """Return type and place of the exception of a record; empty without one."""
+    if not record.exc_info or record.exc_info[0] is None:
+        return ""
+    places = traceback.extract_tb(record.exc_info[2])[-1:]
+    return f"{record.exc_info[0].__name__} {[(at.filename, at.lineno) for at in places]}"
 
 
 @dataclass(slots=True)

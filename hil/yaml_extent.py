@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import yaml
 
-MOST_FREE = 2000
+MOST_FREE = 10_000
 """Values that a document may hold however short it is."""
 
 MOST_PER_CHARACTER = 2

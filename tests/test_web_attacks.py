@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import os
@@ -13,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 from urllib.parse import urlsplit
 
 import pytest
@@ -133,6 +135,24 @@ def test_an_answer_that_is_not_read_is_given_up(
         deaf.connect(where)
         deaf.sendall(1000 * head.encode())
         until(lambda: "an answer was not read for 0.2 s" in caplog.text, WITHIN_S)
+
+
+def test_an_answer_that_is_read_slowly_is_not(tmp_path: Path) -> None:
+    left, later = [300], []  # bytes that wait, and what is due next
+    config = uvicorn.Config(create_app(settings_in(tmp_path)), log_config=None)
+    with contextlib.closing(asyncio.new_event_loop()) as loop:
+        slow = LimitedProtocol(config, uvicorn.server.ServerState(), {}, loop)
+        slow.loop = Mock(call_later=lambda seconds, do, *to: later.append((do, to)) or Mock())
+        slow.connection_made(Mock(get_write_buffer_size=lambda: left[0], is_closing=lambda: False))
+        slow.data_received(b"GET / HTTP/1.1\r\nHost: 127.0.0.1:8350\r\n")
+        slow.pause_writing()
+        for left[0] in (200, 100):
+            do, to = later.pop()
+            do(*to)
+            assert not slow.transport.abort.called
+        do, to = later.pop()
+        do(*to)  # nothing more was read
+        assert slow.transport.close.called or slow.transport.abort.called
 
 
 def test_the_oldest_of_too_many_gives_its_place_to_the_next(tmp_path: Path) -> None:

@@ -139,9 +139,11 @@ def _is_read(text: str) -> bool:
     return True
 
 
-def test_aliases_of_a_hundred_robots_are_read() -> None:
+@pytest.mark.parametrize("keys", [0, 60])
+def test_aliases_of_a_hundred_robots_are_read(keys: int) -> None:
     """What people use aliases for: one entry of a station, many times."""
-    one = "{driver: mock, model: ur5, options: {seed: 1, profile: full}, gains: [1, 2, 3, 4, 5, 6]}"
+    options = "".join(f", k{i}: {i}" for i in range(keys))
+    one = f"{{driver: mock, model: ur5, options: {{seed: 1{options}}}, gains: [1, 2, 3, 4, 5, 6]}}"
     text = f"robots:\n  r0: &robot {one}\n" + "".join(f"  r{i}: *robot\n" for i in range(1, 100))
 
     robots = parse(text, "f").data["robots"]

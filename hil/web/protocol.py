@@ -9,13 +9,18 @@ no deadline as long as it is read.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
+import socket
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
+
+UNSENT_BYTES = 128 * 1024
+"""What the kernel takes of an answer beyond what it can send at once."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -28,7 +33,7 @@ class Limits:
         headers_s: From the first byte of a request (or from connecting) to the end of its
             headers [s].
         body_s: From there to the end of its body [s].
-        unread_s: For which an answer may wait for its reader [s].
+        unread_s: For which nothing of an answer may be read [s].
         arriving: Connections whose request is not whole, at the same time.
     """
 
@@ -58,6 +63,10 @@ class LimitedProtocol(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for the first request, in the place of the oldest if there are too many."""
         super().connection_made(transport)
+        # Bytes in the kernel's buffer, megabytes of them, would hide that a slow reader reads.
+        if (connection := transport.get_extra_info("socket")) is not None:
+            with contextlib.suppress(OSError, AttributeError):  # not everywhere
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         self._set_arriving("headers")
         others = [one for one in self.connections if isinstance(one, LimitedProtocol)]
         arriving = [one for one in others if one.arriving]
@@ -81,10 +90,18 @@ class LimitedProtocol(H11Protocol):
         self._look(begun=bool(self.conn.trailing_data[0]))
 
     def pause_writing(self) -> None:
-        """Wait for the reader, not for ever."""
+        """Wait for the reader as long as it reads at all."""
         super().pause_writing()
-        told = f"a connection was closed: an answer was not read for {self.limits.unread_s:g} s"
-        self._unread = self.loop.call_later(self.limits.unread_s, self.drop, told)
+        self._wait_for_reader()
+
+    def _wait_for_reader(self, before: int | None = None) -> None:
+        """Close the connection if none of the answer was read since there were `before` bytes."""
+        left = self.transport.get_write_buffer_size()
+        if before is not None and left >= before:
+            limit_s = self.limits.unread_s
+            self.drop(f"a connection was closed: an answer was not read for {limit_s:g} s")
+            return
+        self._unread = self.loop.call_later(self.limits.unread_s, self._wait_for_reader, left)
 
     def resume_writing(self) -> None:
         """Go on writing."""
