@@ -214,8 +214,8 @@ up to date. In an editor with YAML support the first line of the shipped specs
 - A key that is not listed here is an error, with a guess at what was meant.
 - Scalars follow YAML 1.2: `1e-3` is a number; `on`, `yes` and `12:30` are text.
 - Anchors and aliases (`&a`, `*a`) are allowed; with all aliases followed, a file may
-  hold 10 000 values and 2 more for each of its characters, in at most 40 levels. What holds more is
-  refused before it is built.
+  hold 10 000 values and 2 more for each of its characters, in at most 40 levels. A larger file is
+  rejected during parsing.
 - Relative paths start at the folder of the file they stand in.
 - A `kind` decides which other keys there are."""
 

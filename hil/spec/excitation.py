@@ -22,14 +22,14 @@ class Dwell(Strict):
     )
     file: str | None = Field(
         None,
-        description="CSV with the lab's own poses, one per row, one column per joint; a first line "
-        "may name the joints, or `q1` to `q6`, all with `_deg` or `_rad` or without. A relative "
-        "path starts at the folder of the spec. `waypoints` has no meaning then.",
+        description="CSV file of poses, one per row, one column per joint. An optional first line "
+        "names the joints (or `q1` to `q6`), all with `_deg`, all with `_rad`, or all without "
+        "either. A relative path starts at the folder of the spec. `waypoints` has no effect then.",
     )
     file_unit: Literal["deg", "rad"] = Field(
         "deg",
-        description="Unit of the poses in `file`; not needed if its first line has it. If neither "
-        "has it and no angle is beyond 2π, the file is refused.",
+        description="Unit of the poses in `file`; not needed if the first line states it. If "
+        "neither states it and no angle is beyond 2π, the file is refused.",
     )
     dwell_s: Annotated[float, Field(ge=0.01, le=600), IS_NUMBER] = Field(
         0.095, description="Shortest time at rest before the pose is left."

@@ -14,12 +14,12 @@ KEY = "hil_fleet"
 
 
 class FleetSpec(Strict):
-    """Robots of one station that an experiment is run on; needed where they are real."""
+    """Robots of one station that run an experiment; needed if they are real."""
 
     hil_fleet: FormatVersion = Field(description="Version of the fleet format.")
     robots: dict[Name, str] = Field(
         min_length=1,
-        description="Every robot by its name in the station, with its address, such as "
+        description="Address of every robot, by its name in the station, such as "
         "`{ur5-001: 192.168.0.11}`.",
     )
 

@@ -215,7 +215,7 @@ class SpeedScalingInterlock(Strict):
     """Stop or pause when the robot's controller moves slower than planned."""
 
     kind: Literal["speed_scaling"] = Field(
-        description="Watches the speed slider, of robots that report it."
+        description="Watches the speed slider of robots that report it."
     )
     action: StopOrPause = "pause"
     enabled: Enabled = True

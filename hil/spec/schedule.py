@@ -171,8 +171,8 @@ class ScheduleSpec(Strict):
     )
     robots: dict[Name, str] = Field(
         {},
-        description="Every real robot that moves, by its name in the station, with its address, "
-        "such as `{ur5: 192.168.0.5}`; mocks and loopback addresses need none.",
+        description="Address of every real robot that moves, by its name in the station, such as "
+        "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry.",
     )
     timezone: Annotated[str, AfterValidator(_known_zone)] = Field(
         "UTC", description="Of all times of day here, such as `Europe/Berlin`."

@@ -44,7 +44,7 @@ def schedule_schema() -> dict[str, Any]:
 
 
 def fleet_schema() -> dict[str, Any]:
-    """JSON Schema of the robots of a fleet."""
+    """Return the JSON Schema of a fleet's file."""
     return _schema(FleetSpec, "fleet")
 
 

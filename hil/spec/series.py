@@ -39,8 +39,8 @@ class SeriesSpec(Strict):
     )
     robots: dict[Name, str] = Field(
         {},
-        description="Every real robot that moves, by its name in the station, with its address, "
-        "such as `{ur5: 192.168.0.5}`; mocks and loopback addresses need none.",
+        description="Address of every real robot that moves, by its name in the station, such as "
+        "`{ur5: 192.168.0.5}`; mocks and loopback addresses need no entry.",
     )
     series: tuple[SeriesEntry, ...] = Field(min_length=1, description="The experiments.")
 

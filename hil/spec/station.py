@@ -77,8 +77,8 @@ class StationRobot(Strict):
     )
     checklist: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
         (),
-        description="What must be so before this robot moves: shown whenever a motion of it is "
-        "confirmed, and recorded with the answer.",
+        description="Conditions to check before this robot moves; shown with every confirmation "
+        "of a motion, and recorded with the answer.",
     )
     gravity_m_s2: Vector3 = Field(
         (0.0, 0.0, -9.81), description="Gravity in the base frame: says how the arm is mounted."
