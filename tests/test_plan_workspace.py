@@ -20,6 +20,7 @@ from hil.excite.visit import Program, pose_visit
 from hil.excite.workspace import Workspace
 from hil.plan.approach import Approach
 from hil.plan.build import build_plan
+from hil.plan.place import checked_start, roadmap_of
 from hil.plan.plan import Plan
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
@@ -135,7 +136,8 @@ def test_a_resumed_run_comes_back_inside_the_box() -> None:
     spec = spec_of(interlocks=[box(*sides)])
     plan = build_plan(spec, ur5())
     first, last = plan.motions[0].q_start, plan.motions[-1].q_end
-    approach = Approach(spec, ur5(), rate_hz=plan.rate_hz, here=last)
+    ends = np.array([motion.q_end for motion in plan.motions])
+    approach = Approach(spec, ur5(), rate_hz=plan.rate_hz, here=last, targets=ends)
     q = np.concatenate([line.sample(125.0).q for line in approach.way(last, first)])
     places = RobotModel.from_arm("ur5").flange_pose(q)[:, :3, 3]
     assert min((places - sides[0]).min(), (sides[1] - places).min()) >= CLEARANCE_M - 1e-9
@@ -213,6 +215,26 @@ def test_a_reference_pose_outside_the_box_is_refused_before_anything_is_planned(
     assert "reference.q_deg: the flange is 501.1 mm beyond z of max_m" in error.message
 
 
+FOUR_POSES = "".join(f"{8 * i},-90,{80 + 4 * i},-80,-90,0\n" for i in range(4))
+
+
+@pytest.mark.parametrize(
+    "sides",
+    [([-0.55, -0.35, 0.34], [-0.32, -0.02, 0.62]), ([-0.51, -0.31, 0.38], [-0.36, -0.06, 0.58])],
+    ids=["drawn poses are in another configuration", "hardly any drawn pose is inside"],
+)
+def test_a_file_in_a_small_box_is_planned_from_a_pose_of_it(
+    tmp_path: Path, sides: tuple[list[float], list[float]]
+) -> None:
+    file = tmp_path / "poses.csv"
+    file.write_text(FOUR_POSES, "utf-8")
+    excitation = {"kind": "dwell", "file": str(file), "file_unit": "deg", "approach": "positive"}
+    spec = spec_of(excitation=excitation, interlocks=[box(*sides)], weigh={"poses": 0})
+    plan = build_plan(spec, ur5(), start_q=np.radians([0, -90, 80, -80, -90, 0]))
+    assert sum(step.kind == "dwell" for step in plan) == 4
+    assert depth(plan, *sides) >= CLEARANCE_M - 1e-9
+
+
 def test_poses_of_a_file_outside_the_box_are_listed(tmp_path: Path) -> None:
     file = tmp_path / "poses.csv"
     file.write_text("0,-90,0,-90,0,0\n0,-60,90,-90,0,0\n", "utf-8")
@@ -246,6 +268,39 @@ def test_a_way_that_is_missing_names_both_poses_and_the_side() -> None:
     ]
     with pytest.raises(PlanError, match="pose 1: no clear way leads there from pose 0; on the"):
         list(Arrangement(roadmap, every=9).measure(Program(visits), roadmap.home))
+
+
+class TwoRooms:
+    """A space in joint space: no way leads from small to large angles of the first joint."""
+
+    names = (("flange", "x of max_m (interlocks.0)"),)
+    reach = np.ones((1, 2))
+
+    def distances(self, q: FloatArray) -> FloatArray:
+        return np.asarray(np.minimum(np.abs(q[:, 0] - 0.6) - 0.1, 0.05))[None]
+
+
+LARGE_ROOM, SMALL_ROOM = np.array([-0.5, 0.0]), np.array([1.2, 0.0])
+
+
+def test_a_confined_program_is_planned_in_the_room_where_the_robot_stands() -> None:
+    workspace = toy_workspace(space=TwoRooms())
+    assert checked_start(LARGE_ROOM, roadmap_of(workspace, start=LARGE_ROOM)) is LARGE_ROOM
+    assert checked_start(SMALL_ROOM, roadmap_of(workspace, start=SMALL_ROOM)) is SMALL_ROOM
+
+
+def test_a_confined_program_is_planned_in_the_room_of_its_poses() -> None:
+    workspace = toy_workspace(space=TwoRooms())
+    roadmap = roadmap_of(workspace, wanted=np.array([[1.1, 0.2], [1.3, -0.2], [-0.5, 0.0]]))
+    assert (roadmap.poses[:, 0] > 0.7).all()
+
+
+def test_a_robot_in_another_room_of_the_box_than_the_program_names_the_side() -> None:
+    workspace = toy_workspace(space=TwoRooms())
+    roadmap = roadmap_of(workspace, wanted=SMALL_ROOM[None], start=LARGE_ROOM)
+    with pytest.raises(PlanError, match=r"no clear way leads from it .* x of max_m") as caught:
+        checked_start(LARGE_ROOM, roadmap)
+    assert "move that side of the workspace interlock" in caught.value.hint
 
 
 def test_ways_lead_around_what_is_outside() -> None:

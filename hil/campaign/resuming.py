@@ -183,7 +183,11 @@ def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool
     plan, experiment = unfinished.plan, unfinished.experiment
     here = standing_at(robot.read()[-1])
     approach = Approach(
-        experiment.spec, experiment.robot, rate_hz=robot.capabilities.rate_hz, here=here
+        experiment.spec,
+        experiment.robot,
+        rate_hz=robot.capabilities.rate_hz,
+        here=here,
+        targets=np.array([motion.q_end for motion in plan.motions]),
     )
     again = bool(weighed) and not is_whole(weighed)
     left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)

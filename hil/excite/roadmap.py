@@ -1,9 +1,10 @@
 """Ways between poses: straight when that is clear, else over a few well-spread poses.
 
 Joint space may fall apart into regions that no motion within the joint ranges connects (a wrist
-that cannot turn past the forearm is enough). The roadmap keeps to the largest one. It is lazy
-(Bohlin and Kavraki 2000): a way is searched over connections that look clear at a few samples,
-then those on it are checked at every sample, and the search is repeated without the bad ones.
+that cannot turn past the forearm is enough). The roadmap keeps to the largest one, or to the one
+with most of the poses that a program has to reach. It is lazy (Bohlin and Kavraki 2000): a way
+is searched over connections that look clear at a few samples, then those on it are checked at
+every sample, and the search is repeated without the bad ones.
 """
 
 from __future__ import annotations
@@ -31,21 +32,46 @@ class Roadmap:
     Args:
         workspace: Where the ways must be clear.
         poses: (M, n) clear poses to travel over, well spread.
+        wanted: (k, n) clear poses that have to be reached. They are travelled over as well, and of
+            the connected regions the one with most of them is chosen.
+        start: (n,) where the robot stands. Of regions that hold as many of `wanted` the largest
+            that can be reached from there in a straight line is chosen.
 
     Attributes:
-        poses: (m, n) those of the largest connected region.
+        poses: (m, n) those of the chosen region, by default the largest.
         home: (n,) the roomiest of them.
 
     Raises:
         PlanError: No two of the poses are connected.
     """
 
-    def __init__(self, workspace: Workspace, poses: FloatArray) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        poses: FloatArray,
+        *,
+        wanted: FloatArray | None = None,
+        start: FloatArray | None = None,
+    ) -> None:
         self.workspace = workspace
+        drawn = len(poses)
+        if wanted is not None:
+            poses = np.vstack([poses, wanted])
         look_clear = _symmetric(self._looks_clear(poses, poses))
-        region = self._largest_region(poses, look_clear)
-        if len(region) < 2:
+        regions = self._regions(poses, look_clear)
+        most = max(_count_from(region, drawn) for region in regions)
+        # The largest first; which of equal ones does not depend on anything but the poses.
+        regions = sorted(
+            (region for region in regions if _count_from(region, drawn) == most),
+            key=len,
+            reverse=True,
+        )
+        region = regions[0]
+        if len(region) < 2 and not most:
             raise _unconnected(workspace, poses)
+        if start is not None and len(regions) > 1:
+            reached = (one for one in regions if self._leads_to(start, poses[one]))
+            region = next(reached, region)
         self.poses = poses[region]
         self._open = look_clear[np.ix_(region, region)]
         self.home: FloatArray = self.poses[int(workspace.room(self.poses).argmax())]
@@ -101,8 +127,8 @@ class Roadmap:
         s, g = np.indices((len(starts), len(goals))).reshape(2, -1)
         return self.workspace.look_clear(starts[s], goals[g]).reshape(len(starts), len(goals))
 
-    def _largest_region(self, poses: FloatArray, open_: BoolArray) -> IntArray:
-        """Indices of the poses in the largest connected region, each connection checked.
+    def _regions(self, poses: FloatArray, open_: BoolArray) -> list[IntArray]:
+        """Return the indices of the poses in each connected region, each connection checked.
 
         Kruskal's algorithm: the shortest connections first, only those that join two regions.
         """
@@ -113,8 +139,21 @@ class Roadmap:
                     region[region == region[b]] = region[a]
                 else:
                     open_[a, b] = open_[b, a] = False
-        names, sizes = np.unique(region, return_counts=True)
-        return np.flatnonzero(region == names[sizes.argmax()])
+        return [np.flatnonzero(region == name) for name in np.unique(region)]
+
+    def _leads_to(self, start: FloatArray, poses: FloatArray) -> bool:
+        """Whether a straight line from `start` (n,) to one of `poses` (m, n) is clear.
+
+        A single pose leads nowhere else and does not count.
+        """
+        near = poses[self._looks_clear(start[None], poses)[0]]
+        lines = [self.workspace.line(start, q) for q in near]
+        return len(poses) > 1 and self.workspace.first_clear(lines) is not None
+
+
+def _count_from(region: IntArray, first: int) -> int:
+    """Return how many indices of a region are `first` or above."""
+    return int(np.count_nonzero(region >= first))
 
 
 def _unconnected(workspace: Workspace, poses: FloatArray) -> PlanError:

@@ -23,6 +23,7 @@ class Approach:
         station_robot: Its robot and what stands around it.
         rate_hz: The plan's rate.
         here: (n,) where the arm stands [rad].
+        targets: (k, n) poses of the plan, where it may go on [rad].
 
     Raises:
         PlanError: The arm cannot leave that pose safely.
@@ -35,9 +36,11 @@ class Approach:
         *,
         rate_hz: float,
         here: FloatArray,
+        targets: FloatArray,
     ) -> None:
         arm = load_arm(station_robot.model)
-        self._roadmap = roadmap_of(workspace_of(spec, station_robot, arm, rate_hz))
+        workspace = workspace_of(spec, station_robot, arm, rate_hz)
+        self._roadmap = roadmap_of(workspace, wanted=targets, start=here)
         checked_start(here, self._roadmap)
 
     def way(self, here: FloatArray, target: FloatArray) -> Sequence[Line]:

@@ -20,7 +20,13 @@ from hil.plan.exciting import program_of, setting_of
 from hil.plan.interlocks import interlock_margins
 from hil.plan.limits import excesses
 from hil.plan.margins import margins_of
-from hil.plan.place import checked_start, plannable_arm, roadmap_of, workspace_of
+from hil.plan.place import (
+    checked_start,
+    plannable_arm,
+    poses_of_file,
+    roadmap_of,
+    workspace_of,
+)
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 from hil.plan.quality import condition_number
 from hil.plan.weighing import weigh_dwell, weigh_visits
@@ -65,8 +71,10 @@ def build_plan(
             "\n".join(map(str, problems)), hint="change these values, or take another robot"
         )
     workspace = workspace_of(spec, station_robot, arm, rate)
-    roadmap = roadmap_of(workspace)
-    start = roadmap.home if start_q is None else checked_start(np.asarray(start_q), roadmap)
+    here = None if start_q is None else np.asarray(start_q)
+    wanted = poses_of_file(spec.excitation, workspace, folder or Path())
+    roadmap = roadmap_of(workspace, wanted=wanted, start=here)
+    start = roadmap.home if here is None else checked_start(here, roadmap)
     setting = setting_of(spec, station_robot, arm, workspace, watch=watch)
     # What takes long comes last: a program may take minutes to be optimised.
     whole, dwells = part is None or not part.shortened, isinstance(spec.excitation, Dwell)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.excite.workspace import outside
+from hil.excite.workspace import Space, outside
 from hil.plan.interlocks import declared_space
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.interlocks import Interlock, WorkspaceInterlock
@@ -117,7 +117,19 @@ def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> 
     if narrow := list(_too_narrow(spec.interlocks, clearance_m)):
         yield from narrow
         return
-    low, high = draw_range(spec.excitation, arm)
+    if getattr(spec.excitation, "file", None) is None:  # else its poses are known, and looked at
+        yield from _unreached(spec.excitation, arm, space, clearance_m)
+    if spec.reference.q_deg is not None and (
+        complaint := outside(space, np.radians(np.array(spec.reference.q_deg)), clearance_m)
+    ):
+        yield Excess(("reference", "q_deg"), complaint)
+
+
+def _unreached(
+    excitation: Dwell | Fourier, arm: ArmDescription, space: Space, clearance_m: float
+) -> Iterator[Excess]:
+    """Yield that drawn poses do not come inside a space, if none of many does."""
+    low, high = draw_range(excitation, arm)
     some = low + np.random.default_rng(0).uniform(size=(SOME_POSES, arm.n_joints)) * (high - low)
     nearest = some[int(space.distances(some).min(axis=0).argmax())]
     if complaint := outside(space, nearest, clearance_m):
@@ -126,10 +138,6 @@ def _confined(spec: ExperimentSpec, arm: ArmDescription, clearance_m: float) -> 
             f"none of {SOME_POSES} poses from the joint ranges is inside the workspace; closest "
             f"rejected pose: {complaint}",
         )
-    if spec.reference.q_deg is not None and (
-        complaint := outside(space, np.radians(np.array(spec.reference.q_deg)), clearance_m)
-    ):
-        yield Excess(("reference", "q_deg"), complaint)
 
 
 def _too_narrow(interlocks: Sequence[Interlock], clearance_m: float) -> Iterator[Excess]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from hil.arms import ArmDescription, arm_names, is_described, load_arm
 from hil.errors import PlanError
+from hil.excite.motion import STANDSTILL_RAD
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
+from hil.excite.waypoint_file import read_waypoints
 from hil.excite.workspace import Workspace
 from hil.plan.interlocks import declared_space
 from hil.plan.limits import draw_range
 from hil.plan.quality import condition_score
 from hil.plan.surroundings import collision_model
-from hil.spec.experiment import Dwell, ExperimentSpec
+from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.station import StationRobot
 from hil.typing import FloatArray
 
@@ -21,6 +25,10 @@ ROADMAP_POSES = 48
 CONFINED_ROADMAP_POSES = 96
 """Where the flange is confined fewer straight lines are clear: below a height of 0.5 m 48 poses
 connect 37 % of the clear ones of a UR5, 96 connect 50 %, and 144 no more."""
+
+MOST_WANTED = 48
+"""Poses of a program that a roadmap is about: every pair is looked at, and a file may have
+thousands."""
 
 ROADMAP_SEED = 0
 
@@ -66,10 +74,59 @@ def workspace_of(
     )
 
 
-def roadmap_of(workspace: Workspace) -> Roadmap:
-    """How to get about in a workspace; the same one gives the same roadmap."""
-    poses = ROADMAP_POSES if workspace.space is None else CONFINED_ROADMAP_POSES
-    return Roadmap(workspace, roomy_poses(workspace, poses, ROADMAP_SEED))
+def roadmap_of(
+    workspace: Workspace, *, wanted: FloatArray | None = None, start: FloatArray | None = None
+) -> Roadmap:
+    """Return the ways through a workspace; the same arguments give the same roadmap.
+
+    Where the flange is confined, poses drawn from the joint ranges may miss the configuration in
+    which the program is, or the robot stands. Without confinement only drawn poses count.
+
+    Args:
+        workspace: Where the ways must be clear.
+        wanted: (k, n) poses that have to be reached [rad].
+        start: (n,) where the robot stands [rad].
+
+    Raises:
+        PlanError: Hardly any pose is clear, no two are connected, or `start` is no pose.
+    """
+    if workspace.space is None:
+        return Roadmap(workspace, roomy_poses(workspace, ROADMAP_POSES, ROADMAP_SEED))
+    if start is not None:
+        _require_pose(start, workspace)
+    wanted = None if wanted is None else _some_clear(workspace, wanted)
+    try:
+        poses = roomy_poses(workspace, CONFINED_ROADMAP_POSES, ROADMAP_SEED)
+    except PlanError:
+        if wanted is None or not len(wanted):
+            raise
+        poses = np.empty((0, len(workspace.joint_names)))
+    return Roadmap(workspace, poses, wanted=wanted, start=start)
+
+
+def _some_clear(workspace: Workspace, q: FloatArray) -> FloatArray:
+    """Return clear ones of `q` (k, n) that differ, at most `MOST_WANTED`."""
+    chosen: list[FloatArray] = []
+    rows = np.linspace(0, len(q) - 1, min(len(q), MOST_WANTED)).round().astype(int)
+    some = q[rows]
+    for pose in some[workspace.is_clear(some)]:
+        if all(np.max(np.abs(pose - other)) >= STANDSTILL_RAD for other in chosen):
+            chosen.append(pose)
+    return np.array(chosen).reshape(len(chosen), q.shape[1])
+
+
+def poses_of_file(
+    excitation: Dwell | Fourier, workspace: Workspace, folder: Path
+) -> FloatArray | None:
+    """Return the poses (N, n) [rad] of the file that a program is read from; None without one.
+
+    Raises:
+        SpecError: The file cannot be read; see `read_waypoints`.
+    """
+    if not isinstance(excitation, Dwell) or excitation.file is None:
+        return None
+    path = folder / excitation.file
+    return read_waypoints(path, workspace.joint_names, excitation.stated_unit).q
 
 
 def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
@@ -79,15 +136,13 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
         PlanError: It is no pose, touches something, or no clear way leads away from it.
     """
     workspace = roadmap.workspace
-    if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
-        raise PlanError(
-            f"the robot's current pose is {start.tolist()}, "
-            f"not {len(workspace.joint_names)} joint positions",
-            hint="see whether the robot is powered and its encoders are read",
-        )
+    _require_pose(start, workspace)
     complaint = workspace.complaint(start)
     if not complaint and roadmap.way(start, roadmap.home) is None:
-        complaint = "no clear way leads away from it"
+        why = workspace.obstacle([workspace.line(start, roadmap.home)])
+        complaint = "no clear way leads from it to the poses of the program" + (
+            f"; on the straight one to the roomiest of them {why}" if why else ""
+        )
     if complaint:
         raise PlanError(
             f"the robot cannot leave its current pose safely: {complaint}",
@@ -95,3 +150,12 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
             f"{workspace.larger_space or 'or '}describe the station's surroundings as they are",
         )
     return start
+
+
+def _require_pose(start: FloatArray, workspace: Workspace) -> None:
+    if start.shape != (len(workspace.joint_names),) or not np.isfinite(start).all():
+        raise PlanError(
+            f"the robot's current pose is {start.tolist()}, "
+            f"not {len(workspace.joint_names)} joint positions",
+            hint="see whether the robot is powered and its encoders are read",
+        )
