@@ -30,9 +30,9 @@ class Throttle:
 
 
 class OncePerMinute(logging.Filter):
-    """Let one line of a kind through a minute, with how many like it were left out since.
+    """Pass one log record per kind and minute, with the number of suppressed ones.
 
-    Of a kind are lines of one logger with the same words, whatever is put into them.
+    Records with the same logger, template and exception type are one kind.
 
     Args:
         every_s: How long a minute is [s].
@@ -44,15 +44,15 @@ class OncePerMinute(logging.Filter):
         self._kinds: dict[tuple[str, str, str], _Kind] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is written."""
+        """Return whether the record is written."""
         kind = (record.name, str(record.msg), _origin(record))
         known = self._kinds.setdefault(kind, _Kind(Throttle(self._every_s)))
         if not known.throttle.due():
             known.left_out += 1
             return False
         if known.left_out:
-            told = f"{record.getMessage()} ({known.left_out} more like it since the last line)"
-            record.msg, record.args, known.left_out = told, (), 0
+            message = f"{record.getMessage()} ({known.left_out} more like it since the last line)"
+            record.msg, record.args, known.left_out = message, (), 0
         return True
 
 

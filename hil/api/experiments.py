@@ -104,7 +104,7 @@ def run(
         experiment: From `load`.
         runs: Where run directories are kept.
         operator: Who is at the robot; by default the user of this process.
-        observers: Told about progress, each on its own thread.
+        observers: Receive progress events, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
         robot: Name of the experiment's robot, which confirms that it may move; a real robot does
@@ -155,7 +155,7 @@ def resume(
     Args:
         run: The run directory.
         operator: Who is at the robot; by default the user of this process.
-        observers: Told about progress, each on its own thread.
+        observers: Receive progress events, each on its own thread.
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
         robot: Name of the run's robot, which confirms that it may move; needed for a real robot

@@ -43,7 +43,7 @@ def reidentify(
         registry: Where the champion is, and challengers go.
         state: Folder of the schedule; by default `schedules/NAME`.
         campaign: Run the full program whatever the probe says.
-        observers: Told about the progress of runs, each on its own thread.
+        observers: Receive progress events of the runs, each on its own thread.
         tell: Told what is begun, in a few words.
 
     Returns:

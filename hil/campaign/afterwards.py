@@ -8,7 +8,7 @@ from dataclasses import asdict
 from hil.campaign.attempt import Recorded
 from hil.campaign.experiment import Experiment
 from hil.campaign.judging import judge_run, missing_models
-from hil.campaign.studies import not_made, run_studies
+from hil.campaign.studies import missing_studies, run_studies
 from hil.campaign.trainings import are_kept
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
@@ -20,14 +20,14 @@ from hil.study.base import Ended
 def judge_and_study(
     experiment: Experiment, recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> HilError | None:
-    """Fit, judge and study a completed run; returns what ended it early, or what is missing.
+    """Fit, judge and study a completed run; return what ended it early, or what is missing.
 
-    Of a run that was judged before, and whose process died then, only missing studies are made.
+    If the run was judged already, because its process died later, only missing studies are made.
     """
     entries = experiment.spec.study
     if recorded.directory.is_judged:
         error = missing_models(recorded.directory)
-        entries = not_made(recorded.directory.path, entries)
+        entries = missing_studies(recorded.directory.path, entries)
     else:
         error = _judge(experiment, recorded, signals, watching)
     if signals.seen or not _is_whole(recorded):
@@ -80,7 +80,7 @@ def _is_whole(recorded: Recorded) -> bool:
 def _study(
     entries: Sequence[StudyEntry], recorded: Recorded, signals: SignalWatch, watching: Observers
 ) -> HilError | None:
-    """Make studies of the spec; returns what ended them early, or why some are missing."""
+    """Make studies of the spec; return what ended them early, or why some are missing."""
 
     def watch(name: str, what: str, done: int, total: int) -> None:
         event = {"kind": "study", "study": name, "what": what, "done": done, "total": total}

@@ -1,4 +1,4 @@
-"""Can the robot do what the spec asks, and can the result be judged? Everything that cannot be."""
+"""Check before planning that the arm can do what the spec asks, and that it can be judged."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ POSES = ("excitation", "file")
 
 
 def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
-    """Refuse what cannot be done or would give no result, before a plan is tried.
+    """Raise if the arm cannot do what the spec asks, or if the run would give no result.
 
-    A commissioning run is neither fitted nor judged: for one, only the arm is asked.
+    A commissioning run is neither fitted nor judged: only the limits of the arm are checked.
 
     Args:
         experiment: What is asked.
         robot: What its driver says of itself; it need not be connected.
 
     Raises:
-        SpecError: With a line `file:line:column: path: message` for every value that is beyond
-            the arm, every pose of a file that is none or beyond it, and every fit, study or
-            criterion without enough data, drive gains or models, or in another unit than the
-            robot measures.
+        SpecError: One line `file:line:column: path: message` per problem: a value beyond the
+            arm's limits; an invalid or out-of-range pose in a file; a fit, study or criterion
+            that lacks data, drive gains or models; a criterion in a unit that the robot does not
+            measure.
         PluginError: An estimator or a study is missing.
     """
     spec, model = experiment.spec, experiment.robot.model
     judged = experiment.commissioning is None
-    found = misjudged(spec, robot.effort_kind) if judged else []
+    problems = misjudged(spec, robot.effort_kind) if judged else []
     arm = load_arm(model) if is_described(model) else None
     motions = getattr(spec.excitation, "trajectories", None)
     if arm is not None:
         clearance_m = experiment.robot.surroundings.clearance_m
-        found += excesses(spec, arm, robot.rate_hz, clearance_m)
+        problems += excesses(spec, arm, robot.rate_hz, clearance_m)
     if isinstance(spec.excitation, Dwell):
         poses, faults = _poses(experiment, spec.excitation, robot.joint_names, arm)
-        found += faults
+        problems += faults
         motions = poses if not faults else None
     if judged:
-        found += unmet(spec, robot, experiment.robot, motions)
-    if not found:
+        problems += unmet(spec, robot, experiment.robot, motions)
+    if not problems:
         return
     source = _source_of(experiment)
     raise refuse(
-        [Problem(source.mark(one.path), one.path, one.message) for one in found],
+        [Problem(source.mark(one.path), one.path, one.message) for one in problems],
         hint="change these values, or take another robot",
     )
 
@@ -80,7 +80,7 @@ def _poses(
     joint_names: tuple[str, ...],
     arm: ArmDescription | None,
 ) -> tuple[int, list[Excess]]:
-    """How many poses a program has, and what is wrong with those of its file."""
+    """Return the number of poses of a program, and the problems of its file."""
     if program.file is None:
         return program.waypoints, []
     try:

@@ -44,9 +44,9 @@ class Moves:
     """What a schedule, a series or a fleet would move.
 
     Attributes:
-        file: The one that names robots and addresses.
-        named: Name of a robot → address, as the file has them.
-        experiments: What is run.
+        file: File that names the robots and their addresses.
+        named: Name of a robot → address, as in the file.
+        experiments: Experiments to be run.
     """
 
     file: Path
@@ -57,9 +57,9 @@ class Moves:
         """Return the experiments whose robots are real; nothing is connected.
 
         Raises:
-            SpecError: The file names one of these robots not at all, or at another address.
+            SpecError: The file does not name one of these robots, or names another address.
         """
-        found: list[Experiment] = []
+        real: list[Experiment] = []
         wrong: list[str] = []
         addresses: dict[str, str] = {}
         for experiment in self.experiments:
@@ -71,7 +71,7 @@ class Moves:
                 continue  # its own run says what is wrong, and does not move it unconfirmed
             if not at.real:
                 continue
-            found.append(experiment)
+            real.append(experiment)
             addresses[name] = at.text
             where = f"{name} is a real robot at {at.text} ({experiment.station_source})"
             if name not in self.named:
@@ -84,7 +84,7 @@ class Moves:
                 "\n".join(dict.fromkeys(wrong)),
                 hint=f"to allow these robots, add to the file: robots: {{{pairs}}}",
             )
-        return tuple(found)
+        return tuple(real)
 
 
 def confirm_together(
@@ -205,7 +205,7 @@ def read_armed(folder: Path) -> Document | None:
 
 
 def changed_since(document: Mapping[str, Any], moves: Moves) -> list[str]:
-    """Return what is another one than when a schedule was armed, each in a few words."""
+    """Return a short text per difference since a schedule was armed."""
     then, now = document["digests"], _digests(moves)
     return sorted(what for what in then.keys() | now.keys() if then.get(what) != now.get(what))
 
@@ -246,11 +246,11 @@ def _answers(
 
 def _facts(moves: Moves) -> list[MotionFacts]:
     """Return the facts of every motion of a real robot, planned without connecting to it."""
-    found = []
+    facts = []
     for experiment in moves.real():
         with planned(experiment) as (robot, plan, _):
-            found.append(motion_facts(experiment, robot, plan))
-    return found
+            facts.append(motion_facts(experiment, robot, plan))
+    return facts
 
 
 def _show(console: Console, facts: Iterable[MotionFacts]) -> None:
@@ -273,10 +273,10 @@ def _typed(console: Console) -> str:
 
 
 def _digests(moves: Moves) -> dict[str, str]:
-    """Return a digest of all that decides where a robot moves, by what it is of."""
-    found = {"schedule file": hashlib.sha256(moves.file.read_bytes()).hexdigest()}
+    """Return the digest of each document that decides where a robot moves, by its name."""
+    digests = {"schedule file": hashlib.sha256(moves.file.read_bytes()).hexdigest()}
     for one in moves.experiments:
-        found[f"experiment {one.spec.name}"] = spec_hash(one.spec)
+        digests[f"experiment {one.spec.name}"] = spec_hash(one.spec)
         entry = one.robot.model_dump(mode="json")
-        found[f"entry of {one.spec.robot} in the station"] = digest_of(entry)
-    return found
+        digests[f"entry of {one.spec.robot} in the station"] = digest_of(entry)
+    return digests

@@ -116,8 +116,8 @@ def _completeness(attempt: Attempt) -> tuple[Completeness | None, HilError | Non
     try:
         complete = completeness_of(attempt.plan, attempt.directory.recordings)
     except HilError as error:
-        told = f"the recording could not be read back: {error.message}"
-        return None, RecordingError(told, hint=error.hint)
+        message = f"the recording could not be read back: {error.message}"
+        return None, RecordingError(message, hint=error.hint)
     except Exception as error:  # the motion is over: whatever this is, its end must be written
         return None, RecordingError(
             f"the recording could not be read back: {error!r}",

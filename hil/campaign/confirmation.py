@@ -1,8 +1,8 @@
 """The motion of a real robot is confirmed: its facts are shown, the answer is recorded.
 
 Mocks, loopback addresses and virtual buses need no confirmation (`hil.robot.Address.real`). A real
-robot moves when somebody types its name at the console, or when the call, the file or the form that
-starts the run names it; otherwise it is not even connected to.
+robot moves when the operator types its name at the console, or when the call, the file or the form
+that starts the run names it; otherwise it is not even connected.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class MotionFacts:
         return [*rows, *self.swept.rows()]
 
     def to_dict(self) -> Document:
-        """JSON form; SI units."""
+        """Return the JSON form; SI units."""
         return {
             "robot": self.robot,
             "model": self.model,
@@ -193,7 +193,7 @@ class Unconfirmed:
 
 @dataclass(frozen=True, slots=True)
 class TypedName:
-    """Somebody at the console types the name of the robot.
+    """The operator types the name of the robot at the console.
 
     Attributes:
         console: The terminal.
@@ -296,7 +296,7 @@ def granted_in(path: Path) -> Granted:
 
 
 def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return what is not as it was confirmed, each in a few words.
+    """Return a short text per difference from what was confirmed.
 
     Only what both have is compared. A motion may sweep less than was confirmed and be slower;
     the identity and the checklist of the robot are not compared.
@@ -307,32 +307,32 @@ def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
     """
     both = confirmed.keys() & now.keys()
     equal = [key for key in ("robot", "model", "driver", "address", "loads") if key in both]
-    told = [
+    changes = [
         f"{key} was {_words(key, confirmed[key])}, is {_words(key, now[key])}"
         for key in equal
         if confirmed[key] != now[key]
     ]
     if "speed_rad_s" in both and now["speed_rad_s"] > confirmed["speed_rad_s"] * 1.01:
         was, is_ = (f"{math.degrees(one['speed_rad_s']):.3g}°/s" for one in (confirmed, now))
-        told.append(f"joint speed was {was}, is {is_}")
+        changes.append(f"joint speed was {was}, is {is_}")
     if "swept" in both:
-        told += _beyond(confirmed["swept"], now["swept"])
-    return told
+        changes += _beyond(confirmed["swept"], now["swept"])
+    return changes
 
 
 def _beyond(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    told = []
+    changes = []
     for was, is_ in zip(confirmed["joints"], now["joints"], strict=False):
         low, high = was["min_rad"] - JOINT_SLACK_RAD, was["max_rad"] + JOINT_SLACK_RAD
         if is_["min_rad"] < low or is_["max_rad"] > high:
-            told.append(f"{is_['name']} goes {_range(is_)}, confirmed were {_range(was)}")
+            changes.append(f"{is_['name']} goes {_range(is_)}, confirmed were {_range(was)}")
     for part in ("tool", "elbow"):
         was, is_ = confirmed[part], now[part]
         below = np.array(is_["min_m"]) < np.array(was["min_m"]) - BOX_SLACK_M
         above = np.array(is_["max_m"]) > np.array(was["max_m"]) + BOX_SLACK_M
         if (below | above).any():
-            told.append(f"the {part} leaves the confirmed box")
-    return told
+            changes.append(f"the {part} leaves the confirmed box")
+    return changes
 
 
 class Gate:
@@ -341,8 +341,8 @@ class Gate:
     Args:
         experiment: Says which robot of which station.
         confirm: Who confirms the motion of a real robot.
-        confirmed: Facts that were confirmed before, and hold unless robot, address or payload is
-            another one now.
+        confirmed: Facts that were confirmed before; they hold unless robot, address or payload
+            has changed.
     """
 
     def __init__(
@@ -385,7 +385,7 @@ class Gate:
         return {**answer, "time": utc_now(), "facts": shown, "digest": facts.digest}
 
     def _holds(self, now: Mapping[str, Any]) -> bool:
-        """Return whether what was confirmed before says the same."""
+        """Return whether the earlier confirmation has the same facts."""
         return all(self._confirmed.get(key) == value for key, value in now.items())
 
 
@@ -395,7 +395,7 @@ def shown_by(confirmation: Mapping[str, Any] | None) -> bool:
 
 
 def _keep_reading(robot: Robot) -> None:
-    """Let no driver fill up or fall silent while a person reads."""
+    """Read the robot, so that its driver neither fills up nor times out while a person reads."""
     robot.read()
     if isinstance(robot, HasTopics):
         robot.drain()

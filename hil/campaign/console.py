@@ -67,7 +67,7 @@ class Console:
         sys.stderr.flush()
 
     def show(self, lines: Iterable[str]) -> None:
-        """Write lines as they are; what a robot says of itself steers no terminal."""
+        """Write lines; unprintable characters, such as terminal codes of a robot, are replaced."""
         start = "\r\x1b[K" if sys.stderr.isatty() else ""
         plain = ("".join(c if c.isprintable() else "?" for c in line) for line in lines)
         sys.stderr.write(start + "".join(f"{line}\n" for line in plain))

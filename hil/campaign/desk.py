@@ -46,7 +46,7 @@ def console_desk(
         answers: File with the answers to all prompts, in place of asking.
         wait_s: How long to wait for a robot that somebody else holds [s].
         elsewhere: Whether prompts wait for answers from other terminals only.
-        confirm: Confirms that a real robot may move; by default whoever types its name here.
+        confirm: Confirms that a real robot may move; by default the operator types its name here.
 
     Raises:
         SpecError: The file has mistakes; all are listed. Or answers come from both.

@@ -38,7 +38,7 @@ class Attendance:
     """Who and what attends a run.
 
     Attributes:
-        observers: Told about progress.
+        observers: Receive progress events.
         signals: Open; guards the motion.
         prompt: Asks the operator; a robot on a virtual clock confirms by itself.
         go_on: Looks whether the operator ends a pause.
@@ -64,7 +64,7 @@ class Attendance:
         self.observers.publish({"kind": "stage", "stage": text})
 
     def planned(self, plan: Plan) -> None:
-        """Tell observers where the motions of `plan` take the arm, before anything moves."""
+        """Publish the space that the motions of `plan` sweep, before anything moves."""
         space = swept(plan, load_arm(plan.robot_model))
         self.observers.publish({"kind": "plan", **space.to_dict(), "lines": space.lines()})
 

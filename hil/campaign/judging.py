@@ -153,10 +153,10 @@ def missing_models(directory: RunDirectory) -> HilError | None:
         DataError: The verdict is damaged.
     """
     rows = read_json(directory.path / "verdict.json").get("problems") or []
-    told = [": ".join(filter(None, (row["estimator"], row["error"]))) for row in rows]
+    messages = [": ".join(filter(None, (row["estimator"], row["error"]))) for row in rows]
     hints = list(dict.fromkeys(row["hint"] for row in rows if row["hint"]))
     hint = "; ".join(hints) or f"hil show {directory.path}"
-    return FitError("; ".join(told), hint=hint) if told else None
+    return FitError("; ".join(messages), hint=hint) if messages else None
 
 
 def _all_in_one(problems: Sequence[FailedFit], directory: RunDirectory) -> HilError:

@@ -39,7 +39,7 @@ def record(experiment: Experiment, *, runs: Path, attendance: Attendance) -> Rec
         RecordingError: The run directory cannot be made.
     """
     gate = Gate(experiment, attendance.confirm)
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=gate.admit) as (
+    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
         robot,
         lease,
     ):

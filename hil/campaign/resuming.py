@@ -135,7 +135,7 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
     experiment, plan = unfinished.experiment, unfinished.plan
     directory = unfinished.directory
     gate = Gate(experiment, attendance.confirm, _confirmed_before(directory))
-    with held(experiment, wait_s=attendance.wait_s, tell=attendance.stage, admit=gate.admit) as (
+    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
         robot,
         lease,
     ):

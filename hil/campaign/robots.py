@@ -98,15 +98,15 @@ def held(
     experiment: Experiment,
     *,
     wait_s: float = 0.0,
-    tell: Callable[[str], object],
+    report: Callable[[str], object],
     admit: Callable[[Robot], object] = lambda robot: None,
 ) -> Iterator[tuple[Robot, Lease]]:
     """The experiment's robot, connected and leased while inside: no other process has it.
 
     Args:
         experiment: Says which robot of which station.
-        wait_s: How long to wait for somebody else to let it go [s].
-        tell: Is told once who is waited for.
+        wait_s: How long to wait for another process to release it [s].
+        report: Called once with the current lease holder.
         admit: Called with the robot before it is leased and connected; may refuse it by raising.
 
     Raises:
@@ -115,7 +115,7 @@ def held(
     """
     with opened(experiment.spec.robot, experiment.robot) as robot:
         admit(robot)
-        with _held(experiment, robot, wait_s=wait_s, tell=tell) as lease:
+        with _held(experiment, robot, wait_s=wait_s, tell=report) as lease:
             yield robot, lease
 
 

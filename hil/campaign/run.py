@@ -104,7 +104,7 @@ def run_experiment(
         experiment: What to do, and where.
         runs: Where run directories are kept.
         operator: Who is at the robot; by default the user of this process.
-        observers: Told about progress.
+        observers: Receive progress events.
         waivers: Preflight check → why its failure is accepted.
         desk: Where prompts are answered and pauses are ended; by default the console.
 
@@ -134,7 +134,7 @@ def resume_experiment(
     Args:
         run: The run directory.
         operator: Who is at the robot; by default the user of this process.
-        observers: Told about progress.
+        observers: Receive progress events.
         waivers: Preflight check → why its failure is accepted.
         desk: Where prompts are answered and pauses are ended; by default the console.
 

@@ -184,7 +184,7 @@ def nothing_left(series: Series, before: Sequence[Document]) -> bool:
 
 
 def not_begun(series: Series, before: Sequence[Document]) -> tuple[Experiment, ...]:
-    """Return the experiments of which there is no run yet; what goes on was confirmed by itself."""
+    """Return the experiments without a run; resumed runs keep their own confirmation."""
     begun = [i for i, entry in enumerate(before) if Ended.from_dict(entry).report.get("run")]
     return tuple(each for i, each in enumerate(series.experiments) if i not in begun)
 

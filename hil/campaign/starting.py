@@ -32,7 +32,7 @@ from hil.spec.series import is_series
 __all__ = ["Started", "check_start", "go_on_with", "start_run", "started_runs"]
 
 CONFIRMED = ".confirmed"
-"""Suffix of what was confirmed for a run that was started: JSON beside its record."""
+"""Suffix of the JSON file with the confirmed facts, beside the record of a start."""
 
 KEPT = 20
 """Of so many starts records and logs are kept."""
@@ -96,8 +96,8 @@ def start_run(
         overrides: Laid over the spec, YAML text by dotted path.
         speed: Share of the speed; see `hil.plan.commissioning.commissioning_of`.
         first: How much of the program; see there, too.
-        confirmed: `MotionFacts.to_dict` of what the operator has seen and confirmed; without it
-            a real robot does not move, nor does it where the run would do something else.
+        confirmed: `MotionFacts.to_dict` of the motion that the operator confirmed; without it, or
+            if the run's motion differs from it, a real robot does not move.
 
     Raises:
         SpecError, PluginError: See `check_start`; nothing was started.
@@ -122,7 +122,7 @@ def go_on_with(
         run: Directory of a run that ended early.
         runs: The folder of runs that it is in.
         operator: Who asks; recorded as who is at the robot.
-        confirmed: As in `start_run`; not needed where address and payload are as they were.
+        confirmed: As in `start_run`; not needed if address and payload are unchanged.
 
     Raises:
         DataError: It is live, was completed, or cannot be gone on with; nothing was started.

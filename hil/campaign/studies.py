@@ -119,8 +119,8 @@ def entries_for(
     return (StudyEntry(study=entry.study, **asked),)
 
 
-def not_made(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
-    """Return the studies that were neither made nor failed: those a kill has left out.
+def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
+    """Return the studies with neither a result nor a recorded problem, as after a kill.
 
     Raises:
         SpecError, PluginError: A study or a parameter does not exist.

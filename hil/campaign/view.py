@@ -34,7 +34,7 @@ def list_runs(runs: str | Path = "runs") -> list[dict[str, Any]]:
 
 
 def next_command(listing: RunListing) -> str:
-    """Return the command that brings a run to its end; empty where nothing is left to do."""
+    """Return the command that completes a run; empty if nothing is left to do."""
     run = RunDirectory(listing.path)
     if listing.status in ("running", "damaged") or run.is_reported:
         return ""

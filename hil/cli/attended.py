@@ -30,9 +30,9 @@ class Attended:
         wait_s: How long to wait for a robot that somebody else holds [s].
         live: Whether a live view is served, at which port and address.
         elsewhere: Whether prompts wait for answers from elsewhere.
-        yes: Whether a real robot moves without asking.
+        yes: Whether a real robot moves without a prompt.
         confirmed: File with the facts that were confirmed elsewhere.
-        together: What was confirmed for all runs at once, by robot.
+        together: Confirmation for all runs at once, by robot.
     """
 
     operator: str
@@ -97,7 +97,7 @@ class Attended:
             )
 
     def _confirm(self) -> Confirm | None:
-        """Return who confirms instead of the console; None for the console."""
+        """Return the confirmation that replaces the console's; None for the console."""
         from hil.campaign.confirmation import Granted, granted_in
 
         if self.confirmed is not None:

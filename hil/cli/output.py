@@ -59,7 +59,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 
 def _cell(text: str) -> str:
-    """Names of files stand in tables, and may have line breaks and worse."""
+    """Return the cell text with control characters escaped."""
     return text if text.isprintable() else name_text(text)
 
 

@@ -39,23 +39,23 @@ def list_models(registry: RegistryOption = HERE, json: JsonFlag = False) -> None
     from hil.registry.registry import Registry
 
     home = Registry(registry)
-    told = []
+    rows = []
     for name in home.names():
         roles, problem = _roles(home, name)
-        told.append({"name": name, "versions": len(home.versions(name)), **roles.to_dict(),
+        rows.append({"name": name, "versions": len(home.versions(name)), **roles.to_dict(),
                      "problem": problem and problem.message})  # fmt: skip
         _warn(problem)
     if json:
-        print_json({"registry": str(registry), "models": told})
+        print_json({"registry": str(registry), "models": rows})
         return
-    if not told:
+    if not rows:
         say(f"no models in {registry}; register one: hil models register MODEL --name NAME")
         return
     print_table(
         ("name", "versions", "champion", "challenger"),
         [(one["name"], str(one["versions"]),
           "log damaged" if one["problem"] else _label(one["champion"]), _label(one["challenger"]))
-         for one in told],
+         for one in rows],
     )  # fmt: skip
 
 
@@ -237,23 +237,23 @@ def check(registry: RegistryOption = HERE, json: JsonFlag = False) -> None:
     from hil.registry.registry import Registry
 
     home, problems = Registry(registry), list[RegistryError]()
-    told = []
+    rows = []
     for name in home.names():
         try:
             versions = home.versions(name)
             for version in versions:
                 version.verify()
-            told.append({"name": name, "versions": len(versions), **home.rebuild(name).to_dict()})
+            rows.append({"name": name, "versions": len(versions), **home.rebuild(name).to_dict()})
         except RegistryError as error:
             problems.append(error)
     if problems:
         others = "".join(f"; {one.message}" for one in problems[1:])
         raise RegistryError(problems[0].message + others, hint=problems[0].hint) from problems[0]
     if json:
-        print_json({"registry": str(registry), "models": told})
+        print_json({"registry": str(registry), "models": rows})
     else:
-        count = sum(one["versions"] for one in told)
-        typer.echo(f"{registry}: {len(told)} names, {count} versions: all as they were registered")
+        count = sum(one["versions"] for one in rows)
+        typer.echo(f"{registry}: {len(rows)} names, {count} versions: all as they were registered")
 
 
 @app.command()

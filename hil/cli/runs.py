@@ -102,7 +102,7 @@ def _listed(entries: list[dict[str, Any]], runs: Path) -> _Table:
 
 
 _OPTIONAL = ("studies", "next")
-"""Columns that are shown where one of the runs has something in them."""
+"""Columns that are shown only if one of the runs has a value."""
 
 
 def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:

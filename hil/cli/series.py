@@ -122,7 +122,7 @@ def run_series(
     confirm(Moves(path, series.spec.robots, parts))
     folder = SeriesFolder.create(runs, series.spec, path, station, part)
 
-    def execute(experiment: Experiment, told: Document) -> Outcome:
+    def execute(experiment: Experiment, document: Document) -> Outcome:
         return _told(begin(replace(experiment, commissioning=part)))
 
     _run(series, folder, [], execute, json)

@@ -57,7 +57,7 @@ class Engine:
         robot: Connected.
         sink: Receives every sample and event.
         interlocks: Judged on every sample.
-        observers: Told about progress; they stay open, the caller closes them.
+        observers: Receive progress events; they stay open, the caller closes them.
         prompt: Asks the operator to change the load.
         go_on: Looks whether somebody at the robot ends a pause.
         measured: Is given the settled rows of every dwell; may raise.
@@ -199,7 +199,7 @@ class Engine:
         self._telling.progress()
 
     def _explain(self, error: RobotError, step: Step) -> None:
-        """Add what a driver does not know: the step of the plan, and that it was slowed down."""
+        """Add the step of the plan and a lowered speed, which the driver does not know."""
         if isinstance(error, RobotFault | RobotConnectionError | StaleState):
             error.message += f", {under_way(self._plan, step)}"
         if slowed := self._reading.slowed:
@@ -243,13 +243,13 @@ class Engine:
             self._given_up.set()
 
     def _was_suspended(self, seconds: float) -> None:
-        """On the watchdog's thread: stop the robot before the control thread comes to it."""
+        """Stop the robot from the watchdog thread, before the control thread resumes."""
         self._requests.ended_by = self._suspension(seconds)
         with contextlib.suppress(HilError):
             bounded(self._robot.stop, STOP_WITHIN_S, "stopping the robot")
 
     def _suspension(self, seconds: float) -> InterlockTripped:
-        """Return the error of a process that did not run; the same one, whoever finds it."""
+        """Return the suspension error; all threads share one instance."""
         if self._suspended is None:
             self._suspended = InterlockTripped(
                 f"interlock suspended: this process did not run for {seconds:.1f} s (suspended, or "
@@ -260,10 +260,10 @@ class Engine:
         return self._suspended
 
     def _or_suspension(self, error: HilError | None) -> HilError | None:
-        """Return what ended the run, which is not the silence of a robot that was not listened to.
+        """Return the cause of the end; a timeout caused by a suspension becomes the suspension.
 
-        After a suspension several threads find several things wrong, in any order, and the run's
-        end must depend on none of them. What people asked for stays the reason.
+        After a suspension several threads detect different problems in any order, and the recorded
+        cause must not depend on that order. A stop that was requested stays the cause.
         """
         gap_s = self._watchdog.absent_s()
         if error is None or not gap_s or error is self._suspended:

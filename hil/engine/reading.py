@@ -143,7 +143,7 @@ class Reading:
         raise trip.error(self._joint_names)
 
     def begin_leg(self) -> None:
-        """Note that what was measured at a lowered speed is over, if the speed is as planned."""
+        """Begin a leg: it counts as slowed from its start if the speed is lowered now."""
         self._leg_slowed = is_slowed(self._scaling)
 
     @property
@@ -155,7 +155,7 @@ class Reading:
 
     @property
     def notes(self) -> list[str]:
-        """What the operator has to know about the data, beside what ended the run."""
+        """Notes on the data for the operator, beside the cause of the end."""
         if not self._slowed_at:
             return []
         times = f"{len(self._slowed_at)} times, first" if len(self._slowed_at) > 1 else "once,"

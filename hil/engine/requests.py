@@ -12,11 +12,11 @@ class Requests:
     """Set from any thread or a signal handler, looked at before every block.
 
     Attributes:
-        ended_by: What the watchdog has ended the run for; None while it has not.
-        stop: Why somebody wants the run to stop; empty while nobody does.
-        by_signal: Whether a signal asked for that.
-        pause: Why somebody wants the run to pause; empty while nobody does.
-        held: The violation of an interlock that only pauses; empty while there is none.
+        ended_by: Error for which the watchdog ended the run; None if it did not.
+        stop: Stop reason; empty if none.
+        by_signal: Whether a signal requested the stop.
+        pause: Pause reason; empty if none.
+        held: The violation of an interlock that only pauses; empty if none.
         resumed_by: Who let it go on last.
     """
 
@@ -28,7 +28,7 @@ class Requests:
     resumed_by: str = ""
 
     def obey_stop(self) -> None:
-        """Raise `Stopped` when a stop was requested, or what the watchdog has found."""
+        """Raise `Stopped` if a stop was requested, or the error of the watchdog."""
         if self.ended_by is not None:
             raise self.ended_by
         if self.stop:

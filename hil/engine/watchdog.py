@@ -13,14 +13,14 @@ HUNG_AFTER_S = 3.0
 """Longest time between two blocks on a robot that lives in wall time [s]."""
 
 TICK_S = 0.1
-"""Between two looks of the watchdog [s]."""
+"""Interval between watchdog checks [s]."""
 
 GAP_S = 0.5
-"""Two looks that are further apart than this: the process did not run between them [s]."""
+"""Longest interval between two checks of a process that runs; a longer one is a gap [s]."""
 
 RECENT_S = 1.0
-"""A gap that ended so long before the last block, or later, explains a silence of the robot [s]:
-before that the robot was heard again."""
+"""Time before the last block [s]: a silence of the robot is attributed to a gap that ended within
+this time, or later. After an earlier gap the robot has sent data again."""
 
 _GAPS_KEPT = 100
 
@@ -35,8 +35,8 @@ def now_s() -> float:
 class Presence:
     """Knows when this process did not run: suspended, or its computer asleep or overloaded.
 
-    Something has to look about every `TICK_S`. Whichever thread looks first after a gap finds it,
-    so the answer does not depend on which one gets the processor first.
+    Some thread has to call `look` about every `TICK_S`. The first call after a gap records it, so
+    the answer does not depend on which thread gets the processor first.
     """
 
     def __init__(self) -> None:
@@ -45,12 +45,12 @@ class Presence:
         self._gaps: deque[tuple[float, float]] = deque(maxlen=_GAPS_KEPT)
 
     def begin(self) -> None:
-        """Look from now on."""
+        """Record gaps from now on."""
         with self._lock:
             self._last, self._looks = now_s(), True
 
     def end(self) -> None:
-        """Note a last gap, and none any more: from now on no thread looks regularly."""
+        """Record a final gap and stop recording."""
         self.look()
         self._looks = False
 
@@ -64,7 +64,7 @@ class Presence:
         return now
 
     def absent_s(self, since: float) -> float:
-        """Return for how long the process did not run, all in all, since a moment [s]."""
+        """Return the total time for which the process did not run since a moment [s]."""
         return sum(max(0.0, end - max(begin, since)) for begin, end in list(self._gaps))
 
     def longest_s(self, since: float) -> float:

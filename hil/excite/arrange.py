@@ -205,7 +205,7 @@ def _ordered(program: Program) -> list[Visit]:
 
 
 def _by_distance(visits: Sequence[Visit], here: FloatArray) -> list[Visit]:
-    """Return the visits in the order of the way that the joint with furthest to go has to go."""
+    """Return the visits sorted by their largest joint distance from `here`."""
     return sorted(visits, key=lambda visit: float(np.abs(visit.entry - here).max()))
 
 

@@ -105,7 +105,7 @@ def run_fleet(
 
 
 def left_of(folder: FleetFolder, members: Sequence[Document]) -> list[str]:
-    """Return the robots of a fleet that have no run yet; what goes on was confirmed by itself."""
+    """Return the robots without a run; resumed runs keep their own confirmation."""
     return [one["robot"] for one in members if folder.run_of(one["robot"]) is None]
 
 

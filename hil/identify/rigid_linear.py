@@ -119,7 +119,7 @@ class RigidLinear(WlsEstimator):
         self._adopt(data, self._estimate(self._compressed(data)))
 
     def _joint_terms(self) -> tuple[str, ...]:
-        """Names of what every joint has for itself."""
+        """Return the names of the terms that each joint has of its own."""
         return TERMS
 
     def _open(self) -> None:

@@ -37,10 +37,10 @@ class HasDryFriction(Protocol):
 
 @runtime_checkable
 class HasBreakAway(Protocol):
-    """What a model also offers when it tells sticking from sliding."""
+    """A model that distinguishes sticking from sliding."""
 
     def break_away(self) -> FloatArray:
-        """(n,) friction that an unloaded joint at rest holds before it slides [N·m]."""
+        """Return the friction (n,) that an unloaded joint at rest holds before it slides [N·m]."""
 
 
 def gravity_torque(

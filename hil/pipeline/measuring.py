@@ -40,7 +40,7 @@ class Measuring:
     Attributes:
         runs: Where run directories are kept.
         wait_s: How long to wait for a robot that somebody else holds [s].
-        observers: Told about progress.
+        observers: Receive progress events.
         operator: Recorded; by default the user of this process.
         confirm: Confirms that a real robot may move; by default it may not.
     """
@@ -84,7 +84,7 @@ class Measuring:
 
     def _require_its_robot(self, run: Path, experiment: Experiment) -> None:
         """What goes on is done with the arm that made it, as in a run that is gone on with."""
-        with held(experiment, wait_s=self.wait_s, tell=lambda text: None) as (robot, _):
+        with held(experiment, wait_s=self.wait_s, report=lambda text: None) as (robot, _):
             require_same_robot(RunDirectory.open(run), describe_robot(robot, experiment.robot))
 
     def _judged(self, report: RunReport) -> Path:
@@ -132,14 +132,14 @@ def _is_done(run: Path) -> bool:
 
 
 def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
-    """Make what is missing of the studies and the page of a run that died after its verdict."""
+    """Make the missing studies and report of a run whose process died after its verdict."""
     if RunDirectory(run).is_reported:
         return
-    from hil.campaign.studies import not_made, run_studies
+    from hil.campaign.studies import missing_studies, run_studies
     from hil.report import render_report
 
-    with contextlib.suppress(HilError):  # they cannot be made: the run is whole
-        run_studies(run, not_made(run, entries))
+    with contextlib.suppress(HilError):  # a study that fails does not invalidate the run
+        run_studies(run, missing_studies(run, entries))
     with contextlib.suppress(HilError):
         render_report(run)
 

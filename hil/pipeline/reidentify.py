@@ -42,7 +42,7 @@ def reidentification(
         runs: Where run directories are kept.
         station: In place of the one the schedule names.
         adapt: Changes an experiment for an occasion, for simulations; see `with_options`.
-        observers: Told about the progress of runs.
+        observers: Receive progress events of the runs.
         confirm: Confirms that a real robot may move; by default it may not.
         tell: Told the name of every stage that has something to do, when it begins.
 

@@ -62,7 +62,7 @@ class Commissioning:
 
     @staticmethod
     def from_dict(raw: Mapping[str, Any]) -> Commissioning:
-        """Inverse of `to_dict`."""
+        """Return what `to_dict` has written."""
         return Commissioning(**{name: value for name, value in raw.items() if name != "text"})
 
     def to_dict(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class Commissioning:
         return given | {"text": str(self)}
 
     def of(self, plan: Plan) -> Plan:
-        """Return the plan slower and cut after what is to be measured.
+        """Return the plan with scaled speeds, truncated after the last selected measurement.
 
         Raises:
             PlanError: Nothing would be measured.

@@ -38,7 +38,7 @@ class Box(NamedTuple):
         ]
 
     def to_dict(self) -> dict[str, list[float]]:
-        """JSON form."""
+        """Return the JSON form."""
         return {"min_m": self.low.tolist(), "max_m": self.high.tolist()}
 
 
@@ -83,7 +83,7 @@ class Swept:
         return [*self._joints, *boxes]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form; radians and metres in base coordinates."""
+        """Return the JSON form; radians and metres in base coordinates."""
         ranges = zip(self.joint_names, self.q_min.tolist(), self.q_max.tolist(), strict=True)
         return {
             "duration_s": self.duration_s,

@@ -115,7 +115,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _at_once(path: str, flags: int) -> int:
-    """Open a file; a pipe of that name in a foreign folder is empty, and keeps nobody waiting."""
+    """Open a file; a pipe of that name in a foreign folder reads as empty and does not block."""
     return os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
 
 

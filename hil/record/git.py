@@ -80,8 +80,8 @@ def _dirty(git: _Git) -> bool | None:
     if not lines:
         return False
     changed = b"".join(line[3:] + b"\0" for line in lines)
-    told = git("check-attr", "-z", "--stdin", "filter", stdin=changed).split(b"\0")
-    unfiltered = any(value in (b"unspecified", b"unset") for value in told[2::3])
+    filters = git("check-attr", "-z", "--stdin", "filter", stdin=changed).split(b"\0")
+    unfiltered = any(value in (b"unspecified", b"unset") for value in filters[2::3])
     return True if unfiltered else None  # what a filter makes of a file is not known here
 
 

@@ -47,8 +47,8 @@ class Claim:
     Nothing lists it. One whose process died is removed by the next process that claims a number.
 
     Attributes:
-        number: The number.
-        draft: The folder.
+        number: Run number, unique under `root`.
+        draft: Hidden folder `ROOT/.claim-NNNN` in which the run is prepared.
     """
 
     def __init__(self, number: int, draft: Path, lock: HeldFile) -> None:
@@ -112,7 +112,7 @@ def _claim(root: Path) -> Claim:
 
 
 def _remove_abandoned(root: Path) -> None:
-    """Remove what processes have left that died while they prepared a run."""
+    """Remove the drafts of processes that died while they prepared a run."""
     for draft in root.glob(f"{_CLAIM}*"):
         if holder_of(draft / LOCK) is not None:
             continue

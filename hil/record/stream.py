@@ -89,8 +89,8 @@ class McapStream:
     def add_metadata(self, name: str, record: Mapping[str, str]) -> None:
         """Write a named record of text → text."""
         self.end_chunk()
-        told = {utf8_text(key): utf8_text(value) for key, value in record.items()}
-        content = _bytes_of(Metadata(name=name, metadata=told))
+        texts = {utf8_text(key): utf8_text(value) for key, value in record.items()}
+        content = _bytes_of(Metadata(name=name, metadata=texts))
         self._metadata.append(MetadataIndex(offset=self.size, length=len(content), name=name))
         self._write(content)
 

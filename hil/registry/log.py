@@ -221,7 +221,7 @@ def read_log(folder: Path) -> tuple[Entry, ...]:
 
 
 def damaged(folder: Path, problem: str) -> RegistryError:
-    """Return the error of a log with a problem."""
+    """Return the error for a damaged log."""
     command = f"hil models repair {folder.name} --registry {shlex.quote(str(folder.parent))}"
     return RegistryError(
         problem,

@@ -73,7 +73,7 @@ def next_command(facts: RunFacts, run: str) -> str:
 
 
 def _can_be_resumed(facts: RunFacts) -> bool:
-    """Whether `hil resume` has something left to measure or to judge."""
+    """Return whether `hil resume` has something left to measure or to judge."""
     if not facts.whole or RunDirectory(facts.path).is_judged:
         return False
     unjudged = facts.status == "completed" and "replayed" not in facts.start

@@ -162,8 +162,8 @@ class HostedRobot:
         robot = self._opened()
         rows = robot.read(how["timeout_s"])
         self._moving = bool(rows[-1]["status"] & Status.MOVING)
-        told = {"speed_scaling": robot.speed_scaling} if isinstance(robot, HasSpeedScaling) else {}
-        return told, [rows]
+        more = {"speed_scaling": robot.speed_scaling} if isinstance(robot, HasSpeedScaling) else {}
+        return more, [rows]
 
     def _drain(self, how: dict[str, Any], arrays: Sequence[StructArray]) -> Message:
         robot = self._opened()

@@ -49,7 +49,7 @@ def end_of(code: int | None) -> str:
 
 
 def is_suspended(pid: int) -> bool:
-    """Return whether a process is stopped by a signal or a debugger, as Linux tells."""
+    """Return whether a process is stopped by a signal or a debugger, according to /proc."""
     try:
         with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as file:
             return file.read().rpartition(")")[2].split()[0] in ("T", "t")

@@ -39,7 +39,7 @@ class RobotReady:
         try:
             if check_driver(self.experiment).clock == "virtual":
                 return ""
-            with held(self.experiment, wait_s=self.wait_s, tell=self.tell) as (robot, _):
+            with held(self.experiment, wait_s=self.wait_s, report=self.tell) as (robot, _):
                 return _trouble(robot)
         except HilError as error:
             return error.message

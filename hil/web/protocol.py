@@ -1,9 +1,9 @@
-"""Limits that uvicorn has not: how long a request may take to arrive, and how many may be arriving.
+"""Limits that uvicorn lacks: how long a request may take to arrive, and how many may be arriving.
 
-A connection that sends a byte now and then costs an attacker nothing. It has a deadline, which
-further bytes do not move, and the oldest of too many gives its place to the next: whoever presses
-Stop gets in whatever else is connected. An answer that lasts, such as a stream of events, has
-no deadline as long as it is read.
+A connection that sends a byte now and then costs an attacker nothing. Each pending request has a
+deadline, which further bytes do not extend. Beyond the limit the oldest pending connection is
+closed, so that a Stop request is always accepted. A long answer, such as a stream of events, has
+no deadline as long as the client reads it.
 """
 
 from __future__ import annotations
@@ -127,10 +127,10 @@ class LimitedProtocol(H11Protocol):
         self.arriving, self.since = part, time.monotonic()
         if part:
             limit_s = self.limits.headers_s if part == "headers" else self.limits.body_s
-            told = (
+            message = (
                 f"a connection was closed: the {part} of a request took longer than {limit_s:g} s"
             )
-            self._deadline = self.loop.call_later(limit_s, self.drop, told)
+            self._deadline = self.loop.call_later(limit_s, self.drop, message)
 
     def drop(self, why: str) -> None:
         """Close the connection, and log why."""

@@ -26,7 +26,7 @@ ENDED_BY_A_SIGNAL = 130
 MOST_FILES = 65_536
 
 LOGGERS = ("uvicorn.error", "asyncio", "hil.web.app", "hil.web.protocol", "hil.web.security")
-"""What clients can make say something, again and again."""
+"""Loggers that clients can trigger repeatedly; rate-limited."""
 
 
 def listen(host: str, port: int | None) -> socket.socket:

@@ -122,7 +122,7 @@ class Witness:
         self._note("fault" if begins else "fault_over", kind=fault.kind)
 
     def slipped(self, slip: Slip) -> None:
-        """The computer could not keep the pace of the controller's clock."""
+        """Note that the computer could not keep the pace of the controller's clock."""
         self._note("slip", behind_s=round(slip.behind_s, 6), pace=round(slip.pace, 3))
 
     def stumbled(self, where: str, what: str) -> None:
