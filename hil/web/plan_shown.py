@@ -72,8 +72,11 @@ def _previewed(
     try:
         plan, facts = preview_experiment(experiment, connect=True)
     except RobotError as error:
-        told = f"{error.message}. It is started once it was planned from where it stands."
-        return *preview_experiment(experiment), None, [told]
+        message = (
+            f"{error.message}. The run can start after it has been planned from the robot's "
+            "current position."
+        )
+        return *preview_experiment(experiment), None, [message]
     with opened(experiment.spec.robot, experiment.robot) as robot:
         return plan, facts, motion_facts(experiment, robot, plan), []
 
