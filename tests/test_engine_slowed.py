@@ -59,7 +59,7 @@ def test_it_watches_by_default_robots_that_report_it() -> None:
 
 
 def test_a_lowered_slider_holds_the_run_at_the_next_checkpoint_until_it_is_back() -> None:
-    robot, sink = WithSlider(last=400), ListSink()
+    robot, sink = WithSlider(last=40), ListSink()
     result = engine(robot, sink, interlocks=watching(robot)).run()
     assert result.outcome is Outcome.COMPLETED
     states = [event for event in sink.events if event["kind"] == "state"]
@@ -70,6 +70,28 @@ def test_a_lowered_slider_holds_the_run_at_the_next_checkpoint_until_it_is_back(
     )
 
 
+class Slow(WithSlider):
+    """Moves as slowly as its slider says."""
+
+    def start(self) -> None:
+        super().start()
+        times = min(round(1 / self._share), 1000)
+        self._queue = [point for point in self._queue for _ in range(times)]
+
+
+def test_a_move_may_take_as_long_as_the_slider_makes_it() -> None:
+    robot = Slow(0.1, first=0)
+    result = engine(robot, ListSink()).run()
+    assert result.outcome is Outcome.COMPLETED, result.reason
+
+
+def test_a_move_that_does_not_end_at_all_ends_the_run() -> None:
+    robot = Slow(0.002, first=0)
+    result = engine(robot, ListSink()).run()
+    assert "planned to take" in result.reason
+    assert "(speed slider) is at 0%" in result.reason
+
+
 def test_with_action_stop_it_ends_the_run() -> None:
     robot, sink = WithSlider(), ListSink()
     result = engine(robot, sink, interlocks=watching(robot, "stop")).run()
@@ -78,7 +100,7 @@ def test_with_action_stop_it_ends_the_run() -> None:
 
 
 def test_each_change_is_an_event_and_a_note() -> None:
-    robot, sink = WithSlider(last=400), ListSink()
+    robot, sink = WithSlider(last=40), ListSink()
     result = engine(robot, sink, interlocks=watching(robot)).run()
     changes = [event["share"] for event in sink.events if event["kind"] == "speed_scaling"]
     assert changes == [0.7, 1.0]

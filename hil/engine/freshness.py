@@ -116,6 +116,12 @@ class Deadline:
         self._not_before = began + min(seconds, LEAST_WALL_S)
         self._newest, self._advanced = begin, began
 
+    def extend(self, seconds: float) -> None:
+        """Allow more time [s]."""
+        self.seconds += seconds
+        self._device_end += seconds
+        self._wall_end += seconds
+
     def over(self, device_time: float) -> bool:
         """Whether the time is up; a device time that is no number counts as up."""
         now = self._now()

@@ -147,6 +147,11 @@ class Reading:
         self._leg_slowed = is_slowed(self._scaling)
 
     @property
+    def speed_share(self) -> float:
+        """Share of the planned speed at which the robot's controller moves now, 0 to 1."""
+        return self._scaling if is_slowed(self._scaling) else 1.0
+
+    @property
     def slowed(self) -> str:
         """The speed to which the robot's controller scales motions now; empty if as planned."""
         if not is_slowed(self._scaling):

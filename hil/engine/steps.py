@@ -36,6 +36,9 @@ PARK_WITHIN_S = 2.0
 DWELL_GRACE_S = 2.0
 """How much longer than its own time-out a dwell may take before the robot counts as hung [s]."""
 
+LEAST_SHARE = 0.02
+"""Below this share of the planned speed a move times out as at this share."""
+
 Measured = Callable[[Step, StructArray], object]
 """Is given the settled rows of every dwell; may raise when they say that something is wrong."""
 
@@ -134,12 +137,23 @@ class Steps:
         self._reading.patience(0.0)
 
     def _until_over(self, segment: int, within_s: float, what: str) -> None:
+        """Read until a segment is over; a lowered speed slider makes its time-out later.
+
+        Raises:
+            RobotTimeout: It takes longer.
+        """
         deadline = self._reading.deadline(within_s)
+        before = self._reading.progress.last
         while True:
             last = self._reading.block()[-1]
             if last["segment"] == segment and not last["status"] & Status.MOVING:
                 return
-            if deadline.over(float(last["device_time"])):
+            now, share = float(last["device_time"]), self._reading.speed_share
+            if share < 1.0 and now > before:
+                # The motion has come as far as `share` of this time at its planned speed.
+                deadline.extend((1.0 - max(share, LEAST_SHARE)) * (now - before))
+            before = now
+            if deadline.over(now):
                 raise RobotTimeout(
                     f"{what} was not over after {deadline.seconds:.1f} s",
                     hint="check whether the controller still runs its program",
