@@ -153,6 +153,43 @@ def test_a_violation_that_is_over_at_the_checkpoint_still_pauses_for_a_moment() 
     assert "paused" in kinds(sink)
 
 
+def test_an_unattended_run_that_stays_held_ends_and_names_the_interlock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 6.0)
+    sink, result = hot_run(for_s=np.inf)
+    assert result.outcome is Outcome.TRIPPED
+    assert "interlock temperature: j3" in result.reason
+    assert result.reason.endswith("and no operator attends the run")
+    paused = next(e for e in sink.events if e.get("state") == "paused")
+    assert paused["reason"] in result.reason
+
+
+def test_an_attended_run_that_stays_held_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 6.0)
+    _, result = hot_run(for_s=9.0, go_on=lambda: "")
+    assert result.outcome is Outcome.COMPLETED
+
+
+def test_a_pause_that_a_person_asked_for_does_not_end_an_unattended_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hil.engine.pausing.UNATTENDED_S", 1.0)
+    robot, sink = KinematicRobot(), ListSink()
+    paused: list[int] = []
+
+    def resumed_after_a_while(block: StructArray) -> None:
+        paused.append(running.state is RunState.PAUSED)
+        if sum(paused) == 40:
+            running.request_resume("Ada")
+
+    running = engine(robot, sink)
+    robot.disturb = resumed_after_a_while
+    running.request_pause("coffee")
+    assert running.run().outcome is Outcome.COMPLETED
+    assert sum(paused) * 8 / 125.0 > 2.0
+
+
 def test_a_stop_interlock_judges_while_the_run_is_paused() -> None:
     robot, sink = KinematicRobot(), ListSink()
 

@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from hil.campaign.desk import Desk
 from hil.campaign.series import Ended
-from hil.fleet import workers
+from hil.engine.pausing import nobody_goes_on
+from hil.errors import HilError
+from hil.fleet import worker, workers
 from hil.fleet.folder import FleetFolder
 from hil.fleet.worker import Job
 from hil.fleet.workers import Manner, Workers
@@ -65,3 +68,18 @@ def test_ctrl_c_reaches_a_worker_that_has_answered(
         assert list(fleet.ended()) == [(0, TOLD)]
     assert time.monotonic() - begin < 20.0
     assert process.exitcode == -signal.SIGTERM
+
+
+def test_no_operator_attends_the_run_of_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desks: list[Desk] = []
+
+    def resumed(run: Path, *, desk: Desk, **_: object) -> None:
+        desks.append(desk)
+        raise HilError("enough")
+
+    monkeypatch.setattr("hil.campaign.run.resume_experiment", resumed)
+    answer = worker._done(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
+    assert answer["error"]["message"] == "enough"
+    assert desks[0].go_on is nobody_goes_on

@@ -8,9 +8,14 @@ from collections.abc import Callable
 from hil.engine.reading import Reading, Sink
 from hil.engine.states import RunState
 from hil.engine.steps import Steps
+from hil.errors import InterlockTripped
 
 CLEAR_FOR_S = 5.0
 """Device time an interlock that pauses must be clear before the run goes on by itself [s]."""
+
+UNATTENDED_S = 3600.0
+"""Device time for which interlocks may pause a run that no operator attends [s]: a hot joint cools
+down in less, whereas a speed slider or a full disk stays as it is until a person is notified."""
 
 UNHURRIED_BLOCKS = 200
 SLOWLY_S = 0.1
@@ -55,6 +60,7 @@ class Pausing:
         """Hold until nobody wants a pause any more; nothing happens when nobody does.
 
         Raises:
+            InterlockTripped: No operator attends the run, and an interlock has held it for long.
             HilError: What ended the run while it was paused: a stop, a trip, a fault.
         """
         if not self._requests.why_paused:
@@ -70,11 +76,13 @@ class Pausing:
     def _hold(self) -> None:
         told = self._requests.why_paused
         clear_since: float | None = None
+        waiting_since: float | None = None
+        attended = self._go_on is not nobody_goes_on
         blocks = 0
         while self._requests.why_paused:
             block = self._reading.block()
             blocks += 1
-            if not self._reading.wall and blocks > UNHURRIED_BLOCKS:
+            if not self._reading.wall and blocks > UNHURRIED_BLOCKS and waiting_since is None:
                 # Nobody has to wait through a night of a virtual clock, nor to record it.
                 time.sleep(SLOWLY_S)
             if self._requests.pause and (who := self._go_on()):
@@ -83,9 +91,21 @@ class Pausing:
                 clear_since = self._since(clear_since) if self._reading.judge.clear(block) else None
                 if clear_since is not None and self._now - clear_since >= CLEAR_FOR_S:
                     self._requests.held = ""
+            # A pause that a person asked for is ended by a person, who can see the interlock too.
+            waits = bool(self._requests.held) and not (attended or self._requests.pause)
+            waiting_since = self._since(waiting_since) if waits else None
+            if waiting_since is not None and self._now - waiting_since >= UNATTENDED_S:
+                raise self._left_alone()
             if (why := self._requests.why_paused) and why != told:
                 self._sink.event("paused", reason=why)
                 told = why
+
+    def _left_alone(self) -> InterlockTripped:
+        return InterlockTripped(
+            f"{self._requests.held}; paused for {UNATTENDED_S / 60:g} min without it being clear, "
+            "and no operator attends the run",
+            hint="remove the cause at the robot, then resume the run",
+        )
 
     @property
     def _now(self) -> float:

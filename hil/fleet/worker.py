@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,10 +78,11 @@ def _run(job: Job) -> RunReport:
     from hil.campaign.desk import console_desk
     from hil.campaign.driver_check import check_driver
     from hil.campaign.run import resume_experiment, run_experiment
+    from hil.engine.pausing import nobody_goes_on
 
-    desk = console_desk(
-        job.operator, confirm=job.confirmed or Unconfirmed("start it with: hil fleet run")
-    )
+    confirm = job.confirmed or Unconfirmed("start it with: hil fleet run")
+    # A worker has no console: nothing typed ends a pause.
+    desk = replace(console_desk(job.operator, confirm=confirm), go_on=nobody_goes_on)
     if job.before is not None:
         return resume_experiment(job.before, operator=job.operator, waivers=job.waivers, desk=desk)
     experiment = _experiment(job)
