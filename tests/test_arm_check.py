@@ -107,3 +107,15 @@ def test_what_a_workspace_leaves_no_room_for_is_refused_without_a_plan(
     lines = refused(BOX.replace(*change), tmp_path)
     assert len(lines) == 1
     assert message in lines[0]
+
+
+def test_poses_too_near_to_a_side_are_refused_with_every_way_out(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_text("0,-90,0,-90,0,0\n" * 30, "utf-8")  # upright: 1.0011 m
+    box = BOX.replace("1, 0.5]", "1, 1.01]").replace("waypoints: 24", "file: p.csv, file_unit: deg")
+    (tmp_path / "s.yaml").write_text(box)
+    error = CliRunner().invoke(app, ["validate", str(tmp_path / "s.yaml")]).exception
+    assert isinstance(error, SpecError)
+    assert error.hint == (
+        "change these values, or move that side of the workspace interlock outwards, "
+        "or lower the station's clearance_m, or take another robot"
+    )

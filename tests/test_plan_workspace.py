@@ -235,6 +235,20 @@ def test_a_file_in_a_small_box_is_planned_from_a_pose_of_it(
     assert depth(plan, *sides) >= CLEARANCE_M - 1e-9
 
 
+@pytest.mark.parametrize(("top_m", "lower"), [(0.51, True), (0.4, False)])
+def test_the_hint_for_poses_too_near_to_a_side_names_every_way_out(
+    tmp_path: Path, top_m: float, lower: bool
+) -> None:
+    file = tmp_path / "poses.csv"
+    file.write_text("0,-90,80,-80,-90,0\n", "utf-8")  # the flange is at 0.50 m
+    error = refusal(
+        excitation={"kind": "dwell", "file": str(file), "file_unit": "deg"},
+        interlocks=[box([-2, -2, -1], [2, 2, top_m])],
+    )
+    assert error.hint.startswith("mend or drop these poses, or move that side of the workspace")
+    assert ("or lower the station's clearance_m" in error.hint) is lower
+
+
 def test_poses_of_a_file_outside_the_box_are_listed(tmp_path: Path) -> None:
     file = tmp_path / "poses.csv"
     file.write_text("0,-90,0,-90,0,0\n0,-60,90,-90,0,0\n", "utf-8")

@@ -9,7 +9,7 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.needs import unmet
 from hil.errors import SpecError
 from hil.excite.waypoint_file import WaypointFile, read_waypoints
-from hil.excite.workspace import beyond_range, outside
+from hil.excite.workspace import beyond_range, outside, ways_out
 from hil.plan.interlocks import declared_space
 from hil.plan.limits import excesses
 from hil.robot import Capabilities
@@ -43,11 +43,12 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     problems = misjudged(spec, robot.effort_kind) if judged else []
     arm = load_arm(model) if is_described(model) else None
     motions = getattr(spec.excitation, "trajectories", None)
+    ways: list[str] = []
     if arm is not None:
         clearance_m = experiment.robot.surroundings.clearance_m
         problems += excesses(spec, arm, robot.rate_hz, clearance_m)
     if isinstance(spec.excitation, Dwell):
-        poses, faults = _poses(experiment, spec.excitation, robot.joint_names, arm)
+        poses, faults, ways = _poses(experiment, spec.excitation, robot.joint_names, arm)
         problems += faults
         motions = poses if not faults else None
     if judged:
@@ -57,7 +58,7 @@ def require_within_reach(experiment: Experiment, robot: Capabilities) -> None:
     source = _source_of(experiment)
     raise refuse(
         [Problem(source.mark(one.path), one.path, one.message) for one in problems],
-        hint="change these values, or take another robot",
+        hint=", or ".join(["change these values", *ways, "take another robot"]),
     )
 
 
@@ -79,19 +80,22 @@ def _poses(
     program: Dwell,
     joint_names: tuple[str, ...],
     arm: ArmDescription | None,
-) -> tuple[int, list[Excess]]:
-    """Return the number of poses of a program, and the problems of its file."""
+) -> tuple[int, list[Excess], list[str]]:
+    """Return the number of poses of a program, the problems of its file, and what else helps."""
     if program.file is None:
-        return program.waypoints, []
+        return program.waypoints, [], []
     try:
         file = read_waypoints(Path(program.file), joint_names, program.stated_unit)
     except SpecError as error:
         message = error.message.removeprefix("excitation.file: ")
-        return 0, [Excess(POSES, f"{message} → {error.hint}")]
+        return 0, [Excess(POSES, f"{message} → {error.hint}")], []
     messages = list(file.problems)
+    ways: list[str] = []
     if arm is not None:
-        messages += _beyond_range(file, arm) or _outside(file, arm, experiment)
-    return len(file.q), [Excess(POSES, message) for message in messages]
+        beyond = _beyond_range(file, arm)
+        near, ways = ([], []) if beyond else _outside(file, arm, experiment)
+        messages += beyond + near
+    return len(file.q), [Excess(POSES, message) for message in messages], ways
 
 
 def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
@@ -103,10 +107,14 @@ def _beyond_range(file: WaypointFile, arm: ArmDescription) -> list[str]:
     return [f"{file.place(row)}: {complaints[row]}" for row in rows]
 
 
-def _outside(file: WaypointFile, arm: ArmDescription, experiment: Experiment) -> list[str]:
+def _outside(
+    file: WaypointFile, arm: ArmDescription, experiment: Experiment
+) -> tuple[list[str], list[str]]:
+    """Return the poses that are outside the workspace, and what helps beside other poses."""
     spec, clearance_m = experiment.spec, experiment.robot.surroundings.clearance_m
     space = declared_space(spec.interlocks, arm, [load.size_m for load in spec.loads])
     if space is None:
-        return []
+        return [], []
     complaints = [outside(space, q, clearance_m) for q in file.q]
-    return [f"{file.place(row)}: {text}" for row, text in enumerate(complaints) if text]
+    messages = [f"{file.place(row)}: {text}" for row, text in enumerate(complaints) if text]
+    return messages, ways_out(space, file.q, clearance_m)

@@ -13,7 +13,7 @@ from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Program, Visit, pose_visit
 from hil.excite.waypoint_file import WaypointFile, read_waypoints, shortened
-from hil.excite.workspace import Workspace
+from hil.excite.workspace import Workspace, ways_out
 from hil.spec.experiment import Dwell
 from hil.typing import FloatArray
 
@@ -113,7 +113,10 @@ class DwellProgram:
 
     def _hint(self, workspace: Workspace, file: WaypointFile) -> str:
         outside = int(np.count_nonzero(~workspace.within_limits(file.q)))
-        return file.suspected(outside) or "mend or drop these poses; nothing was planned"
+        ways = ways_out(workspace.space, file.q, workspace.clearance_m)
+        return file.suspected(outside) or (
+            ", or ".join(["mend or drop these poses", *ways]) + "; nothing was planned"
+        )
 
 
 def _in_pieces(blocks: Iterable[FloatArray], rows: int) -> Iterator[FloatArray]:

@@ -77,6 +77,23 @@ def outside(space: Space, q: FloatArray, required_m: float) -> str:
     return f"the {point} is only {1e3 * depth:.1f} mm inside {face}, {required}"
 
 
+def ways_out(space: Space | None, q: FloatArray, required_m: float) -> list[str]:
+    """Return what helps where poses `q` (N, n) are too near to faces, beside other poses.
+
+    Args:
+        space: Where the flange has to stay; None if it may go anywhere.
+        q: (N, n) joint positions [rad].
+        required_m: Distance that is kept to every face.
+    """
+    if space is None or not len(q):
+        return []
+    depth = space.distances(q).min(axis=0)
+    near = depth < required_m
+    ways = ["move that side of the workspace interlock outwards"] if near.any() else []
+    # Below 0 no smaller distance helps.
+    return ways + (["lower the station's clearance_m"] if (near & (depth > 0)).any() else [])
+
+
 @dataclass(frozen=True, eq=False)
 class Workspace:
     """A robot in its surroundings, as excitation and plan see it.
