@@ -27,6 +27,7 @@ from hil.fleet.folder import FleetFolder
 from hil.record.files import json_document, json_line, read_json
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
+from hil.registry.log import damaged
 from hil.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
@@ -239,6 +240,30 @@ def test_the_catalogue_has_a_run_of_any_name(runs: Path, hil: Callable[..., Said
         said = hil("runs", *query, "--runs", runs, "--json")
         assert {one["run"] for one in said.document} == there
         assert hil("runs", *query, "--runs", runs).out.count("completed") == 2
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_a_suggested_command_names_the_folder_whatever_its_name(
+    name: str, tmp_path: Path, hil: Callable[..., Said]
+) -> None:
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("no bash here")
+    import subprocess
+
+    root = tmp_path / name / "runs"
+    run = write_run(root, 7)
+    table = hil("runs", "--runs", root).out
+    entries = hil("runs", "--runs", root, "--json").document
+    hint = damaged(root / "ur5", "a line is damaged").hint
+    suggested = {
+        table.partition("hil report 7 --runs ")[2]: root,
+        entries[0]["next"].removeprefix("hil report "): run,
+        hint.partition(" --registry ")[2]: root,
+    }
+    for words, folder in suggested.items():
+        shell = subprocess.run([bash, "-c", f"printf %s {words}"], capture_output=True)
+        assert shell.stdout == os.fsencode(folder)
 
 
 def crawl(client: Any, first: Iterable[str]) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from hil.record.lock import is_live
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import PRUNED, RunDirectory
 from hil.record.span import recorded_s
+from hil.text import shell_word
 
 _STUDY_FILES = "study/*/study.json"
 
@@ -38,7 +38,7 @@ def next_command(listing: RunListing) -> str:
     run = RunDirectory(listing.path)
     if listing.status in ("running", "damaged") or run.is_reported:
         return ""
-    start, path = _optional(run.path / "start.json") or {}, shlex.quote(str(run.path))
+    start, path = _optional(run.path / "start.json") or {}, shell_word(run.path)
     has = [(run.path / name).exists() for name in ("spec.yaml", "plan.json", PRUNED)]
     if "replayed" in start:
         return ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ from hil.cli.output import (
     say,
 )
 from hil.errors import DataError, HilError, exit_code_of
+from hil.text import shell_word
 
 RunArgument = Annotated[
     str,
@@ -110,7 +110,7 @@ def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[s
     from hil.record.numbering import number_of
 
     numbers = [number_of(path) for path in paths]
-    elsewhere = "" if runs == Path("runs") else f" --runs {shlex.quote(str(runs))}"
+    elsewhere = "" if runs == Path("runs") else f" --runs {shell_word(runs)}"
     return [
         f"{' '.join(command.split()[:2])} {number}{elsewhere}"
         if command and number and numbers.count(number) == 1

@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shlex
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +23,7 @@ from hil.identify.model_file import json_bytes, write_whole
 from hil.record.files import fsync_directory
 from hil.record.provenance import operator, utc_now
 from hil.registry.version import numbers_in, read_version
-from hil.text import json_text
+from hil.text import json_text, shell_word
 
 LOG_FILE = "log.jsonl"
 HEAD_FILE = "head.json"
@@ -222,7 +221,7 @@ def read_log(folder: Path) -> tuple[Entry, ...]:
 
 def damaged(folder: Path, problem: str) -> RegistryError:
     """Return the error for a damaged log."""
-    command = f"hil models repair {folder.name} --registry {shlex.quote(str(folder.parent))}"
+    command = f"hil models repair {shell_word(folder.name)} --registry {shell_word(folder.parent)}"
     return RegistryError(
         problem,
         hint=f"restore the file from a backup, or rebuild it from the versions with: {command}",
