@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
+from catalogue_runs import write_run
 from fleet_parts import SLOW, SPEC, command, measurements, moving, told, until, written
 from typer.testing import CliRunner
 
@@ -78,6 +80,18 @@ def test_a_fleet_belongs_to_one_process(tmp_path: Path) -> None:
     folder = FleetFolder.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
     with folder.held(), pytest.raises(DataError, match="belongs to pid"), folder.held():
         pass
+
+
+def test_a_hidden_folder_is_no_run_of_a_fleet(tmp_path: Path) -> None:
+    """A run that is still prepared has a start document, and so has one that is being deleted."""
+    fleet = FleetFolder.create(tmp_path, "small", {"a": SPEC}, tmp_path / "small.yaml", "")
+    start = {"spec": str(fleet.spec_of("a"))}
+    run = write_run(tmp_path, 1, robot="a", start=start)
+    for name in (".draft-0002", ".trash-0003"):
+        shutil.copytree(run, run.parent / name)
+    assert fleet.run_of("a") == run
+    shutil.rmtree(run)
+    assert fleet.run_of("a") is None
 
 
 def test_a_damaged_document_is_told(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from hil.record.files import (
     write_once,
     write_replacing,
 )
-from hil.record.numbering import name_for_path
+from hil.record.numbering import name_for_path, run_folders
 
 DOCUMENT, PAGE, SPECS, MODELS = "fleet.json", "fleet.html", "specs", "models"
 FORMAT = 1
@@ -120,9 +120,10 @@ class FleetFolder:
         """The newest run of a robot for this fleet, by what the runs themselves say."""
         mine = self.spec_of(robot).parts[-5:]  # runs may have been moved together since
         found = [
-            start.parent
-            for start in self.runs.glob(f"*/{name_for_path(robot)}/*/start.json")
-            if _spec_named_in(start).parts[-5:] == mine
+            run
+            for run in run_folders(self.runs)
+            if run.parent.name == name_for_path(robot)
+            and _spec_named_in(run / "start.json").parts[-5:] == mine
         ]
         return max(found, key=lambda run: run.name, default=None)
 
