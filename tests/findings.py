@@ -702,11 +702,12 @@ def killed_before_start(folder: Path) -> str:
     spec = small_spec(folder)
     start = "hil.record.rundir:write_start"
     killed_at(start, "run", spec, cwd=folder, of="module.RunDirectory")
-    assert len(list(folder.glob("runs/.claim-*/plan.json"))) == 1
+    assert len(list(folder.glob("runs/*/*/.draft-*/plan.json"))) == 1
     listed = json.loads(hil("runs", "--json", cwd=folder).stdout)
     assert listed == [], listed
     assert hil("run", spec, cwd=folder).returncode == 10
-    assert not list(folder.glob("runs/.claim-*")), "the next run left it"
+    left = [*folder.glob("runs/.claim-*"), *folder.glob("runs/*/*/.draft-*")]
+    assert not left, "the next run left it"
     names = [path.name for path in folder.glob("runs/*/*/*")]
     assert names == ["0001-small"], names
     disk = (

@@ -284,7 +284,7 @@ def gone_on_with(folder: Path) -> str:
     """Do what `hil runs` names next for the one run there is; return what was found and done."""
     entries = listed(folder)
     if not entries:
-        require(not list(folder.glob("runs/*/*/*")), "a run that is not listed")
+        require(not list(folder.glob("runs/*/*/[!.]*")), "a run that is not listed")
         return "nothing begun"
     (entry,) = entries
     run, command = folder / entry["run"], entry["next"]
@@ -328,7 +328,8 @@ def after_run(folder: Path, again: list[str]) -> str:
         require_whole(folder, folder / entry["run"], {})
         require(entry["run"].endswith("/0001-small"), f"it is called {entry['run']}")
         told += " → run again"
-    require(not list(folder.glob("runs/.claim-*")), "a claim of a number is still there")
+        require(not list(folder.glob("runs/.claim-*")), "a claim of a number is still there")
+    require(not list(folder.glob("runs/*/*/.draft-*")), "a draft of a run is still there")
     return told
 
 

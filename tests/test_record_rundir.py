@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -89,21 +93,46 @@ def test_a_number_that_another_process_has_just_taken_is_not_given_again(
     assert RunDirectory.create(tmp_path, "ur5", "ours").number == 2
 
 
-def test_a_claim_left_by_a_crash_is_removed_by_the_next_run(tmp_path: Path) -> None:
-    (tmp_path / ".claim-0001" / "recording").mkdir(parents=True)
-    (tmp_path / ".claim-0001" / "spec.yaml").write_text("hil: 1")
+def hidden(root: Path) -> list[str]:
+    """Return the names of the claims and drafts below a runs folder."""
+    return sorted(path.name for path in [*root.glob(".*"), *root.glob("*/*/.*")])
+
+
+def test_drafts_left_by_crashes_are_removed_by_the_next_run(tmp_path: Path) -> None:
+    for number, robot in (("0001", "ur5"), ("0002", "ur10e")):
+        draft = tmp_path / "2026-11-20" / robot / f".draft-{number}"
+        (draft / "recording").mkdir(parents=True)
+        (draft / "spec.yaml").write_text("hil: 1")
+        (tmp_path / f".claim-{number}").write_text("{}")
     run = RunDirectory.create(tmp_path, "ur5", "fourier")
     assert run.number == 1
-    assert list(tmp_path.glob(".claim-*")) == []
+    assert hidden(tmp_path) == []
     assert not (run.path / "spec.yaml").exists()
 
 
 def test_a_claim_of_a_live_process_keeps_its_number_and_its_files(tmp_path: Path) -> None:
-    with numbering.claimed(tmp_path) as claim:
+    folder = tmp_path / "2026-11-20" / "ur5"
+    folder.mkdir(parents=True)
+    with numbering.claimed(tmp_path, folder) as claim:
         (claim.draft / "spec.yaml").write_text("hil: 1")
         assert RunDirectory.create(tmp_path, "ur5", "other").number == 2
         assert (claim.draft / "spec.yaml").exists()
         assert [run.number for run in list_runs(tmp_path)] == [2]
+
+
+def test_a_run_is_renamed_within_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder of the robot may be a link to another file system."""
+    real = os.rename
+
+    def on_one_file_system(source: Path, target: Path) -> None:
+        if Path(source).parent != Path(target).parent:
+            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV))
+        real(source, target)
+
+    monkeypatch.setattr(os, "rename", on_one_file_system)
+    assert started(tmp_path).start["uid"] == "u-1"
 
 
 def test_a_run_has_its_name_only_when_it_has_its_documents(tmp_path: Path) -> None:
@@ -137,10 +166,59 @@ def test_a_process_killed_before_its_run_has_begun_leaves_nothing_that_is_listed
 ) -> None:
     killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert [path.name for path in tmp_path.glob(".claim-*/spec.yaml")] == ["spec.yaml"]
+    assert hidden(tmp_path) == [".claim-0001", ".draft-0001"]
     assert list_runs(tmp_path) == []
     assert started(tmp_path).number == 1
-    assert list(tmp_path.glob(".claim-*")) == []
+    assert hidden(tmp_path) == []
+
+
+def test_a_run_that_begins_while_another_process_cleans_keeps_its_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+    prepared, cleaned = threading.Event(), threading.Event()
+    remove = shutil.rmtree
+
+    def begin(draft: RunDirectory) -> None:
+        draft.write_text("spec.yaml", "hil: 1")
+        prepared.set()
+        assert cleaned.wait(60)
+        draft.write_start({"uid": "u-2"})
+
+    def interrupted(path: Path, **options: Any) -> None:
+        monkeypatch.setattr(shutil, "rmtree", remove)
+        remove(path, **options)
+        threads.append(pool.submit(RunDirectory.create, tmp_path, "ur5", "meanwhile", begin))
+        assert prepared.wait(60)
+
+    threads: list[Future[RunDirectory]] = []
+    with ThreadPoolExecutor(1) as pool:
+        monkeypatch.setattr(shutil, "rmtree", interrupted)
+        try:
+            numbers = {started(tmp_path).number, started(tmp_path).number}
+        finally:
+            cleaned.set()
+        meanwhile = threads[0].result()
+    assert meanwhile.start["uid"] == "u-2"
+    assert (meanwhile.path / "spec.yaml").read_text() == "hil: 1"
+    assert len(numbers | {meanwhile.number}) == 3
+    assert hidden(tmp_path) == []
+
+
+def test_a_draft_of_a_process_that_died_meanwhile_is_not_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = numbering.hold
+
+    def after_a_crash(path: Path, content: Any) -> Any:
+        monkeypatch.setattr(numbering, "hold", real)
+        subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], check=False)
+        return real(path, content)
+
+    monkeypatch.setattr(numbering, "hold", after_a_crash)
+    run = started(tmp_path)
+    assert not (run.path / "spec.yaml").exists()
+    assert hidden(tmp_path) == []
 
 
 def test_documents_that_cannot_be_written_leave_no_run(tmp_path: Path) -> None:
@@ -151,7 +229,7 @@ def test_documents_that_cannot_be_written_leave_no_run(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="no space left"):
         RunDirectory.create(tmp_path, "ur5", "fourier", begin)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
-    assert list(tmp_path.glob(".claim-*")) == []
+    assert hidden(tmp_path) == []
 
 
 def test_documents_come_back_and_are_never_rewritten(tmp_path: Path) -> None:
@@ -167,6 +245,15 @@ def test_documents_come_back_and_are_never_rewritten(tmp_path: Path) -> None:
         with pytest.raises(RecordingError, match="no file of a run is rewritten"):
             write()
     assert (run.path / "spec.yaml").read_text() == "hil: 1\n"
+
+
+def test_a_second_verdict_is_refused_and_leaves_the_report(tmp_path: Path) -> None:
+    run = started(tmp_path)
+    run.write_verdict({"passed": True})
+    (run.path / "report.html").write_text("passed")
+    with pytest.raises(RecordingError, match="no file of a run is rewritten"):
+        run.write_verdict({"passed": False})
+    assert (run.path / "report.html").read_text() == "passed"
 
 
 def test_a_write_that_fails_leaves_nothing_behind(

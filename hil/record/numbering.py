@@ -7,14 +7,14 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from hil.held_file import HeldFile, hold, holder_of
 from hil.holder import this_process
 from hil.record.files import fsync_directory
-from hil.record.lock import LOCK
 
-_CLAIM = ".claim-"
+_CLAIM, _DRAFT = ".claim-", ".draft-"
 _NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)
 
 
@@ -40,93 +40,97 @@ def folders_in(parent: Path) -> list[Path]:
     return sorted(Path(entry) for entry in found if not entry.name.startswith("."))
 
 
+@dataclass(frozen=True, slots=True)
 class Claim:
-    """A number of this process alone, with a hidden folder in which the run is prepared.
+    """A number that only this process may use, with a hidden folder in which the run is prepared.
 
-    The folder is `ROOT/.claim-NNNN`: making it takes the number, renaming it makes it the run.
-    Nothing lists it. One whose process died is removed by the next process that claims a number.
+    The number belongs to the process that holds the file `ROOT/.claim-NNNN`. Only that process
+    makes, renames or removes a folder `.draft-NNNN`. A draft lies in the folder of its run, so that
+    its rename stays on one file system.
 
     Attributes:
-        number: Run number, unique under `root`.
-        draft: Hidden folder `ROOT/.claim-NNNN` in which the run is prepared.
+        number: Run number, unique under `ROOT`.
+        draft: Hidden folder in which the run is prepared.
     """
 
-    def __init__(self, number: int, draft: Path, lock: HeldFile) -> None:
-        self.number = number
-        self.draft = draft
-        self._lock = lock
-        self._is_run = False
+    number: int
+    draft: Path
 
     def become(self, run: Path) -> None:
-        """Give the prepared folder its name. Raises `OSError`."""
+        """Rename the draft to the run directory, which lies beside it. Raises `OSError`."""
         fsync_directory(self.draft)
         self.draft.rename(run)
-        self._lock.path, self._is_run = run / LOCK, True
         fsync_directory(run.parent)
-
-    def release(self) -> None:
-        """Let the number go; what was prepared is removed unless it has become a run."""
-        if not self._is_run:
-            shutil.rmtree(self.draft, ignore_errors=True)
-        self._lock.release()
 
 
 @contextlib.contextmanager
-def claimed(root: Path) -> Iterator[Claim]:
-    """Hold the next number that is free under `root` while inside.
+def claimed(root: Path, folder: Path) -> Iterator[Claim]:
+    """Hold the next free number under `root`, with a draft in `folder` (`ROOT/DAY/ROBOT`).
+
+    Drafts of processes that died are removed before, and this draft afterwards, unless it has
+    become a run.
 
     Raises:
-        OSError: The folder cannot be written to.
+        OSError: One of the folders cannot be written to.
     """
     _remove_abandoned(root)
-    claim = _claim(root)
-    try:
-        yield claim
-    finally:
-        claim.release()
+    lock, claim = _claim(root, folder)
+    with lock:
+        try:
+            yield claim
+        finally:
+            shutil.rmtree(claim.draft, ignore_errors=True)
 
 
-def _claim(root: Path) -> Claim:
+def _claim(root: Path, folder: Path) -> tuple[HeldFile, Claim]:
     number = max((number_of(run) for run in run_folders(root)), default=0)
     while True:
         number += 1
-        draft = root / f"{_CLAIM}{number:04d}"
+        path = root / f"{_CLAIM}{number:04d}"
         try:
-            draft.mkdir()
-        except FileExistsError:
-            continue
-        try:
-            lock = hold(draft / LOCK, this_process())
-        except FileNotFoundError:  # taken for an abandoned one before it was locked
-            continue
-        except OSError:
-            shutil.rmtree(draft, ignore_errors=True)
-            raise
+            lock = hold(path, this_process())
+        except PermissionError:
+            if not path.exists():
+                raise
+            continue  # the claim of another user
         if not isinstance(lock, HeldFile):
             continue
-        claim = Claim(number, draft, lock)
-        # The holder of the claim is alone in looking at this number and in taking it.
-        if all(number_of(run) != number for run in run_folders(root)):
-            return claim
-        claim.release()
+        with contextlib.ExitStack() as release:
+            release.enter_context(lock)
+            # Looked for only now: until the number was held, another process could make it a run.
+            if any(number_of(run) == number for run in run_folders(root)):
+                continue
+            _remove_drafts(root, path)
+            draft = folder / _draft_of(path)
+            try:
+                draft.mkdir()
+            except FileExistsError:
+                continue  # a draft of another user that died, and that only its owner may remove
+            release.pop_all()
+            return lock, Claim(number, draft)
 
 
 def _remove_abandoned(root: Path) -> None:
-    """Remove the drafts of processes that died while they prepared a run."""
-    for draft in root.glob(f"{_CLAIM}*"):
-        if holder_of(draft / LOCK) is not None:
+    """Remove the claims and the drafts of processes that died while they prepared a run."""
+    for path in root.glob(f"{_CLAIM}*"):
+        if holder_of(path) is not None:
             continue
         with contextlib.suppress(OSError):
-            lock = hold(draft / LOCK, this_process())
-            if not isinstance(lock, HeldFile):
-                continue
-            # Renamed first: its number is free, and the next claim of it is another folder.
-            gone = draft.with_name(f"{draft.name}.{os.getpid()}.gone")
-            try:
-                draft.rename(gone)
-                shutil.rmtree(gone, ignore_errors=True)
-            finally:
-                lock.release()
+            lock = hold(path, this_process())
+            if isinstance(lock, HeldFile):
+                with lock:
+                    _remove_drafts(root, path)
+
+
+def _remove_drafts(root: Path, claim: Path) -> None:
+    """Remove every draft of a number; the caller holds its claim."""
+    for day in folders_in(root):
+        for robot in folders_in(day):
+            shutil.rmtree(robot / _draft_of(claim), ignore_errors=True)
+
+
+def _draft_of(claim: Path) -> str:
+    return _DRAFT + claim.name.removeprefix(_CLAIM)
 
 
 def name_for_path(name: str) -> str:

@@ -100,7 +100,7 @@ class RunDirectory:
         )
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with claimed(Path(runs_root)) as claim:
+            with claimed(Path(runs_root), folder) as claim:
                 (claim.draft / "recording").mkdir()
                 reserve(claim.draft)
                 if begin is not None:
@@ -191,8 +191,8 @@ class RunDirectory:
         Raises:
             RecordingError: There is a verdict already, or the disk refuses.
         """
-        with contextlib.suppress(FileNotFoundError):
-            (self.path / _REPORT).unlink()
+        if not self.is_judged:  # a second verdict is refused below, and the report shows the first
+            (self.path / _REPORT).unlink(missing_ok=True)
         self.write_json(_VERDICT, document)
 
     @property
