@@ -7,19 +7,34 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fleet_parts import SPEC as MEMBER
-from pipeline_parts import SCHEDULE, write_schedule
+from pipeline_parts import CAMPAIGN, PROBE, SCHEDULE, write_schedule
 from test_campaign_confirmation import FakeConsole
 from typer.testing import CliRunner, Result
 
+import hil.arms
+from hil.arms import description
 from hil.campaign import arming
-from hil.campaign.arming import ARMED_FILE
+from hil.campaign.arming import (
+    ARMED_FILE,
+    Moves,
+    Together,
+    arm,
+    confirm_together,
+    require_armed,
+)
+from hil.campaign.confirmation import motion_facts
+from hil.campaign.experiment import Experiment, load_experiment
+from hil.campaign.robots import opened, planned
 from hil.cli.app import app
 from hil.errors import NotConfirmed, SpecError, exit_code_of
+from hil.pipeline import measuring
+from hil.pipeline.bound import bind_file
 from hil.robot import Address
 from hil_mock_robot.driver import MockRobot
 
@@ -270,3 +285,174 @@ def test_a_fleet_names_its_robots_in_a_file_and_is_confirmed_at_its_start(tmp_pa
         ("anna", "198.51.100.1"),
         ("anna", "198.51.100.2"),
     ]
+
+
+POSES = "q1,q2,q3,q4,q5,q6\n10,-90,60,-60,-90,0\n15,-90,65,-60,-90,0\n20,-90,70,-60,-90,0\n"
+DWELL = {
+    "hil": 1, "name": "poses", "robot": "ur5", "warm_up": {"duration_s": 0},
+    "weigh": {"poses": 0}, "accept": {"gaps_percent": {"max": 50}},
+    "excitation": {"kind": "dwell", "file": "poses.csv", "file_unit": "deg"},
+}  # fmt: skip
+
+
+@pytest.fixture
+def of_poses(folder: Path) -> Experiment:
+    """An experiment of the station that takes its poses from a file."""
+    (folder / "poses.csv").write_text(POSES, "utf-8")
+    (folder / "poses.yaml").write_text(json.dumps(DWELL), "utf-8")
+    return load_experiment(folder / "poses.yaml")
+
+
+def scheduled(folder: Path, **experiments: Experiment) -> Moves:
+    return Moves(folder / "weekly.yaml", NAMED["robots"], experiments)
+
+
+def change_poses(folder: Path) -> None:
+    (folder / "poses.csv").write_text(POSES.replace("70", "90"), "utf-8")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (change_poses, "experiment campaign"),
+        (lambda folder: (folder / "state" / ARMED_FILE).unlink(), "is not armed"),
+        (edit("weekly.yaml", "7d", "6d"), "schedule file"),
+    ],
+    ids=["poses", "disarmed", "file"],
+)
+def test_a_running_schedule_is_compared_with_its_record_before_each_motion(
+    change: Callable[[Path], None], words: str, real: object, folder: Path, of_poses: Experiment
+) -> None:
+    moves = scheduled(folder, campaign=of_poses)
+    arm(moves, folder / "state", yes=True)
+    confirm = require_armed(moves, folder / "state")
+    assert confirm is not None
+    with planned(of_poses) as (robot, plan, _):
+        facts = motion_facts(of_poses, robot, plan)
+    confirm.admit("ur5", AT)
+    assert confirm(facts, lambda: None)["how"] == "armed"
+    change(folder)
+    with pytest.raises(NotConfirmed, match=words):
+        confirm.admit("ur5", AT)
+    with pytest.raises(NotConfirmed, match=words):
+        confirm(facts, lambda: None)
+
+
+def test_a_disarmed_schedule_does_not_go_on_with_a_run_that_was_cut_off(
+    real: object, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = folder / "schedules" / "weekly"
+    called("schedule", "arm", "weekly.yaml", "--yes")
+    bound = bind_file(folder / "weekly.yaml")
+    confirm = require_armed(bound.moves(folder / "weekly.yaml"), state)
+    assert confirm is not None
+    monkeypatch.setattr(measuring, "run_of", lambda *told: folder / "cut-off")
+    monkeypatch.setattr(measuring, "_is_done", lambda run: False)
+    monkeypatch.setattr(measuring, "_require_harmless", lambda run: None)
+    (state / ARMED_FILE).unlink()
+    with pytest.raises(NotConfirmed, match="is not armed"):
+        measuring.Measuring(folder / "runs", confirm=confirm).measure(bound.campaign, "weekly")
+
+
+@pytest.mark.parametrize("changed", ["probe", "campaign"])
+def test_probe_and_campaign_of_one_name_are_both_compared(
+    changed: str, real: object, folder: Path
+) -> None:
+    for part, content in (("probe", PROBE), ("campaign", CAMPAIGN)):
+        (folder / f"{part}.yaml").write_text(json.dumps(content | {"name": "same"}), "utf-8")
+
+    def moves() -> Moves:
+        parts = ("probe", "campaign")
+        return scheduled(folder, **{one: load_experiment(folder / f"{one}.yaml") for one in parts})
+
+    arm(moves(), folder / "state", yes=True)
+    edit(f"{changed}.yaml", '"trajectories": ', '"trajectories": 1')(folder)
+    with pytest.raises(NotConfirmed, match=f"experiment {changed}"):
+        require_armed(moves(), folder / "state")
+
+
+def test_another_arm_description_is_another_motion(
+    real: object, folder: Path, of_poses: Experiment
+) -> None:
+    text = (Path(hil.arms.__file__).parent / "ur5.yaml").read_text("utf-8")
+    own = folder / "arm.yaml"
+    own.write_text(text, "utf-8")
+    entry = of_poses.robot.model_copy(update={"model": str(own)})
+    of_own = replace(of_poses, robot=entry)
+    moves = scheduled(folder, campaign=of_own)
+    confirm = confirm_together(moves, yes=True).begin(of_own)
+    confirm.admit("ur5", AT)
+    own.write_text(text.replace("qd_max_deg_s: 180", "qd_max_deg_s: 91"), "utf-8")
+    description._parsed.cache_clear()  # as in another process
+    with pytest.raises(NotConfirmed, match="arm description of ur5"):
+        confirm.admit("ur5", AT)
+
+
+def test_a_run_of_a_series_is_compared_with_what_was_confirmed(
+    real: object, folder: Path, of_poses: Experiment
+) -> None:
+    moves = scheduled(folder, **{"series.0": of_poses})
+    confirm = confirm_together(moves, yes=True).begin(of_poses)
+    confirm.admit("ur5", AT)
+    with pytest.raises(NotConfirmed, match=ELSEWHERE):
+        confirm.admit("ur5", ELSEWHERE)
+    change_poses(folder)
+    with pytest.raises(NotConfirmed, match="experiment"):
+        confirm.admit("ur5", AT)
+
+
+def test_yes_moves_no_robot_whose_driver_opened_only_after_the_confirmation(
+    real: object, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_series(folder, {})
+    confirm = arming.confirm_together
+
+    def closed(*name_and_entry: object) -> object:
+        raise SpecError("the port is taken")
+
+    def confirmed(*moves: Any, **how: Any) -> Together:
+        monkeypatch.setattr(arming, "opened", closed)
+        together = confirm(*moves, **how)
+        monkeypatch.setattr(arming, "opened", opened)
+        return together
+
+    monkeypatch.setattr(arming, "confirm_together", confirmed)
+    with pytest.raises(NotConfirmed, match="was not confirmed when series"):
+        called("run", "series.yaml", "--yes")
+    assert not confirmations(folder)
+
+
+@pytest.mark.parametrize(
+    ("how", "named", "moves"), [("--yes", AT, True), ("--yes", "", False), ("typed", AT, False)]
+)
+def test_a_run_of_a_series_is_gone_on_with_by_yes_where_the_file_names_its_robot(
+    how: str, named: str, moves: bool
+) -> None:
+    together = Together(Path("series.yaml"), {"ur5": named} if named else {}, how, "anna", ())
+    confirm = together.resume("ur5", Path("runs/1"))
+    if moves:
+        confirm.admit("ur5", AT)
+    for address in (ELSEWHERE,) if moves else (AT, ELSEWHERE):
+        with pytest.raises(NotConfirmed):
+            confirm.admit("ur5", address)
+
+
+def test_the_facts_say_that_the_way_to_the_first_pose_is_not_included(
+    real: object, folder: Path, types: Callable[..., FakeConsole]
+) -> None:
+    for verb in (("schedule", "arm", "weekly.yaml"), ("run", "series.yaml")):
+        console = types("no")
+        with pytest.raises(NotConfirmed):
+            called(*verb)
+        shown = "\n".join(console.shown)
+        assert "the way from where it stands to the first pose is not included" in shown
+
+
+def test_a_real_robot_without_an_address_cannot_be_named(
+    real: Callable[[str], None], folder: Path, of_poses: Experiment
+) -> None:
+    real("unknown")
+    moves = Moves(folder / "series.yaml", {"ur5": "unknown"}, {"series.0": of_poses})
+    with pytest.raises(SpecError, match="'mock' does not state an address") as error:
+        moves.real()
+    assert "HasAddress" in error.value.hint

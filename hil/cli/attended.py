@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +12,14 @@ from hil.cli.live_view import live_view, recorded_capabilities
 from hil.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
-    from hil.campaign.arming import Moves
+    from hil.campaign.arming import Moves, Together
     from hil.campaign.confirmation import Confirm
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
     from hil.robot import Capabilities
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Attended:
     """Who and what attends runs, as the command line says.
 
@@ -32,7 +32,7 @@ class Attended:
         elsewhere: Whether prompts wait for answers from elsewhere.
         yes: Whether a real robot moves without a prompt.
         confirmed: File with the facts that were confirmed elsewhere.
-        together: Confirmation for all runs at once, by robot.
+        together: Confirmation of all runs of a series at once; None before it.
     """
 
     operator: str
@@ -43,7 +43,7 @@ class Attended:
     elsewhere: bool = False
     yes: bool = False
     confirmed: Path | None = None
-    together: dict[str, Confirm] = field(default_factory=dict)
+    together: Together | None = None
 
     def confirm_together(self, moves: Moves) -> None:
         """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
@@ -52,7 +52,7 @@ class Attended:
         if self.confirmed is not None:  # it names robot and address itself
             moves.real()
             return
-        self.together.update(confirm_together(moves, who=self.operator, yes=self.yes))
+        self.together = confirm_together(moves, who=self.operator, yes=self.yes)
 
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
@@ -60,7 +60,7 @@ class Attended:
         from hil.campaign.driver_check import check_driver
 
         robot = check_driver(experiment)
-        confirm = self.together.get(experiment.spec.robot) or self._confirm()
+        confirm = self.together.begin(experiment) if self.together else self._confirm()
         return self._attend(lambda: robot, partial(api.run, experiment, runs=runs), confirm)
 
     def resume(self, run: Path) -> RunReport:
@@ -69,7 +69,9 @@ class Attended:
         from hil.record.rundir import RunDirectory
 
         robot = str(RunDirectory.open(run).start.get("robot_name", ""))
-        confirm = self.together.get(robot) or self._confirm()
+        # In a terminal its facts are shown again where what was confirmed then no longer holds.
+        at_once = self.together if self.yes else None
+        confirm = at_once.resume(robot, run) if at_once else self._confirm()
         return self._attend(lambda: recorded_capabilities(run), partial(api.resume, run), confirm)
 
     def _attend(

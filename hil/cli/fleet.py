@@ -69,7 +69,7 @@ def run(
     file = where if Path(where).is_file() else ""
     moves = _moves(specs, spec, file, naming, named)
     confirmed = confirm_together(moves, who=operator, yes=yes)
-    name = moves.experiments[0].spec.name
+    name = next(iter(moves.experiments.values())).spec.name
     folder = FleetFolder.create(runs, name, specs, spec, file, robots=naming if named else None)
     members = [{"robot": name} for name in specs]
     _run(folder, members, Manner(workers or cores(), operator, waived, confirmed), json)
@@ -110,16 +110,16 @@ def _moves(
     from hil.fleet.members import experiment_for
 
     if not specs:
-        return Moves(naming, named, ())
+        return Moves(naming, named, {})
     at = Path(station) if station else None
     first = experiment_for(next(iter(specs.values())), spec.resolve().parent, at, spec)
     robots = first.station.robots  # the specs differ in nothing else: reading each takes too long
-    members = (
-        replace(first, spec=first.spec.model_copy(update={"robot": name}), robot=robots[name])
+    members = {
+        name: replace(first, spec=first.spec.model_copy(update={"robot": name}), robot=robots[name])
         for name in specs
         if name in robots
-    )
-    return Moves(naming, named, tuple(members))
+    }
+    return Moves(naming, named, members)
 
 
 def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, json: bool) -> None:

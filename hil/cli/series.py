@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,7 @@ def validate_series(path: Path, station: Path | None, json: bool) -> None:
     series = load_series(path, station)
     for experiment in series.experiments:
         check_driver(experiment)
-    Moves(path, series.spec.robots, series.experiments).real()
+    Moves(path, series.spec.robots, _places(series.experiments)).real()
     missing = dict.fromkeys(told for one in series.experiments for told in missing_extras(one.spec))
     facts = [
         {"spec": each.spec_source, "name": each.spec.name, "station": each.station_source}
@@ -118,8 +118,8 @@ def run_series(
         check_driver(replace(experiment, commissioning=part))
         if part is None:
             require_extras(experiment.spec)
-    parts = tuple(replace(each, commissioning=part) for each in series.experiments)
-    confirm(Moves(path, series.spec.robots, parts))
+    parts = (replace(each, commissioning=part) for each in series.experiments)
+    confirm(Moves(path, series.spec.robots, _places(parts)))
     folder = SeriesFolder.create(runs, series.spec, path, station, part)
 
     def execute(experiment: Experiment, document: Document) -> Outcome:
@@ -163,8 +163,13 @@ def resume_series(
         return
     part = folder.commissioning
     left = (replace(each, commissioning=part) for each in not_begun(series, before))
-    confirm(Moves(series.source, series.spec.robots, tuple(left)))
+    confirm(Moves(series.source, series.spec.robots, _places(left)))
     _run(series, folder, before, execute, json)
+
+
+def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
+    """Return experiments by their place in a series."""
+    return {f"series.{i}": each for i, each in enumerate(experiments)}
 
 
 def _tell_done(

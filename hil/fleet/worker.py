@@ -16,7 +16,9 @@ from hil.errors import HilError
 from hil.executor import one_thread
 
 if TYPE_CHECKING:
-    from hil.campaign.confirmation import Granted
+    from hil.campaign.arming import Together
+    from hil.campaign.confirmation import Confirm
+    from hil.campaign.desk import Desk
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
 
@@ -33,7 +35,7 @@ class Job:
         before: A run to go on with; None to begin one.
         operator: Who is at the robots.
         waivers: Preflight check → why its failure is accepted.
-        confirmed: That a real robot may move; None for a mock.
+        confirmed: That the fleet's real robots may move; None if it has none.
     """
 
     spec: Path
@@ -43,7 +45,7 @@ class Job:
     before: Path | None = None
     operator: str = ""
     waivers: Mapping[str, str] = field(default_factory=dict)
-    confirmed: Granted | None = None
+    confirmed: Together | None = None
 
 
 def work(job: Job, answer: Connection) -> None:
@@ -79,16 +81,24 @@ def _run(job: Job) -> RunReport:
     from hil.campaign.driver_check import check_driver
     from hil.campaign.run import resume_experiment, run_experiment
     from hil.engine.pausing import nobody_goes_on
+    from hil.record.rundir import RunDirectory
 
-    confirm = job.confirmed or Unconfirmed("start it with: hil fleet run")
-    # A worker has no console: nothing typed ends a pause.
-    desk = replace(console_desk(job.operator, confirm=confirm), go_on=nobody_goes_on)
-    if job.before is not None:
-        return resume_experiment(job.before, operator=job.operator, waivers=job.waivers, desk=desk)
+    def desk(confirm: Confirm | None) -> Desk:
+        refused = Unconfirmed("start it with: hil fleet run")
+        attended = console_desk(job.operator, confirm=confirm or refused)
+        # A worker has no console: nothing typed ends a pause.
+        return replace(attended, go_on=nobody_goes_on)
+
+    together, before = job.confirmed, job.before
+    if before is not None:
+        robot = str(RunDirectory.open(before).start.get("robot_name", ""))
+        at = desk(together.resume(robot, before) if together else None)
+        return resume_experiment(before, operator=job.operator, waivers=job.waivers, desk=at)
     experiment = _experiment(job)
     check_driver(experiment)
+    at = desk(together.begin(experiment) if together else None)
     return run_experiment(
-        experiment, runs=job.runs, operator=job.operator, waivers=job.waivers, desk=desk
+        experiment, runs=job.runs, operator=job.operator, waivers=job.waivers, desk=at
     )
 
 

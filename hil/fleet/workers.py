@@ -8,13 +8,13 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.confirmation import Granted
+from hil.campaign.arming import Together
 from hil.campaign.series import Ended
 from hil.engine.signals import WATCHED
 from hil.fleet.folder import FleetFolder
@@ -34,13 +34,13 @@ class Manner:
         workers: Robots at a time.
         operator: Who is at the robots; by default the user of this process.
         waivers: Preflight check → why its failure is accepted.
-        confirmed: Confirmations of real robots, by name.
+        confirmed: That their real robots may move; None if they have none.
     """
 
     workers: int
     operator: str = ""
     waivers: Mapping[str, str] | None = None
-    confirmed: Mapping[str, Granted] = field(default_factory=dict)
+    confirmed: Together | None = None
 
 
 class Workers:
@@ -86,7 +86,7 @@ class Workers:
         return Job(
             self._folder.spec_of(member.robot), Path(head["source"]).parent, str(head["station"]),
             self._folder.runs, before, manner.operator, manner.waivers or {},
-            manner.confirmed.get(member.robot),
+            manner.confirmed,
         )  # fmt: skip
 
     @contextmanager

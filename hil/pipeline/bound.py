@@ -38,7 +38,9 @@ class Bound:
 
     def moves(self, file: Path) -> Moves:
         """Return what the schedule in a file moves."""
-        return Moves(file, self.spec.robots, self.experiments)
+        parts = {"probe": self.probe, "campaign": self.campaign}
+        named = {part: one for part, one in parts.items() if one is not None}
+        return Moves(file, self.spec.robots, named)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:

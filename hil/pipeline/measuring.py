@@ -20,13 +20,14 @@ from hil.campaign.desk import Desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import ConsoleOperator
 from hil.campaign.resuming import require_same_robot
-from hil.campaign.robots import held
+from hil.campaign.robots import held, opened
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
 from hil.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
+from hil.robot import address_of
 from hil.spec.experiment import StudyEntry
 from hil.spec.hashing import spec_hash
 
@@ -62,6 +63,7 @@ class Measuring:
             The run directory; its recording is complete and it was judged.
 
         Raises:
+            NotConfirmed: A real robot may not, or no longer, be moved.
             RobotError: The run of this occasion was ended by something other than a crash or a
                 signal: nobody is there to look before the arm moves again.
             HilError: It cannot be begun, or ended early.
@@ -75,6 +77,7 @@ class Measuring:
             _complete_views(found, experiment.spec.study)
             return found
         _require_harmless(found)
+        self._require_confirmed(experiment)
         return self._judged(resume_experiment(found, **self._attendance()))
 
     def _attendance(self) -> dict[str, Any]:
@@ -86,6 +89,14 @@ class Measuring:
         """What goes on is done with the arm that made it, as in a run that is gone on with."""
         with held(experiment, wait_s=self.wait_s, report=lambda text: None) as (robot, _):
             require_same_robot(RunDirectory.open(run), describe_robot(robot, experiment.robot))
+
+    def _require_confirmed(self, experiment: Experiment) -> None:
+        """What was confirmed when the run began may be withdrawn: a schedule is armed no more."""
+        name = experiment.spec.robot
+        with opened(name, experiment.robot) as robot:
+            at = address_of(robot)
+        if at.real:
+            self.confirm.admit(name, at.text)
 
     def _judged(self, report: RunReport) -> Path:
         if not _is_done(report.run):

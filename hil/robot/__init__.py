@@ -1,7 +1,7 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
 from hil.payload import Payload
-from hil.robot.address import Address, HasAddress, address_of, is_loopback
+from hil.robot.address import UNKNOWN, Address, HasAddress, address_of, is_loopback
 from hil.robot.findings import Finding, HasChecks, HasReach
 from hil.robot.protocol import (
     Capabilities,
@@ -19,6 +19,7 @@ from hil.robot.torque import TorqueControlled, is_simulated
 
 __all__ = [
     "STATE_SCHEMA_VERSION",
+    "UNKNOWN",
     "Address",
     "Capabilities",
     "Finding",

@@ -8,6 +8,9 @@ from typing import Protocol, runtime_checkable
 
 from hil.robot.protocol import HasResource, Robot
 
+UNKNOWN = "unknown"
+"""Text of the address of a real robot whose driver states none."""
+
 
 @dataclass(frozen=True, slots=True)
 class Address:
@@ -41,7 +44,7 @@ def address_of(robot: Robot) -> Address:
         return robot.address
     if robot.capabilities.clock == "virtual":
         return Address("this process", real=False)
-    return Address(robot.resource if isinstance(robot, HasResource) else "unknown")
+    return Address(robot.resource if isinstance(robot, HasResource) else UNKNOWN)
 
 
 def is_loopback(host: str) -> bool:
