@@ -277,14 +277,17 @@ def unattended_robots_are_armed(folder: Path) -> str:
 
 @finding("A2d", "confirmation in the dashboard")
 def confirmed_in_the_dashboard(folder: Path) -> str:
-    """Check a run of an arm at a real address, and start it without and with its name."""
+    """Start a run of an arm at a real address, and go on with it at another, with its name only."""
     from types import SimpleNamespace
     from unittest import mock
 
     from starlette.testclient import TestClient
 
+    from hil import load, run
+    from hil.campaign.confirmation import Granted
+    from hil.campaign.desk import console_desk
     from hil.robot import Address
-    from hil.web import plan_process, start_pages
+    from hil.web import motions, plan_process, resume_pages, start_pages
     from hil.web.app import create_app
     from hil.web.settings import Settings
     from hil_mock_robot.driver import MockRobot
@@ -301,26 +304,51 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
         started.append(more)
         return SimpleNamespace(id="1")
 
-    def post(do: str, **fields: str) -> Any:
-        form = {"csrf": settings.csrf, "spec": "a.yaml", "do": do} | fields
-        return client.post("/start", data=form, follow_redirects=False)
+    def confirmed_at(page: str, **fields: str) -> dict[str, Any]:
+        def post(**more: str) -> Any:
+            form = {"csrf": settings.csrf} | fields | more
+            return client.post(page, data=form, follow_redirects=False)
 
-    with (
-        mock.patch.object(MockRobot, "address", Address("198.51.100.7")),
-        mock.patch.object(start_pages, "plan_apart", plan),
-        mock.patch.object(start_pages, "start_run", start),
-    ):
-        bare = post("start")
+        before = len(started)
+        bare = post()
         shown = dict(re.findall(r'name="(checked|facts)" value="([0-9a-f]{64})"', bare.text))
-        unnamed = post("start", **shown)
-        assert not started, "it was started without a confirmation"
-        named = post("start", confirm="ur5", **shown)
-    codes = [answer.status_code for answer in (bare, unnamed, named)]
-    assert codes == [409, 409, 303], f"answers {codes}"
-    facts = started[0]["confirmed"]
+        unnamed = post(**shown)
+        assert len(started) == before, "it was started without a confirmation"
+        codes = [one.status_code for one in (bare, unnamed, post(confirm="ur5", **shown))]
+        assert codes == [409, 409, 303], f"answers {codes}"
+        facts: dict[str, Any] = started[-1]["confirmed"]
+        return facts
+
+    def stopped() -> Path:
+        """A run of the arm that ended at a prompt which was answered with no."""
+        (folder / "b.yaml").write_text(
+            "hil: 1\nname: b\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 4}\n"
+            "loads: [{mass_kg: 0}, {mass_kg: 1, com_m: [0, 0, 0.05], prompt: Mount it}]\n"
+            "warm_up: {duration_s: 2}\nweigh: {poses: 0}\n"
+        )
+        (folder / "no.yaml").write_text("[{prompt: Mount it, answer: no}]\n")
+        desk = console_desk(answers=folder / "no.yaml", confirm=Granted("--yes"))
+        return run(load(folder / "b.yaml"), runs=folder / "runs", desk=desk).run
+
+    at = Address("198.51.100.7")
+    with (
+        mock.patch.object(MockRobot, "address", at, create=True),
+        mock.patch.object(motions, "plan_apart", plan),
+        mock.patch.object(start_pages, "start_run", start),
+        mock.patch.object(resume_pages, "go_on_with", start),
+    ):
+        facts = confirmed_at("/start", spec="a.yaml", do="start")
+        go_on = f"/runs/{stopped().relative_to(folder / 'runs').as_posix()}/go-on"
+        same = client.post(go_on, data={"csrf": settings.csrf}, follow_redirects=False)
+        assert (same.status_code, started[-1]["confirmed"]) == (303, None), same.text
+        MockRobot.address = Address("198.51.100.8")  # type: ignore[attr-defined]
+        left = confirmed_at(go_on)
+    assert (facts["address"], left["address"]) == (at.text, "198.51.100.8")
     return (
         f"Start alone and without the name are refused (409) and show the facts; with it the run "
-        f"of {facts['robot']} at {facts['address']} starts, with {len(facts)} confirmed facts"
+        f"of {facts['robot']} at {facts['address']} starts, with {len(facts)} confirmed facts; "
+        f"Resume asks nothing there, and at {left['address']} the same as Start, for the "
+        f"{left['swept']['duration_s']:.0f} s that are left"
     )
 
 

@@ -24,7 +24,7 @@ from hil.campaign.steering import answer_run, question_of
 from hil.errors import DataError
 from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
-from hil.web import live_pages, resume_pages, start_pages, streams, wanted
+from hil.web import live_pages, motions, resume_pages, start_pages, streams, wanted
 from hil.web.app import create_app
 from hil.web.listeners import Listeners
 from hil.web.settings import Settings
@@ -197,7 +197,7 @@ def test_stop_finds_a_thread_while_everybody_plans_or_starts(
         return {"plans": [], "digest": ""}
 
     monkeypatch.setattr(wanted, "check_start", slow if do == "check" else lambda *_: ())
-    monkeypatch.setattr(start_pages, "plan_apart", planned)
+    monkeypatch.setattr(motions, "plan_apart", planned)
     monkeypatch.setattr(start_pages, "start_run", slow_start)
     csrf = held.settings.csrf
 
@@ -237,6 +237,7 @@ def test_stop_finds_a_thread_while_everybody_goes_on(
         over.wait(5)
         return SimpleNamespace(id="1")
 
+    monkeypatch.setattr(resume_pages, "resumption_of", lambda *_: ("", False))
     monkeypatch.setattr(resume_pages, "go_on_with", slow)
     csrf = held.settings.csrf
 

@@ -15,7 +15,7 @@ from started_parts import written
 from web_parts import dashboard
 
 from hil.campaign.experiment import Experiment, load_experiment
-from hil.web import start_pages
+from hil.web import motions, start_pages
 from hil.web.checked import digest_of
 
 POSES = "0, -90, 90, 0, 0, 0\n10, -80, 80, 0, 0, 0\n"
@@ -83,7 +83,7 @@ def test_a_form_that_was_changed_since_is_checked_anew(
         return {"plans": [], "digest": "0" * 64}
 
     digest = digest_of([load_experiment(desk.spec, desk.station)])
-    monkeypatch.setattr(start_pages, "plan_apart", planned)
+    monkeypatch.setattr(motions, "plan_apart", planned)
     answer = desk.post("start", checked=digest, **fields)
     assert answer.status_code == 409
     assert desk.started == []

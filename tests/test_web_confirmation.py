@@ -16,7 +16,7 @@ from web_parts import dashboard, plain, require_fit_for_all
 
 from hil.errors import RobotConnectionError
 from hil.robot import Address
-from hil.web import plan_process, plan_shown, start_pages
+from hil.web import motions, plan_process, plan_shown, start_pages
 from hil_mock_robot.driver import MockRobot
 
 SPEC = """
@@ -48,7 +48,7 @@ class Desk:
         self.browser: TestClient = dashboard(folder)
         self.started: list[dict[str, Any]] = []
         monkeypatch.setattr(start_pages, "start_run", self._start)
-        monkeypatch.setattr(start_pages, "plan_apart", self._plan)
+        monkeypatch.setattr(motions, "plan_apart", self._plan)
 
     def _start(self, spec: Path, runs: Path, **more: Any) -> Any:
         self.started.append(more)

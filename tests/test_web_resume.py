@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from live_run import until
 from starlette.testclient import TestClient
-from started_parts import PROMPT, begun
+from started_parts import PROMPT, SPEC, WALL, begun
 from web_parts import dashboard, plain, seen
 
 from hil.campaign.live_state import read_live
@@ -33,8 +33,9 @@ def run(tmp_path: Path) -> Path:
     """One that was stopped before it measured anything, as far as documents say."""
     directory = RunDirectory.create(tmp_path / "runs", "ur5", "stopped")
     directory.write_start({"uid": "u"})
-    for name in ("spec.yaml", "station.yaml", "plan.json"):
-        directory.write_text(name, "{}")
+    directory.write_text("spec.yaml", SPEC)
+    directory.write_text("station.yaml", WALL)
+    directory.write_text("plan.json", "{}")
     directory.write_stop("stopped", "lunch")
     return directory.path.resolve()
 
@@ -57,7 +58,8 @@ class Starts:
     def __init__(self) -> None:
         self.what: list[tuple[Path, str]] = []
 
-    def __call__(self, run: Path, runs: Path, *, operator: str) -> Any:
+    def __call__(self, run: Path, runs: Path, *, operator: str, confirmed: object) -> Any:
+        assert confirmed is None
         self.what.append((run, operator))
         return SimpleNamespace(id=str(len(self.what)))
 

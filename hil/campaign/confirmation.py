@@ -365,6 +365,30 @@ class Gate:
         if self._at.real and not self._holds({"robot": name, "address": self._at.text}):
             self._confirm.admit(name, self._at.text)
 
+    def asks(self, robot: Robot, plan: Plan) -> bool:
+        """Return whether the motion of a real robot has to be confirmed, which was perhaps before.
+
+        Args:
+            robot: Need not be connected.
+            plan: What is executed, or what that is a part of.
+        """
+        name, at = self._experiment.spec.robot, address_of(robot).text
+        return not self._holds({"robot": name, "address": at, "loads": loads_document(plan.loads)})
+
+    def facts(self, robot: Robot, plan: Plan) -> MotionFacts | None:
+        """Return what has to be confirmed before a plan is executed; None where nothing has to be.
+
+        Args:
+            robot: Admitted and connected, at rest.
+            plan: Exactly what is executed.
+        """
+        if not self._at.real:
+            return None
+        facts = replace(motion_facts(self._experiment, robot, plan), address=self._at.text)
+        shown = facts.to_dict()
+        same = self._holds({key: shown[key] for key in ("robot", "address", "loads")})
+        return None if same else facts
+
     def confirmation(self, robot: Robot, plan: Plan) -> Document | None:
         """Return the record of the confirmation of a motion; None where none is needed.
 
@@ -375,14 +399,11 @@ class Gate:
         Raises:
             NotConfirmed: The motion was not confirmed.
         """
-        if not self._at.real:
-            return None
-        facts = replace(motion_facts(self._experiment, robot, plan), address=self._at.text)
-        shown = facts.to_dict()
-        if self._holds({key: shown[key] for key in ("robot", "address", "loads")}):
+        facts = self.facts(robot, plan)
+        if facts is None:
             return None
         answer = self._confirm(facts, lambda: _keep_reading(robot))
-        return {**answer, "time": utc_now(), "facts": shown, "digest": facts.digest}
+        return {**answer, "time": utc_now(), "facts": facts.to_dict(), "digest": facts.digest}
 
     def _holds(self, now: Mapping[str, Any]) -> bool:
         """Return whether the earlier confirmation has the same facts."""

@@ -17,13 +17,13 @@ import numpy as np
 from hil.arms import require_same_arm
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
-from hil.campaign.confirmation import Gate, shown_by
+from hil.campaign.confirmation import Gate, Granted, MotionFacts, Unconfirmed, shown_by
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
-from hil.campaign.robots import held, standing_at
+from hil.campaign.robots import held, opened, standing_at
 from hil.campaign.sink import COUNTED, counts_of
 from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
@@ -39,7 +39,7 @@ from hil.record.parts import attempt_of, name_of_attempt
 from hil.record.provenance import started_as, utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
-from hil.robot import Robot, Status
+from hil.robot import Robot, Status, address_of
 from hil.spec.load import spec_hash
 
 COLD_AFTER_S = 600.0
@@ -139,12 +139,8 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         robot,
         lease,
     ):
-        require_same_robot(directory, describe_robot(robot, experiment.robot))
-        require_usable(experiment, robot)
         attendance.stage("planning the way back")
-        cold = _is_cold(unfinished, robot)
-        weighed = weighed_before(plan, directory.recordings, robot.capabilities)
-        todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
+        todo, weighed, cold = _remaining(unfinished, robot)
         require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
         confirmed = gate.confirmation(robot, todo)
         if not shown_by(confirmed):
@@ -165,6 +161,51 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
                 attendance.stage(text)
             attempt = Attempt(directory, number, experiment, plan, todo, before)
             return execute(attempt, robot, attendance)
+
+
+def asks_again(directory: RunDirectory, experiment: Experiment) -> bool:
+    """Return whether going on with a run has to be confirmed; nothing is connected.
+
+    Args:
+        directory: The run, see `require_resumable`.
+        experiment: Its own copies of spec and station.
+
+    Raises:
+        DataError: Its plan cannot be read.
+        SpecError, PluginError, RobotError: The robot cannot be opened.
+    """
+    gate = Gate(experiment, Unconfirmed(), _confirmed_before(directory))
+    with opened(experiment.spec.robot, experiment.robot) as robot:
+        return address_of(robot).real and gate.asks(robot, read_plan(directory.path / "plan.json"))
+
+
+def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
+    """Return what has to be confirmed before a run goes on; None where nothing has to be.
+
+    The robot is leased and connected to meanwhile: the way back begins where it stands.
+
+    Raises:
+        SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
+    """
+    if not unfinished.complete.missing:
+        return None
+    experiment = unfinished.experiment
+    # Nothing moves here, so that any robot is admitted.
+    gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
+    with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
+        todo, _, _ = _remaining(unfinished, robot)
+        return gate.facts(robot, todo)
+
+
+def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bool]:
+    """Return what is left to execute, what the first load weighed, and whether the arm is cold."""
+    directory, plan = unfinished.directory, unfinished.plan
+    require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
+    require_usable(unfinished.experiment, robot)
+    cold = _is_cold(unfinished, robot)
+    weighed = weighed_before(plan, directory.recordings, robot.capabilities)
+    todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
+    return todo, weighed, cold
 
 
 def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:

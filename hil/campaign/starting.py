@@ -26,10 +26,11 @@ from hil.plan.commissioning import Commissioning, commissioning_of
 from hil.record.files import json_document, write_replacing
 from hil.record.lock import is_live
 from hil.record.provenance import operator as this_user
+from hil.record.rundir import RunDirectory
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 
-__all__ = ["Started", "check_start", "go_on_with", "start_run", "started_runs"]
+__all__ = ["Started", "check_resume", "check_start", "go_on_with", "start_run", "started_runs"]
 
 CONFIRMED = ".confirmed"
 """Suffix of the JSON file with the confirmed facts, beside the record of a start."""
@@ -113,6 +114,24 @@ def start_run(
     )
 
 
+def check_resume(run: Path, runs: Path) -> RunDirectory:
+    """Return a run that can be gone on with, as far as its documents say.
+
+    Args:
+        run: Directory of a run that ended early.
+        runs: The folder of runs that it is in.
+
+    Raises:
+        DataError: It is live, was completed, or cannot be gone on with.
+    """
+    directory, run = require_resumable(run), run.resolve()
+    if is_live(run) or any(one.alive and one.again == run for one in started_runs(runs)):
+        raise DataError(f"{run} goes on already", hint=f"follow it: hil watch {run}")
+    if directory.status == "completed":
+        raise DataError(f"{run} was completed", hint=f"what came of it: hil show {run}")
+    return directory
+
+
 def go_on_with(
     run: Path, runs: Path, *, operator: str = "", confirmed: Mapping[str, Any] | None = None
 ) -> Started:
@@ -128,13 +147,10 @@ def go_on_with(
         DataError: It is live, was completed, or cannot be gone on with; nothing was started.
         RecordingError: The folder of runs cannot be written to.
     """
-    directory = require_resumable(run)
-    run = run.resolve()
-    if is_live(run) or any(one.alive and one.again == run for one in started_runs(runs)):
-        raise DataError(f"{run} goes on already", hint=f"follow it: hil watch {run}")
-    if directory.status == "completed":
-        raise DataError(f"{run} was completed", hint=f"what came of it: hil show {run}")
-    return _start("resume", [], run, runs, station=None, operator=operator, confirmed=confirmed)
+    check_resume(run, runs)
+    return _start(
+        "resume", [], run.resolve(), runs, station=None, operator=operator, confirmed=confirmed
+    )
 
 
 def _start(

@@ -29,9 +29,9 @@ PAGES = (
     "hil.web.schedule_pages",
     "hil.web.fleet_pages",
     "hil.web.run_files",
+    "hil.web.resume_pages",
     "hil.web.live_pages",
     "hil.web.start_pages",
-    "hil.web.resume_pages",
 )
 """Modules with pages; each has `routes`. Of routes that match, the first answers."""
 

@@ -21,11 +21,10 @@ from hil.campaign.steering import (
 from hil.errors import DataError
 from hil.record.lock import is_live
 from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
-from hil.web.places import address_of, name_of, run_at
+from hil.web.places import address_of, run_at
 from hil.web.rendering import as_json, page, settings_of, who_of
-from hil.web.resume_pages import way_on
+from hil.web.resume_pages import ended_page
 from hil.web.run_details import is_virtual
-from hil.web.run_facts import facts_of_run
 from hil.web.run_files import require_run
 from hil.web.security import form_of
 from hil.web.streams import events, run_events
@@ -40,15 +39,7 @@ def run_page(request: Request) -> Response:
     settings = settings_of(request)
     run = require_run(request.path_params["name"], settings)
     if not is_live(run):
-        facts = facts_of_run(run, settings)
-        return page(
-            request,
-            "run.html.j2",
-            title=name_of(run, settings),
-            facts=facts,
-            onward=way_on(run, settings),
-            address=address_of(run, settings),
-        )
+        return ended_page(request, run)
     now = LiveRun(run, settings).look()
     now["log"] = now["log"][-FIRST_LINES:]
     return page(request, "live_run.html.j2", title=now["name"], now=now, virtual=is_virtual(run))

@@ -47,11 +47,15 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
+    from hil.campaign.resuming import open_unfinished
     from hil.campaign.starting import check_start
     from hil.plan.commissioning import commissioning_of
     from hil.web.checked import digest_of
-    from hil.web.plan_shown import PICTURES, shown_plan
+    from hil.web.plan_shown import PICTURES, shown_plan, shown_rest
 
+    if "run" in asked:
+        unfinished = open_unfinished(Path(asked["run"]))
+        return {"plans": [shown_rest(unfinished)], "digest": digest_of([unfinished.experiment])}
     station = Path(asked["station"]) if asked["station"] else None
     part = commissioning_of(asked["speed"], asked["first"])
     experiments = check_start(Path(asked["spec"]), station, asked["overrides"], part)

@@ -1,4 +1,4 @@
-"""A plan as the start page shows it: what it amounts to, what is worth a second look, a picture."""
+"""A plan as pages show it: what it amounts to, what is worth a second look, a picture."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from hil.campaign.confirmation import MotionFacts, motion_facts
 from hil.campaign.experiment import Experiment
 from hil.campaign.operator import prompts_of
 from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
+from hil.campaign.resuming import Unfinished, remaining_motion
 from hil.campaign.robots import moves_for_real, opened
 from hil.errors import RobotError
 from hil.plan.commissioning import Commissioning
@@ -61,6 +62,20 @@ def shown_plan(experiment: Experiment, part: Commissioning | None) -> dict[str, 
         "notes": list(_notes(facts, part)),
         "prompts": prompts_of(plan),
         "picture": _picture(plan),
+    }
+
+
+def shown_rest(unfinished: Unfinished) -> dict[str, Any]:
+    """Return what going on with a run would do; `motion` and `motion_rows` as in `shown_plan`.
+
+    Raises:
+        HilError: It cannot be planned from where the arm stands, see `remaining_motion`.
+    """
+    motion = remaining_motion(unfinished)
+    return {
+        "title": f"The rest of {unfinished.experiment.spec.name}",
+        "motion": motion and motion.to_dict(),
+        "motion_rows": motion.rows() if motion else [],
     }
 
 

@@ -1,4 +1,4 @@
-"""Plans for the start page, each made by a process of its own that can be ended.
+"""Plans for the forms that start something, each made by a process of its own that can be ended.
 
 What a browser asks for may take hours and more memory than there is; the dashboard, Stop and
 other people's plans must not wait for it.
@@ -37,7 +37,8 @@ async def plan_apart(
     """A plan, or those of a series, as `hil.web.plan_process` answers.
 
     Args:
-        asked: `spec`, `station`, `overrides`, `speed` and `first`.
+        asked: `spec`, `station`, `overrides`, `speed` and `first`; or `run`, the directory of a run
+            that is to go on.
         gone: Whether whoever asked has left.
 
     Returns:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import secrets
-import threading
 from asyncio import CancelledError
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -16,20 +14,20 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.confirmation import digest_of
 from hil.campaign.starting import Started, start_run, started_runs
-from hil.errors import DataError, HilError, NotConfirmed, SpecError
+from hil.errors import DataError, HilError
 from hil.text import name_text
 from hil.web.going import words_of
 from hil.web.held_by import held_by
+from hil.web.motions import MOTIONS, plans_to_show, refusal_of
 from hil.web.offered import offered
 from hil.web.once import Once
 from hil.web.places import address_of
-from hil.web.planning import Gone, plan_apart
+from hil.web.planning import Gone
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.security import form_of
 from hil.web.settings import Settings
-from hil.web.threads import PLANS, in_thread
+from hil.web.threads import in_thread
 from hil.web.wanted import Wanted, wanted_in
 
 FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
@@ -40,20 +38,7 @@ SPEEDS = ("50%", "25%", "10%", "5%")
 SHOWN = 5
 """Of so many runs that were started it is told what became of them."""
 
-MOST_MOTIONS = 200
-"""Plans of real robots whose facts are remembered until they are confirmed."""
-
 ONCE = Once()
-
-NOT_SHOWN = NotConfirmed(
-    "not started: a real robot would move, and its motion was not confirmed",
-    hint="below is what it would do; type the name of the robot to confirm it",
-)
-
-CHANGED = SpecError(
-    "not started, for it is not what was checked: the form or a file was changed since",
-    hint="below is what would be done now; Start starts that",
-)
 
 
 def start_page(request: Request) -> Response:
@@ -73,26 +58,19 @@ async def begin(request: Request) -> Response:
     try:
         if given.get("do") == "start":
             wanted = await run_in_threadpool(look)
-            refusal = _refusal(wanted, given)
+            refusal = refusal_of(given, wanted.digest, real=wanted.real)
             if refusal is None:
                 started = await in_thread("starting", _start, wanted, given, settings)
                 return RedirectResponse(f"/start/{started}", 303)
             changed = {"error": refusal, "status": 409}
-        if not PLANS.acquire(blocking=False):
-            busy = HilError("two plans are being made at the moment", hint="try again in a moment")
-            return await form(error=busy, status=503)
-        try:
-            wanted = await run_in_threadpool(look)
-            made = await plan_apart(wanted.asked, request.is_disconnected)
-        finally:
-            PLANS.release()
+        shown = await plans_to_show(
+            lambda: run_in_threadpool(lambda: look().asked), request.is_disconnected
+        )
     except HilError as error:
         return await form(error=error, status=422)
     except (Gone, CancelledError):  # by whoever asked, or with the dashboard: nobody reads it
         return Response(status_code=499)
-    motions = [plan["motion"] for plan in made["plans"] if plan["motion"]]
-    facts = MOTIONS.keep(motions) if motions else ""
-    return await form(plans=made["plans"], checked=made["digest"], facts=facts, **changed)
+    return await form(**changed | shown)
 
 
 def started_page(request: Request) -> Response:
@@ -118,53 +96,6 @@ async def cancel(request: Request) -> Response:
     name, settings = request.path_params["id"], settings_of(request)
     await in_thread("asking", lambda: _started(name, settings).cancel(who_of(request)))
     return RedirectResponse(f"/start/{name}", 303)
-
-
-class ShownMotions:
-    """The motions that pages have shown, by the digest that their form sends back."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[str, list[dict[str, Any]]] = OrderedDict()
-        self._looking = threading.Lock()
-
-    def keep(self, motions: list[dict[str, Any]]) -> str:
-        """Return the digest of motions, `MotionFacts.to_dict` each, and remember them."""
-        digest = digest_of({"motions": motions})
-        with self._looking:
-            self._kept[digest] = motions
-            while len(self._kept) > MOST_MOTIONS:
-                self._kept.popitem(last=False)
-        return digest
-
-    def confirmed(self, digest: str) -> dict[str, Any]:
-        """Return what a digest confirms; of several motions what they have in common.
-
-        Empty where no page has shown it.
-        """
-        with self._looking:
-            motions = self._kept.get(digest, [])
-        first = motions[0] if motions else {}
-        return {key: value for key, value in first.items() if all(value == m[key] for m in motions)}
-
-
-MOTIONS = ShownMotions()
-
-
-def _refusal(wanted: Wanted, given: Mapping[str, str]) -> HilError | None:
-    """Why what a form asks for is not started; None where it is."""
-    if given.get("checked", "") not in ("", wanted.digest):
-        return CHANGED
-    if not wanted.real:
-        return None
-    facts = MOTIONS.confirmed(given.get("facts", ""))
-    if not (facts.get("robot") and facts.get("address") and given.get("checked")):
-        return NOT_SHOWN
-    if given.get("confirm", "").strip() != facts["robot"]:
-        return NotConfirmed(
-            f"not started: {facts['robot']} was not confirmed",
-            hint=f"look at what it will do, then type {facts['robot']} and press Start",
-        )
-    return None
 
 
 def _start(wanted: Wanted, given: Mapping[str, str], settings: Settings) -> str:
