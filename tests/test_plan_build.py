@@ -19,6 +19,7 @@ from hil.arms import load_arm
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel
 from hil.errors import PlanError, SpecError
 from hil.plan.build import build_plan
+from hil.plan.place import plannable_arm, roadmap_of, workspace_of
 from hil.plan.plan import Plan, Step
 
 FOURIER = {"kind": "fourier", "trajectories": 2}
@@ -312,6 +313,45 @@ def test_poses_stay_in_the_range_of_the_spec() -> None:
 def test_a_reference_pose_in_collision_is_refused() -> None:
     with pytest.raises(SpecError, match=r"reference.q_deg: .* and table"):
         plan_of(reference={"q_deg": [0, 20, 0, 0, 0, 0]})
+
+
+def test_the_default_reference_pose_has_room_for_its_approach() -> None:
+    """With 50 mm the roomiest pose has them, but the poses 3° around it have not."""
+    station = ur5(table_z_m=0.0, clearance_m=0.05)
+    plan = plan_of(
+        station, excitation={"kind": "fourier", "trajectories": 1}, reference={"every": 1}
+    )
+    assert of_kind(plan, "reference")
+    assert plan.margins["clearance_m"] >= 0
+
+
+def test_the_default_reference_pose_is_home_where_that_has_room() -> None:
+    excitation = {"kind": "fourier", "trajectories": 1}
+    station, spec = ur5(), spec_of(excitation=excitation, reference={"every": 1})
+    workspace = workspace_of(spec, station, plannable_arm(station), 125.0)
+    (reference, *_) = of_kind(build_plan(spec, station), "reference")
+    assert reference.motion is not None
+    np.testing.assert_allclose(reference.motion.q_end, roadmap_of(workspace).home)
+
+
+def test_no_room_for_a_default_reference_pose_names_the_ways_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hil.plan.build.REFERENCE_DELTA_DEG", 120.0)
+    with pytest.raises(PlanError, match="the default reference pose: ") as error:
+        plan_of(excitation={"kind": "fourier", "trajectories": 1}, reference={"every": 1})
+    for way in ("reference.q_deg", "reference.every: 0", "clearance_m"):
+        assert way in error.value.hint
+
+
+def test_a_start_nearer_than_the_clearance_names_it_and_no_interlock() -> None:
+    start = np.radians([0.0, -90.0, 150.0, -90.0, 0.0, 0.0])
+    inside = {"kind": "workspace", "min_m": [-2, -2, -2], "max_m": [2, 2, 2]}
+    with pytest.raises(PlanError, match="are required") as error:
+        build_plan(spec_of(interlocks=[inside]), ur5(clearance_m=0.06), start_q=start)
+    assert "jog the robot" in error.value.hint
+    assert "reduce clearance_m (0.06 m)" in error.value.hint
+    assert "interlock" not in error.value.hint
 
 
 def test_a_robot_without_collision_bodies_is_not_moved() -> None:

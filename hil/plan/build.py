@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.errors import PlanError, SpecError
+from hil.errors import HilError, PlanError, SpecError
 from hil.excite.arrange import Arrangement
 from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Watch, unwatched
@@ -80,7 +80,7 @@ def build_plan(
     whole, dwells = part is None or not part.shortened, isinstance(spec.excitation, Dwell)
     gravity = station_robot.gravity_m_s2
     weighing = weigh_visits(spec, arm, gravity, roadmap) if whole else ()
-    reference = _reference(spec, roadmap, roadmap.home) if whole and not dwells else None
+    reference = _default_reference(spec, roadmap) if whole and not dwells else None
     program = program_of(spec, roadmap, setting, folder or Path())
     if whole and dwells:
         reference = _reference(spec, roadmap, program.visits[0].exit)
@@ -124,19 +124,46 @@ def _complete(
     )
 
 
+def _default_reference(spec: ExperimentSpec, roadmap: Roadmap) -> Visit | None:
+    """Return the reference visit of a program of trajectories, or None without one.
+
+    By default it is at the home pose. The home pose keeps its distance, but the joint positions a
+    few degrees around it, from which it is approached, may not: then the roomiest pose of the
+    roadmap is taken that is approached with all the distance required.
+    """
+    if spec.reference.q_deg is not None:
+        return _reference(spec, roadmap, roadmap.home)
+    refused: HilError | None = None
+    for i in np.argsort(-roadmap.workspace.room(roadmap.poses), kind="stable"):
+        try:
+            return _reference(spec, roadmap, roadmap.poses[i])
+        except (SpecError, PlanError) as error:
+            refused = refused or error
+    assert refused is not None
+    raise refused
+
+
 def _reference(spec: ExperimentSpec, roadmap: Roadmap, q: FloatArray) -> Visit | None:
-    """The reference visit: the pose of the spec, else `q` (n,), or None for none."""
+    """Return the reference visit: at the pose of the spec, else at `q` (n,), or None for none."""
     if spec.reference.every == 0:
         return None
     dwell = spec.excitation if isinstance(spec.excitation, Dwell) else None
-    if spec.reference.q_deg is not None:
-        q = np.radians(np.array(spec.reference.q_deg))
+    given = spec.reference.q_deg
+    if given is not None:
+        q = np.radians(np.array(given))
     approach = dwell.approach if dwell else "both"
     delta = float(np.radians(dwell.approach_deg if dwell else REFERENCE_DELTA_DEG))
     workspace = roadmap.workspace
     visit = pose_visit(workspace, q, approach, delta, label="reference pose", kind="reference")
     for motion in visit.motions:
         if complaint := workspace.complaint(motion.q_start):
+            if given is None:
+                raise PlanError(
+                    f"the default reference pose: {complaint}",
+                    hint=f"{workspace.larger_space}write a pose with more room around it as "
+                    "reference.q_deg, do without one (reference.every: 0), or reduce clearance_m "
+                    "in the station's surroundings",
+                )
             raise SpecError(
                 f"reference.q_deg: {complaint}",
                 hint=f"{workspace.larger_space}choose a pose with more room around it",

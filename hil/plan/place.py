@@ -138,16 +138,25 @@ def checked_start(start: FloatArray, roadmap: Roadmap) -> FloatArray:
     workspace = roadmap.workspace
     _require_pose(start, workspace)
     complaint = workspace.complaint(start)
+    ways = ["jog the robot to a pose with more room around it and plan again"]
     if not complaint and roadmap.way(start, roadmap.home) is None:
         why = workspace.obstacle([workspace.line(start, roadmap.home)])
         complaint = "no clear way leads from it to the poses of the program" + (
             f"; on the straight one to the roomiest of them {why}" if why else ""
         )
+        confined = workspace.space is not None
+    else:
+        confined = bool(workspace.depth(start[None])[0] < workspace.clearance_m)
+        if 0 < workspace.clearance(start[None])[0] < workspace.clearance_m:
+            ways.append(
+                f"reduce clearance_m ({workspace.clearance_m:g} m) in the station's surroundings"
+            )
     if complaint:
+        if confined:
+            ways.append("move that side of the workspace interlock outwards")
         raise PlanError(
             f"the robot cannot leave its current pose safely: {complaint}",
-            hint="jog the robot to a pose with more room around it and plan again, "
-            f"{workspace.larger_space or 'or '}describe the station's surroundings as they are",
+            hint=f"{', '.join(ways)}, or describe the station's surroundings as they are",
         )
     return start
 
