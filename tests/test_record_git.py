@@ -137,7 +137,7 @@ def test_a_hanging_git_does_not_hold_up_a_run(
     slow.chmod(0o755)
     sha = git(folder, "rev-parse", "HEAD")
     monkeypatch.setattr(reading, "TIMEOUT_S", 0.1)
-    monkeypatch.setattr(reading.shutil, "which", lambda name: str(slow))
+    monkeypatch.setattr(reading.shutil, "which", lambda name, path: str(slow))
     began = time.perf_counter()
     assert git_state(folder) == {"sha": sha, "dirty": None}
     assert time.perf_counter() - began < 10.0
@@ -147,7 +147,7 @@ def test_without_git_the_commit_is_known_still(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sha = git(folder, "rev-parse", "HEAD")
-    monkeypatch.setattr(reading.shutil, "which", lambda name: None)
+    monkeypatch.setattr(reading.shutil, "which", lambda name, path: None)
     assert git_state(folder) == {"sha": sha, "dirty": None}
     assert not is_tracked(folder / "a.yaml")
 
@@ -169,3 +169,52 @@ def test_only_what_the_index_has_is_tracked(folder: Path) -> None:
     (folder / "[a].yaml").write_text("")
     assert is_tracked(folder / "a.yaml")
     assert not is_tracked(folder / "[a].yaml")
+
+
+@pytest.mark.parametrize("entry", ["", ".", "bin"])
+def test_a_git_in_the_opened_folder_is_not_run(
+    entry: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`PATH` with an empty or relative entry, in the folder itself."""
+    path, mark = program(tmp_path)
+    (folder / "bin").mkdir()
+    for place in (folder, folder / "bin"):
+        (place / "git").symlink_to(path)
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PATH", os.pathsep.join([entry, os.environ["PATH"]]))
+    assert git_state(Path()) == {"sha": git_sha(folder), "dirty": False}
+    assert not mark.exists()
+
+
+def test_git_gets_only_the_absolute_entries_of_the_path(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = tmp_path / "shown"
+    spy = tmp_path / "bin" / "git"
+    spy.parent.mkdir()
+    spy.write_text(f'#!/bin/sh\nprintf %s "$PATH" > {shown}\n')
+    spy.chmod(0o755)
+    monkeypatch.setenv("PATH", os.pathsep.join(["", str(spy.parent), "here", "/usr/bin", "/bin"]))
+    git_state(folder)
+    assert shown.read_text() == f"{spy.parent}:/usr/bin:/bin"
+
+
+@pytest.mark.parametrize("link", [b"gitdir: /nowhere", b"gitdir: \xff", b"gitdir:", b""])
+def test_a_link_that_leads_nowhere_is_not_of_the_repository_around(
+    link: bytes, folder: Path
+) -> None:
+    (folder / "child" / "below").mkdir(parents=True)
+    (folder / "child" / ".git").write_bytes(link + b"\n")
+    assert git_state(folder / "child") is None
+    assert git_state(folder / "child" / "below") is None
+
+
+def test_a_link_may_name_a_git_directory_that_is_not_utf_8(folder: Path, tmp_path: Path) -> None:
+    sha, target = git_sha(folder), os.fsencode(tmp_path) + b"/odd-\xff"
+    os.rename(os.fsencode(folder / ".git"), target)
+    (folder / ".git").write_bytes(b"gitdir: " + target + b"\n")
+    assert git_state(folder) == {"sha": sha, "dirty": False}
+
+
+def git_sha(folder: Path) -> str:
+    return (folder / ".git" / "refs" / "heads" / "main").read_text().strip()

@@ -122,7 +122,10 @@ def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
         OSError: There is no git, or no place for the directory.
         SubprocessError: The configuration cannot be read.
     """
-    if (program := shutil.which("git")) is None:
+    # An empty or relative entry is the opened folder: a program there is its author's.
+    entries = os.environ.get("PATH", os.defpath).split(os.pathsep)
+    places = os.pathsep.join(entry for entry in entries if Path(entry).is_absolute())
+    if (program := shutil.which("git", path=places)) is None:
         raise FileNotFoundError("git")
     with tempfile.TemporaryDirectory(prefix="hil-git-") as folder:
         own = Path(folder)
@@ -132,6 +135,7 @@ def _git(repository: _Repository, sha: str) -> Iterator[_Git]:
         environment = {
             # The user's own settings stay out as well: a repository can choose among their filters.
             **{key: value for key, value in os.environ.items() if not key.startswith("GIT_")},
+            "PATH": places,
             "HOME": folder,
             "XDG_CONFIG_HOME": folder,
             "GIT_CONFIG_NOSYSTEM": "1",
@@ -173,11 +177,14 @@ def _find(directory: Path) -> _Repository | None:
     here = directory.resolve()
     for tree in (here, *here.parents):
         own = tree / ".git"
+        is_link = _is_file(own)
         if link := _text(own):
             own = tree / link.removeprefix("gitdir:").strip()
         if _text(own / "HEAD"):
             shared = _text(own / "commondir")
             return _Repository(tree, own, own / shared if shared else own)
+        if is_link:
+            return None  # it leads nowhere: the repository around it is another one
     return None
 
 
@@ -201,10 +208,18 @@ def _packed(path: Path, name: str) -> str:
     return next((line.split(" ")[0] for line in lines if line.endswith(f" {name}")), "")
 
 
-def _text(path: Path, most: int = _SMALL_BYTES) -> str:
-    """Return what a regular file holds; empty of anything else, such as a pipe that never ends."""
+def _is_file(path: Path) -> bool:
     with contextlib.suppress(OSError, ValueError):  # ValueError: a NUL in the path
-        if path.is_file():
-            with path.open("rb") as file:
-                return file.read(most).decode("utf-8", "replace").strip()
+        return path.is_file()
+    return False
+
+
+def _text(path: Path, most: int = _SMALL_BYTES) -> str:
+    """Return what a regular file holds; empty of anything else, such as a pipe that never ends.
+
+    It may name a path, whose bytes need not be UTF-8.
+    """
+    if _is_file(path):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            return os.fsdecode(file.read(most)).strip()
     return ""
