@@ -491,9 +491,20 @@ def registry_log(folder: Path) -> str:
         repaired = hil("models", "repair", "ur5", "--registry", home, cwd=folder)
         assert "champion v2" in repaired.stdout, repaired.stdout + repaired.stderr
         assert hil("models", "check", "--registry", home, cwd=folder).returncode == 0
+    home = Path(shutil.copytree(registry.root, folder / "lost"))
+    shutil.rmtree(home / "ur5" / "v0002")
+    check = hil("models", "check", "--registry", home, cwd=folder)
+    assert check.returncode == 11, f"champion's folder deleted: check says {check.stdout}"
+    assert "v0002 (champion)" in check.stderr, check.stderr
+    repaired = hil("models", "repair", "ur5", "--registry", home, cwd=folder)
+    assert "no champion" in repaired.stdout, repaired.stdout + repaired.stderr
+    model = estimator("rigid-wls").fit(moving(1, 2, 5), nominal()).save(folder / "5")
+    number = Registry(home).register("ur5", model, {}).number
+    assert number == 3, f"the next model is v{number}"
     return (
         f"{len(damages)} damages ({', '.join(damages)}): `models check` and `promote` exit 11 and "
-        "write nothing, `models repair` brings champion v2 back"
+        "write nothing, `models repair` brings champion v2 back; with the folder of champion v2 "
+        f"deleted `check` exits 11, a repair leaves no champion, and the next model is v{number}"
     )
 
 

@@ -102,6 +102,12 @@ def older_head(home: Path) -> None:
     (home / HEAD_FILE).write_text(json.dumps(head))
 
 
+def edit_head(home: Path) -> None:
+    """Name the wrong champion, with number of lines and digest as they were."""
+    head = json.loads((home / HEAD_FILE).read_bytes())
+    (home / HEAD_FILE).write_text(json.dumps(head | {"champion": 1, "before": []}))
+
+
 DAMAGES: dict[str, tuple[Damage, str]] = {
     "emptied": (keep_lines(0), "lines 1 to 4 are missing"),
     "last line deleted": (keep_lines(-1), "line 4 is missing"),
@@ -112,6 +118,7 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "an earlier line edited": (edit_line(1), "jsonl:3 does not follow"),
     "head removed": (remove(HEAD_FILE), "head.json is missing"),
     "head damaged": (lambda home: void((home / HEAD_FILE).write_text("{")), "cannot be read"),
+    "roles of the head edited": (edit_head, "head.json: its roles differ from those after line 4"),
     "head of another time": (older_head, "has 4 lines but head.json records 1"),
 }
 damages = pytest.mark.parametrize(("damage", "words"), DAMAGES.values(), ids=DAMAGES)
@@ -313,3 +320,130 @@ def test_a_repair_without_any_witness_says_that_there_is_no_champion(home: Path)
     remove(LOG_FILE, HEAD_FILE, ALIASES_FILE)(home)
     assert "no file names a champion" in " ".join(called(home, "repair", "ur5").split())
     assert Registry(home.parent).aliases("ur5").champion == 0
+
+
+def lose(*numbers: int) -> Damage:
+    """Delete the folders of versions."""
+
+    def delete(home: Path) -> None:
+        for number in numbers:
+            shutil.rmtree(home / f"v{number:04d}")
+
+    return delete
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ([2], r"missing version folders .*: v0002 \(champion\)\n"),
+        ([1], r"missing version folders .*: v0001\n"),
+        ([1, 2], r"missing version folders .*: v0001, v0002 \(champion\)\n"),
+    ],
+)
+@pytest.mark.parametrize("fixture", ["home", "old_home"])
+def test_a_lost_version_folder_is_a_problem_and_stops_every_writer(
+    numbers: list[int],
+    words: str,
+    fixture: str,
+    request: pytest.FixtureRequest,
+    folders: list[Path],
+) -> None:
+    home: Path = request.getfixturevalue(fixture)
+    lose(*numbers)(home)
+    before, registry = content_of(home), Registry(home.parent)
+    with pytest.raises(RegistryError) as error:
+        called(home, "check")
+    assert exit_code_of(error.value) == 11
+    for write in (
+        lambda: registry.register("ur5", folders[2], {}),
+        lambda: registry.promote("ur5", 3 - numbers[0], reason="", evidence={}, instead_of=2),
+        lambda: registry.roll_back("ur5", reason=""),
+        lambda: registry.aliases("ur5"),
+    ):
+        with pytest.raises(RegistryError):
+            write()
+    with pytest.raises(RegistryError, match=words):
+        registry.aliases("ur5")
+    assert content_of(home) == before
+    assert "log damaged" in called(home, "list")
+
+
+def test_a_repair_takes_the_roles_from_lost_versions_and_records_them(
+    home: Path, folders: list[Path]
+) -> None:
+    lose(2)(home)
+    said = " ".join(called(home, "repair", "ur5").split())
+    assert "versions lost, without a role from here on: v2" in said
+    assert "there is no champion: the next promotion is the first" in said
+    assert f"make v1 champion again: hil models rollback ur5 --registry {home.parent}" in said
+    registry = Registry(home.parent)
+    assert registry.log("ur5")[-1].evidence["lost"] == [2]
+    assert registry.aliases("ur5").to_dict() == {
+        "champion": None, "challenger": None, "before": [1]
+    }  # fmt: skip
+    assert "all as they were registered" in called(home, "check")
+    assert registry.roll_back("ur5", reason="").champion == 1
+
+
+@pytest.mark.parametrize("numbers", [[2], [1, 2]])
+def test_the_number_of_a_lost_version_is_not_used_again(
+    numbers: list[int], home: Path, folders: list[Path]
+) -> None:
+    lose(*numbers)(home)
+    registry = Registry(home.parent)
+    registry.repair("ur5")
+    assert registry.repair("ur5") is None
+    assert registry.register("ur5", folders[2], {}).number == 3
+    assert registry.aliases("ur5").champion == 0
+
+
+def test_a_lost_champion_is_recorded_also_if_its_line_is_lost(
+    home: Path, folders: list[Path]
+) -> None:
+    lose(2)(home)
+    keep_lines(2)(home)
+    registry = Registry(home.parent)
+    done = registry.repair("ur5")
+    assert done is not None
+    assert done.lost == (2,)
+    assert registry.register("ur5", folders[2], {}).number == 3
+
+
+def test_a_lost_version_that_is_restored_after_a_repair_is_entered_again(
+    home: Path, tmp_path: Path
+) -> None:
+    shutil.move(home / "v0002", tmp_path / "v0002")
+    registry = Registry(home.parent)
+    registry.repair("ur5")
+    shutil.move(tmp_path / "v0002", home / "v0002")
+    called(home, "check")
+    assert [one.label for one in registry.versions("ur5")] == ["v1", "v2"]
+    assert registry.log("ur5")[-1].to_dict()["event"] == "registered"
+    assert registry.aliases("ur5").champion == 0
+
+
+def test_a_kill_between_folder_and_line_is_no_damage(
+    home: Path, folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder appears first, so that each line that registers has its folder."""
+    registry = Registry(home.parent)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hil.registry.registry.append", killed)
+        with pytest.raises(KeyboardInterrupt):
+            registry.register("ur5", folders[2], {})
+    assert registry.problem("ur5") is None
+    called(home, "check")
+    assert [one.version for one in registry.log("ur5") if one.event == "registered"] == [1, 2, 3]
+
+
+def test_a_repair_counts_the_lines_it_sets_aside(home: Path) -> None:
+    lines = lines_of(home)
+    (home / LOG_FILE).write_bytes(b"".join([lines[0], b"garbage\n", *lines[2:], b"torn"]))
+    said = " ".join(called(home, "repair", "ur5").split())
+    aside = next(home.glob("damaged-*"))
+    assert f"lines set aside: 4, not in the new log, only in {aside / LOG_FILE}" in said
+    assert "champion v2 (from head.json)" in said

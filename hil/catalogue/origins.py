@@ -17,7 +17,6 @@ from hil.errors import DataError, RegistryError
 from hil.record.files import read_json, sha256_of
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
-from hil.registry.log import LOG_FILE
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 
@@ -145,29 +144,16 @@ def _collect(root: Path, found: Origins) -> None:
             f"there is no registry {root}", hint="name the folder of the registered models"
         )
     registry = Registry(root)
-    names = registry.names()
-    for home in root.iterdir():
-        if (home / LOG_FILE).exists() and home.name not in names:
-            raise _lost(home)
-    for name in names:
-        versions = registry.versions(name)
-        if {entry.version for entry in registry.log(name)} - {one.number for one in versions}:
-            raise _lost(root / name)
-        for version in versions:
-            found.add_version(version)
+    for name in registry.names():
+        # Read first: a version that is missing without a repair is an error of the log.
         champion = registry.aliases(name).champion
+        for version in registry.versions(name):
+            found.add_version(version)
         for probe in probes_of(registry, name):
             if probe.champion == champion:
                 why = f"it is a probe of {name} v{champion}"
                 found.uids.setdefault(probe.uid, why)
                 found.digests.setdefault(probe.uid, why)
-
-
-def _lost(home: Path) -> RegistryError:
-    return RegistryError(
-        f"{home}: the log names versions that are not there: what they came from is unknown",
-        hint="restore the registry from a backup; nothing is deleted before",
-    )
 
 
 def _may_be(one: Vague, facts: Mapping[str, Any]) -> bool:

@@ -10,6 +10,7 @@ import typer
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
 from hil.errors import RegistryError
+from hil.text import shell_word
 
 if TYPE_CHECKING:
     from hil.registry.log import Aliases
@@ -266,6 +267,7 @@ def repair(
 
     Copies of the old files stay beside it, in a folder damaged-TIME. A sound log is not changed.
     """
+    from hil.registry.log import LOG_FILE
     from hil.registry.registry import Registry
 
     home = Registry(registry)
@@ -281,10 +283,20 @@ def repair(
     entered = ", ".join(f"v{number}" for number in done.registered) or "none"
     say(f"{name}: {done.problem}")
     say(f"  intact lines: {done.lines}; versions added from folders: {entered}")
+    if done.lines_set_aside:
+        old = done.aside / LOG_FILE
+        say(f"  lines set aside: {done.lines_set_aside}, not in the new log, only in {old}")
+    if done.lost:
+        lost = ", ".join(f"v{number}" for number in done.lost)
+        say(f"  versions lost, without a role from here on: {lost}")
     say(f"  {champion} (from {done.source}); challenger {_label(now.challenger) or 'none'}")
     say(f"  copies of the old files: {done.aside}")
     if not now.champion:
-        say("  no file names a champion: the next promotion is the first, without a comparison")
+        why = "there is no champion" if done.lost else "no file names a champion"
+        say(f"  {why}: the next promotion is the first, without a comparison")
+        if now.before:
+            back = f"hil models rollback {name} --registry {shell_word(registry)}"
+            say(f"  or make v{now.before[-1]} champion again: {back}")
 
 
 def _roles(home: Registry, name: str) -> tuple[Aliases, RegistryError | None]:

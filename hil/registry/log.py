@@ -22,7 +22,7 @@ from hil.errors import RegistryError
 from hil.identify.model_file import json_bytes, write_whole
 from hil.record.files import fsync_directory
 from hil.record.provenance import operator, utc_now
-from hil.registry.version import numbers_in, read_version
+from hil.registry.version import folder_of, numbers_in, read_version
 from hil.text import json_text, shell_word
 
 LOG_FILE = "log.jsonl"
@@ -163,6 +163,7 @@ class Inspected:
         behind: Whether `head.json` lacks the last line.
         aliases: Champion and challenger, from the best source that is left.
         source: File that `aliases` are from.
+        lost: Versions that log or roles name and whose folders are missing.
     """
 
     entries: tuple[Entry, ...]
@@ -173,6 +174,7 @@ class Inspected:
     behind: bool
     aliases: Aliases
     source: str
+    lost: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,9 @@ class Repair:
     Attributes:
         problem: What was damaged or missing.
         lines: Lines of the log that were confirmed, and stay.
+        lines_set_aside: Lines that were not, and are only in `aside`.
         registered: Versions that were entered from their folders.
+        lost: Versions whose folders are missing: they have no role any more.
         aliases: Champion and challenger now.
         source: File that these are from.
         aside: Folder with the files as they were.
@@ -190,7 +194,9 @@ class Repair:
 
     problem: str
     lines: int
+    lines_set_aside: int
     registered: tuple[int, ...]
+    lost: tuple[int, ...]
     aliases: Aliases
     source: str
     aside: Path
@@ -200,7 +206,9 @@ class Repair:
         return {
             "problem": self.problem,
             "lines": self.lines,
+            "lines_set_aside": self.lines_set_aside,
             "registered": list(self.registered),
+            "lost": list(self.lost),
             "aliases": self.aliases.to_dict(),
             "source": self.source,
             "aside": str(self.aside),
@@ -219,12 +227,34 @@ def read_log(folder: Path) -> tuple[Entry, ...]:
     return found.entries
 
 
+def registered_in(log: Iterable[Entry]) -> frozenset[int]:
+    """Return the versions that a log registers, without those recorded as lost by a repair."""
+    found: set[int] = set()
+    for entry in log:
+        if entry.event == "registered":
+            found.add(entry.version)
+        elif entry.event == "repaired":
+            found.difference_update(_lost_at(entry))
+    return frozenset(found)
+
+
+def last_number(log: Iterable[Entry]) -> int:
+    """Return the highest version number that a log has ever named; 0 if there is none."""
+    return max((max(entry.version, *_lost_at(entry), 0) for entry in log), default=0)
+
+
+def _lost_at(entry: Entry) -> tuple[int, ...]:
+    """Return the versions without folders at a repair."""
+    return tuple(int(one) for one in entry.evidence.get("lost", ()))
+
+
 def damaged(folder: Path, problem: str) -> RegistryError:
     """Return the error for a damaged log."""
     command = f"hil models repair {shell_word(folder.name)} --registry {shell_word(folder.parent)}"
     return RegistryError(
         problem,
-        hint=f"restore the file from a backup, or rebuild it from the versions with: {command}",
+        hint="restore the file or folder from a backup, or rebuild the log from the versions with: "
+        + command,
     )
 
 
@@ -271,6 +301,8 @@ def inspect(folder: Path) -> Inspected:
     lines, problem = _chain(folder)
     if head == "" and (folder / HEAD_FILE).exists():
         return inspect(folder)  # a writer has made one meanwhile
+    # A folder appears before its line: those of all lines read are there only now.
+    there = numbers_in(folder)
     entries = tuple(line.entry for line in lines)
     confirmed, has_head, behind = len(lines), isinstance(head, _Head), False
     aliases, source = Aliases.after(entries), LOG_FILE
@@ -280,6 +312,11 @@ def inspect(folder: Path) -> Inspected:
             confirmed = head.lines - 1
             where = f"{folder / LOG_FILE}:{head.lines}"
             problem = problem or f"{where} is not the line that was written: it was changed"
+        elif len(lines) >= head.lines and head.aliases != Aliases.after(entries[: head.lines]):
+            problem = problem or (
+                f"{folder / HEAD_FILE}: its roles differ from those after line {head.lines} of "
+                f"{LOG_FILE}: it was changed"
+            )
         if confirmed < head.lines:
             aliases, source = head.aliases, HEAD_FILE
             problem = problem or _lost_lines(folder, len(lines), head)
@@ -294,6 +331,10 @@ def inspect(folder: Path) -> Inspected:
         problem = problem or head or _without_head(folder, lines, numbers, view)
         if problem and view is not None and view not in _states(entries):
             aliases, source = view, ALIASES_FILE
+    named = {aliases.champion, aliases.challenger, *aliases.before} - {0}
+    lost = tuple(sorted((registered_in(entries[:confirmed]) | named) - set(there)))
+    if lost:
+        problem = problem or _lost_versions(folder, lost, aliases)
     return Inspected(
         entries[:confirmed],
         b"".join(line.raw + b"\n" for line in lines[:confirmed]),
@@ -301,8 +342,9 @@ def inspect(folder: Path) -> Inspected:
         lines[confirmed - 1].sha256 if confirmed else "",
         has_head,
         behind,
-        aliases.of_versions(numbers) if problem else aliases,
+        aliases.of_versions(there) if problem else aliases,
         source,
+        lost,
     )
 
 
@@ -323,13 +365,15 @@ def repair(folder: Path) -> Repair | None:
     found = inspect(folder)
     if not found.problem:
         return None
-    known = {entry.version for entry in found.entries if entry.event == "registered"}
+    known = registered_in(found.entries)
     missing = [read_version(folder, one) for one in numbers_in(folder) if one not in known]
     aside = _set_aside(folder)
     done = Repair(
         found.problem,
         len(found.entries),
+        _lines_in(folder / LOG_FILE) - len(found.entries),
         tuple(one.number for one in missing),
+        found.lost,
         found.aliases,
         found.source,
         aside,
@@ -379,6 +423,12 @@ def read_lines(path: Path) -> list[tuple[int, bytes]]:
             f"cannot read {path}: {error.strerror}", hint="see whether it exists and may be read"
         ) from error
     return list(enumerate(content.split(b"\n")[:-1], start=1))
+
+
+def _lines_in(path: Path) -> int:
+    """Return the number of lines, a torn last one included."""
+    content = path.read_bytes() if path.exists() else b""
+    return content.count(b"\n") + bool(content.rpartition(b"\n")[2])
 
 
 def _json_line(document: Mapping[str, Any]) -> bytes:
@@ -521,7 +571,7 @@ def _without_head(
     path, entries = folder / LOG_FILE, tuple(line.entry for line in lines)
     if any(line.numbered for line in lines[:-1]):
         return f"{folder / HEAD_FILE} is missing: nothing confirms the last line of {path}"
-    known = {entry.version for entry in entries if entry.event == "registered"}
+    known = registered_in(entries)
     unknown = [f"v{number}" for number in numbers if number not in known]
     if len(unknown) > 1:
         return f"{path}: the lines that registered {', '.join(unknown)} are missing"
@@ -529,6 +579,13 @@ def _without_head(
         roles = f"champion v{view.champion}" if view.champion else "no champion"
         return f"{path}: lines are missing: {ALIASES_FILE} has {roles}, which no line leads to"
     return ""
+
+
+def _lost_versions(folder: Path, lost: Sequence[int], aliases: Aliases) -> str:
+    """Return which version folders are missing, with their roles."""
+    roles = {aliases.challenger: " (challenger)", aliases.champion: " (champion)"}
+    names = ", ".join(folder_of(folder, one).name + roles.get(one, "") for one in lost)
+    return f"{folder}: missing version folders that {LOG_FILE} names: {names}"
 
 
 def _chain(folder: Path) -> tuple[list[_Line], str]:
@@ -544,6 +601,7 @@ def _chain(folder: Path) -> tuple[list[_Line], str]:
             if entry.event not in get_args(Event) or not isinstance(entry.version, int):
                 raise ValueError(f"{entry.event!r} of {entry.version!r}")
             Aliases.after([entry])
+            last_number([entry])
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return found, f"{path}:{number}: damaged: {error}"
         if not linked or numbered not in (None, number):

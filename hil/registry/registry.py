@@ -20,6 +20,8 @@ from hil.record.provenance import operator, utc_now
 from hil.registry.facts import facts_of
 from hil.registry.lock import writing
 from hil.registry.log import (
+    HEAD_FILE,
+    LOG_FILE,
     Aliases,
     Entry,
     Event,
@@ -27,7 +29,9 @@ from hil.registry.log import (
     append,
     damaged,
     inspect,
+    last_number,
     read_log,
+    registered_in,
     repair,
     settle,
     write_view,
@@ -79,13 +83,17 @@ class Registry:
         return card("Registry", self.root, {}, table=(head, rows) if rows else None, notes=notes)
 
     def names(self) -> list[str]:
-        """Names that have versions, in order."""
+        """Names that have versions or have lost them without a repair, in order."""
         if not self.root.is_dir():
             return []
-        return sorted(path.name for path in self.root.iterdir() if numbers_in(path))
+        return sorted(
+            path.name
+            for path in self.root.iterdir()
+            if numbers_in(path) or (_has_log(path) and inspect(path).problem)
+        )
 
     def versions(self, name: str) -> list[ModelVersion]:
-        """All of a name, oldest first.
+        """All of a name, oldest first; none if all folders are missing.
 
         Raises:
             RegistryError: There is no such name, or one is damaged.
@@ -173,7 +181,8 @@ class Registry:
             # Before the version: what it came from must not go in between.
             leave_pointer(self.root, _sources(model, known_of))
             if found is None:
-                number = max(numbers_in(home), default=0) + 1
+                # A number that the log has named stays taken, even if its folder is lost.
+                number = max([*numbers_in(home), last_number(read_log(home))]) + 1
                 named = {file: hashlib.sha256(raw).hexdigest() for file, raw in files.items()}
                 at, by, where = utc_now(), operator(), folder_of(home, number)
                 found = ModelVersion(name, number, where, digest, at, by, known_of, named)
@@ -290,7 +299,7 @@ class Registry:
     def _home(self, name: str) -> Path:
         require_name(name)
         home = self.root / name
-        if not numbers_in(home):
+        if not numbers_in(home) and not _has_log(home):
             raise RegistryError(f"{self.root} has no models of {name}", hint=self._others(name))
         return home
 
@@ -304,7 +313,7 @@ class Registry:
 
     def _adopt(self, home: Path) -> None:
         """Enter versions that are there and not in the log, which must be sound."""
-        known = {one.version for one in settle(home).entries if one.event == "registered"}
+        known = registered_in(settle(home).entries)
         for number in numbers_in(home):
             if number not in known:
                 version = read_version(home, number)
@@ -342,6 +351,10 @@ def _sources(model: Path, facts: Mapping[str, Any]) -> list[Path]:
 
 def _label(number: int) -> str:
     return f"v{number}" if number else "–"
+
+
+def _has_log(home: Path) -> bool:
+    return (home / LOG_FILE).exists() or (home / HEAD_FILE).exists()
 
 
 def _view(home: Path) -> Aliases:

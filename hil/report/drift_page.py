@@ -83,7 +83,8 @@ def drift_page(registry: Registry, name: str) -> Page:
 
 def effort_unit(registry: Registry, name: str) -> str:
     """Unit of the efforts of a name's models."""
-    kind = registry.versions(name)[-1].facts.get("effort_kind")
+    versions = registry.versions(name)
+    kind = versions[-1].facts.get("effort_kind") if versions else None
     return "A" if kind == "current" else "N·m"
 
 
