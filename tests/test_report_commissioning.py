@@ -6,7 +6,11 @@ import json
 
 import pytest
 from report_runs import dwell_plan, write_run
+from typer.testing import CliRunner
 
+from hil.campaign.view import next_command
+from hil.cli.app import app
+from hil.record.catalogue import list_runs
 from hil.report import summary_lines
 from hil.report.commissioning import next_commissioning
 from hil.report.facts import read_facts
@@ -48,3 +52,19 @@ def test_first_all_poses_then_all_the_speed(tmp_path, outcome, part, command):
 def test_the_built_in_bench_needs_no_station(tmp_path):
     run = commissioned(tmp_path, station="built-in mock bench", speed=0.1)
     assert next_commissioning(read_facts(run.path)) == "hil run /lab/dwell.yaml"
+
+
+def test_runs_lists_the_command_that_repeats_a_failed_commissioning_run(tmp_path):
+    run = commissioned(tmp_path, "failed", first_s=30.0)
+    (run.path / "report.html").write_text("failed")
+    (listing,) = list_runs(tmp_path)
+    assert next_command(listing) == f"{AT} --first 30s"
+    table = CliRunner().invoke(app, ["runs", "--runs", str(tmp_path)]).output
+    assert f"{AT} --first 30s" in table
+
+
+def test_a_completed_commissioning_run_leaves_nothing_to_complete(tmp_path):
+    run = commissioned(tmp_path, first=3)
+    (run.path / "report.html").write_text("completed")
+    (listing,) = list_runs(tmp_path)
+    assert next_command(listing) == ""

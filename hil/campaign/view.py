@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.verdict import VerdictWord, word
-from hil.errors import DataError
+from hil.errors import DataError, HilError
 from hil.identify.model_folder import models_below
 from hil.record.catalogue import RunListing
 from hil.record.catalogue import list_runs as listings_of
@@ -41,6 +41,14 @@ def next_command(listing: RunListing) -> str:
     start, path = _optional(run.path / "start.json") or {}, shell_word(run.path)
     has = [(run.path / name).exists() for name in ("spec.yaml", "plan.json", PRUNED)]
     if "replayed" in start:
+        return ""
+    if "commissioning" in start and (run.path / "report.html").is_file():
+        from hil.report.commissioning import next_commissioning
+        from hil.report.facts import read_facts
+
+        with contextlib.suppress(HilError):
+            if listing.status != "completed":
+                return next_commissioning(read_facts(run.path))
         return ""
     if not start.keys() & {"passive", "commissioning"} and has == [True, True, False]:
         return f"hil resume {path}"

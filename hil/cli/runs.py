@@ -105,6 +105,9 @@ _OPTIONAL = ("studies", "next")
 """Columns that are shown only if one of the runs has a value."""
 
 
+_ABOUT_A_RUN = ("hil resume ", "hil report ")
+
+
 def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:
     """Return the commands with the number of the run, which is in the first column, if unique."""
     from hil.record.numbering import number_of
@@ -113,7 +116,7 @@ def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[s
     elsewhere = "" if runs == Path("runs") else f" --runs {shell_word(runs)}"
     return [
         f"{' '.join(command.split()[:2])} {number}{elsewhere}"
-        if command and number and numbers.count(number) == 1
+        if command.startswith(_ABOUT_A_RUN) and number and numbers.count(number) == 1
         else command
         for command, number in zip(commands, numbers, strict=True)
     ]
