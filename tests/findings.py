@@ -26,6 +26,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -350,6 +351,77 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
         f"Resume asks nothing there, and at {left['address']} the same as Start, for the "
         f"{left['swept']['duration_s']:.0f} s that are left"
     )
+
+
+@finding("A2j", "way back of a jogged arm")
+def jogged_arms_are_confirmed_again(folder: Path) -> str:
+    """Go on with a run of a confirmed arm that stands elsewhere, without and with its name."""
+    from unittest import mock
+
+    from hil import load, resume, run
+    from hil.campaign.confirmation import Granted
+    from hil.campaign.desk import console_desk
+    from hil.errors import NotConfirmed
+    from hil.robot import Address
+    from hil_mock_robot.driver import MockRobot
+
+    (folder / "b.yaml").write_text(
+        "hil: 1\nname: b\nrobot: ur5\nexcitation: {kind: dwell, waypoints: 4}\n"
+        "loads: [{mass_kg: 0}, {mass_kg: 1, com_m: [0, 0, 0.05], prompt: Mount it}]\n"
+        "warm_up: {duration_s: 2}\nweigh: {poses: 0}\n"
+    )
+    (folder / "station.yaml").write_text(
+        "hil_station: 1\nrobots:\n  ur5: {driver: mock, model: ur5}\n"
+    )
+    (folder / "no.yaml").write_text("[{prompt: Mount it, answer: no}]\n")
+    desk = console_desk(answers=folder / "no.yaml", confirm=Granted("--yes"))
+    with mock.patch.object(MockRobot, "address", Address("198.51.100.7"), create=True):
+        stopped = run(load(folder / "b.yaml"), runs=folder / "runs", desk=desk).run
+        station = (stopped / "station.yaml").read_text("utf-8")
+        elsewhere = "model: ur5, options: {start_q_deg: [-170, -60, -100, -60, 120, 170]}"
+        (stopped / "station.yaml").write_text(station.replace("model: ur5", elsewhere))
+        try:
+            resume(stopped)
+        except NotConfirmed as error:
+            refused = error.message
+        else:
+            raise AssertionError("the jogged arm went back without a confirmation")
+        assert not (stopped / "resume-01.json").exists(), "it began an attempt"
+        resume(stopped, robot="ur5", desk=desk)
+    assert (stopped / "resume-01.json").exists()
+    return f"refused before it moved: {refused}; with robot='ur5' it goes on"
+
+
+@finding("A2w", "series of a real robot in the dashboard")
+def series_are_confirmed_step_by_step(folder: Path) -> str:
+    """Compare a step of a series that carries and sweeps more with what its form has shown."""
+    from hil.campaign.confirmation import Granted, motion_facts, together
+    from hil.campaign.experiment import load_experiment
+    from hil.campaign.robots import planned
+    from hil.errors import NotConfirmed
+
+    shown = []
+    for name, mass in (("a", 0.0), ("b", 1.0)):
+        (folder / f"{name}.yaml").write_text(
+            f"hil: 1\nname: {name}\nrobot: ur5\nexcitation: {{kind: dwell, waypoints: 4}}\n"
+            f"loads: [{{mass_kg: {mass}, com_m: [0, 0, 0.05]}}]\nweigh: {{poses: 0}}\n"
+        )
+        experiment = load_experiment(folder / f"{name}.yaml")
+        with planned(experiment) as (robot, plan, _):
+            shown.append(motion_facts(experiment, robot, plan))
+    granted = Granted("dashboard", "ada", together([one.to_dict() for one in shown]))
+    for one in shown:
+        granted(one, lambda: None)
+    heavy = replace(
+        shown[1],
+        loads=(replace(shown[1].loads[0], payload=replace(shown[1].loads[0].payload, mass=20.0)),),
+        swept=replace(shown[1].swept, q_max=shown[1].swept.q_max + 6.0),
+    )
+    try:
+        granted(heavy, lambda: None)
+    except NotConfirmed as error:
+        return f"both steps as shown are accepted; {error.message[:140]} …"
+    raise AssertionError("a step with 20 kg and 6 rad more passed for what was shown")
 
 
 # ---- A3 programs that must fail -----------------------------------------------------------------

@@ -6,9 +6,12 @@ import json
 import signal
 import subprocess
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -21,6 +24,7 @@ from hil.campaign.confirmation import (
     differences,
     digest_of,
     granted_in,
+    together,
 )
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
@@ -291,6 +295,40 @@ def test_the_newest_confirmation_counts(
     assert hil.resume(begun.run, desk=desk(Unconfirmed())).outcome == "completed"
 
 
+def jogged(run: Path) -> None:
+    """Let the arm of a run stand where its program never takes it."""
+    station = run / "station.yaml"
+    options = "driver: mock\n    options: {start_q_deg: [-150, -60, -100, -60, 120, 170]}"
+    station.write_text(station.read_text("utf-8").replace("driver: mock", options), "utf-8")
+
+
+def test_a_run_that_goes_on_with_an_arm_that_was_jogged_asks_again(
+    real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = stopped(experiment, monkeypatch, Granted("--yes"))
+    jogged(begun.run)
+    with pytest.raises(NotConfirmed, match=r"not as confirmed before: shoulder_pan.* goes") as no:
+        hil.resume(begun.run)
+    assert "robot='ur5'" in no.value.hint
+    assert not (begun.run / "resume-01.json").exists()
+    console = FakeConsole("ur5")
+    resumed = hil.resume(begun.run, desk=desk(TypedName(console)))
+    assert any("not as confirmed" in line for line in console.shown)
+    facts = document(resumed, "resume-01.json")["confirmation"]["facts"]
+    assert facts["swept"]["joints"][0]["min_rad"] == pytest.approx(np.radians(-150))
+
+
+def test_what_is_armed_goes_on_with_an_arm_that_was_jogged(
+    real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    armed = Granted("armed", "anna", {"robot": "ur5", "address": AT})
+    begun = stopped(experiment, monkeypatch, armed)
+    jogged(begun.run)
+    resumed = hil.resume(begun.run, desk=desk(armed))
+    assert resumed.outcome == "completed"
+    assert document(resumed, "resume-01.json")["confirmation"]["how"] == "armed"
+
+
 @pytest.mark.parametrize("record", ["another payload", "none"])
 def test_a_run_that_was_confirmed_for_another_payload_or_never_asks(
     real: object, experiment: hil.Experiment, monkeypatch: pytest.MonkeyPatch, record: str
@@ -316,6 +354,7 @@ def box(high: float) -> dict[str, list[float]]:
 
 
 FACTS: dict[str, Any] = {
+    "experiment": "small",
     "robot": "ur5",
     "model": "ur5",
     "driver": "ur",
@@ -363,8 +402,56 @@ def test_facts_confirmed_on_a_form_move_that_robot_and_no_other(
         run(experiment, granted_in(file))
 
 
+STEPS = [
+    FACTS | {"experiment": "first"},
+    FACTS
+    | {
+        "experiment": "second",
+        "loads": [{"mass_kg": 5.0, "com_m": [0.0, 0.0, 0.1]}],
+        "swept": FACTS["swept"] | {"joints": [joint(-2.0, 0.0)]},
+        "speed_rad_s": 0.2,
+    },
+]
+
+
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"how": "dashboard", "by": "anna", "facts": {"robot": "ur5"}}']
+    ("step", "change", "said"),
+    [
+        (0, {}, ""),
+        (1, {}, ""),
+        (0, {"swept": STEPS[1]["swept"]}, "elbow_joint goes -115° to 0°"),
+        (1, {"swept": FACTS["swept"] | {"joints": [joint(-2.0, 1.0)]}}, ""),
+        (1, {"swept": FACTS["swept"] | {"joints": [joint(-6.0, 6.0)]}}, "elbow_joint goes"),
+        (1, {"swept": FACTS["swept"] | {"elbow": box(1.0)}}, "the elbow leaves"),
+        (0, {"loads": STEPS[1]["loads"]}, "loads was 0 kg, is 5 kg"),
+        (1, {"loads": [{"mass_kg": 20.0, "com_m": [0, 0, 0]}]}, "loads was 5 kg, is 20 kg"),
+        (0, {"speed_rad_s": 0.2}, "joint speed"),
+        (1, {"address": ELSEWHERE}, "address was"),
+        (1, {"experiment": "third"}, "the experiment third was not shown"),
+    ],
+)
+def test_each_experiment_of_a_series_is_compared_with_its_own_facts(
+    tmp_path: Path, step: int, change: dict[str, Any], said: str
+) -> None:
+    file = tmp_path / "confirmed.json"
+    answer = {"how": "dashboard", "by": "anna", "facts": together(STEPS)}
+    file.write_text(json.dumps(answer))
+    facts = SimpleNamespace(robot="ur5", to_dict=lambda: STEPS[step] | change)
+    granted = granted_in(file)
+    granted.admit("ur5", AT)
+    with pytest.raises(NotConfirmed, match=said) if said else nullcontext():
+        granted(facts, lambda: None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"how": "dashboard", "by": "anna", "facts": {"robot": "ur5"}}',
+        '{"how": "h", "by": "b", "facts": {"robot": "r", "address": "a", "motions": [{}]}}',
+    ],
 )
 def test_a_file_that_names_no_robot_and_address_confirms_nothing(tmp_path: Path, text: str) -> None:
     (tmp_path / "confirmed.json").write_text(text)

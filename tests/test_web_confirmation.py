@@ -14,7 +14,8 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from starlette.testclient import TestClient
 from web_parts import dashboard, plain, require_fit_for_all
 
-from hil.errors import RobotConnectionError
+from hil.campaign.confirmation import Granted
+from hil.errors import NotConfirmed, RobotConnectionError
 from hil.robot import Address
 from hil.web import motions, plan_process, plan_shown, start_pages
 from hil_mock_robot.driver import MockRobot
@@ -118,6 +119,54 @@ def test_with_the_name_the_facts_that_were_shown_are_confirmed(desk: Desk) -> No
     assert (facts["robot"], facts["address"]) == ("ur5", AT)
     assert facts["loads"] == [{"mass_kg": 1.5, "com_m": [0.0, 0.0, 0.05]}]
     assert facts["swept"]["duration_s"] > 0
+
+
+def write_series(desk: Desk, *robots: str) -> dict[str, str]:
+    """Write a series of an experiment for each robot, and return the field that names it."""
+    folder = desk.spec.parent
+    (folder / "station.yaml").write_text(
+        STATION + STATION.rpartition("robots:\n")[2].replace("ur5:", "ur5b:")
+    )
+    for i, robot in enumerate(robots):
+        spec = SPEC.replace("robot: ur5", f"robot: {robot}").replace("name: small", f"name: s{i}")
+        (folder / f"s{i}.yaml").write_text(spec.replace("mass_kg: 1.5", f"mass_kg: {1.5 + i}"))
+    entries = "".join(f"  - spec: s{i}.yaml\n" for i in range(len(robots)))
+    (folder / "both.yaml").write_text(f"hil_series: 1\nname: both\nseries:\n{entries}")
+    return {"spec": "both.yaml"}
+
+
+@pytest.mark.usefixtures("real")
+def test_of_a_series_the_facts_of_each_experiment_are_confirmed(desk: Desk) -> None:
+    series = write_series(desk, "ur5", "ur5")
+    shown = hidden(desk.post("check", **series).text)
+    assert desk.post("start", confirm="ur5", **shown, **series).status_code == 303
+    facts = desk.started[0]["confirmed"]
+    assert (facts["robot"], facts["address"]) == ("ur5", AT)
+    motions = {one["experiment"]: one for one in facts["motions"]}
+    assert [one["loads"][0]["mass_kg"] for one in motions.values()] == [1.5, 2.5]
+    heavy = motions["s1"] | {"loads": [{"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.0]}]}
+    granted = Granted("dashboard", "ada", facts)
+    granted(as_facts(motions["s1"]), lambda: None)
+    with pytest.raises(NotConfirmed, match=r"loads was 2\.5 kg, is 20 kg"):
+        granted(as_facts(heavy), lambda: None)
+
+
+def as_facts(document: dict[str, Any]) -> Any:
+    return SimpleNamespace(robot=document["robot"], to_dict=lambda: document)
+
+
+@pytest.mark.usefixtures("real")
+def test_a_series_of_two_robots_is_left_to_the_command_line(desk: Desk) -> None:
+    series = write_series(desk, "ur5", "ur5b")
+    html = desk.post("check", **series).text
+    assert "Type " not in plain(html)
+    assert 'name="confirm"' not in html
+    for typed in ("", "ur5", "ur5b"):
+        answer = desk.post("start", confirm=typed, **hidden(html), **series)
+        assert answer.status_code == 409
+        assert f"ur5 at {AT} and ur5b at {AT}" in plain(answer.text)
+        assert "on the command line: hil run" in plain(answer.text)
+    assert desk.started == []
 
 
 @pytest.mark.usefixtures("real")

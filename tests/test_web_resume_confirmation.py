@@ -17,7 +17,7 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from live_run import until
 from starlette.testclient import TestClient
 from test_campaign_arming import REAL_ARM
-from test_campaign_confirmation import AT, ELSEWHERE, SPEC, STATION, document, stopped
+from test_campaign_confirmation import AT, ELSEWHERE, SPEC, STATION, document, jogged, stopped
 from web_parts import address_of_run, dashboard, plain, require_fit_for_all, seen
 
 import hil
@@ -85,10 +85,20 @@ def starts(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return noted
 
 
-def test_as_it_was_confirmed_it_goes_on_and_nothing_is_planned(
-    form: Form, starts: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+def test_a_jogged_arm_is_confirmed_again(form: Form, starts: list[dict[str, Any]]) -> None:
+    jogged(form.run)
+    answer = form.resume()
+    assert answer.status_code == 409
+    require_fit_for_all(answer.text)
+    assert "not as confirmed" in plain(answer.text)
+    assert starts == []
+    assert form.resume(confirm="ur5", **hidden(answer.text)).status_code == 303
+    assert starts[0]["confirmed"]["swept"]["joints"][0]["min_rad"] < -2.6
+
+
+def test_as_it_was_confirmed_it_goes_on_and_nothing_is_asked(
+    form: Form, starts: list[dict[str, Any]]
 ) -> None:
-    monkeypatch.setattr(MockRobot, "connect", lambda robot: pytest.fail("it was connected to"))
     assert "to move" not in seen(form.browser, form.page)
     assert form.resume().status_code == 303
     assert starts == [{"operator": "bert", "confirmed": None}]

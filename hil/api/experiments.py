@@ -159,7 +159,7 @@ def resume(
         waivers: Preflight check → why its failure is accepted; recorded.
         desk: Where prompts are answered and pauses are ended; by default the console.
         robot: Name of the run's robot, which confirms that it may move; needed for a real robot
-            unless the same address and payload were confirmed when the run began.
+            unless address, payload and all of the motion were confirmed when the run began.
 
     Returns:
         The report over all attempts.
@@ -167,7 +167,8 @@ def resume(
     Raises:
         DataError: The run has nothing left to do, or its plan or spec was changed.
         PreflightFailed: It is another robot.
-        NotConfirmed: Address or payload of a real robot changed, and `robot` does not name it.
+        NotConfirmed: Address or payload of a real robot changed, or the arm stands where the way
+            back sweeps more than was confirmed, and `robot` does not name it.
         HilError: What else keeps the run from going on.
     """
     return resume_experiment(

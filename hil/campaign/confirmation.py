@@ -51,6 +51,7 @@ class MotionFacts:
     """What a person has to know before a robot moves.
 
     Attributes:
+        experiment: Name of the experiment; tells the motions of a series apart.
         robot: Name in its station.
         model, driver: As the station says.
         address: Where its commands go.
@@ -61,8 +62,10 @@ class MotionFacts:
         speed_limit_rad_s: Largest joint speed that the robot allows [rad/s].
         swept: Duration, ranges of the joints, boxes of tool and elbow.
         checklist: What must be so before the robot moves.
+        changed: What is not as it was confirmed before, each in a few words; shown only.
     """
 
+    experiment: str
     robot: str
     model: str
     driver: str
@@ -74,6 +77,7 @@ class MotionFacts:
     speed_limit_rad_s: float
     swept: Swept
     checklist: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """Return plain text, one line per fact."""
@@ -91,11 +95,12 @@ class MotionFacts:
             ("payload", "; then ".join(_load_words(load) for load in self.loads)),
             ("speed", f"joints up to {most:.3g}°/s{share}; the robot allows {limit:.3g}°/s"),
         ]
-        return [*rows, *self.swept.rows()]
+        return [*rows, *self.swept.rows(), *(("not as confirmed", text) for text in self.changed)]
 
     def to_dict(self) -> Document:
         """Return the JSON form; SI units."""
         return {
+            "experiment": self.experiment,
             "robot": self.robot,
             "model": self.model,
             "driver": self.driver,
@@ -125,6 +130,7 @@ def motion_facts(experiment: Experiment, robot: Robot, plan: Plan) -> MotionFact
     """
     commissioning, model = experiment.commissioning, experiment.robot.model
     return MotionFacts(
+        experiment=experiment.spec.name,
         robot=experiment.spec.robot,
         model=model,
         driver=experiment.robot.driver,
@@ -182,7 +188,7 @@ class Unconfirmed:
         """See `Confirm`."""
         raise NotConfirmed(
             f"{robot} at {address} is a real robot, and its motion was not confirmed",
-            hint=self.hint or f"name it in the call: hil.run(experiment, robot={robot!r})",
+            hint=self.hint or f"name it in the call: robot={robot!r}",
         )
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
@@ -251,7 +257,7 @@ class Granted:
         how: Recorded: `--yes`, `robot=`, `dashboard`, `armed`.
         who: Recorded; by default the user of this process.
         facts: What was confirmed, as `MotionFacts.to_dict` has it; keys that are left out may be
-            anything.
+            anything. Of a series also `motions`, the facts of each experiment in order.
         more: Recorded, too, such as when and where it was confirmed.
     """
 
@@ -266,7 +272,11 @@ class Granted:
 
     def __call__(self, facts: MotionFacts, meanwhile: Callable[[], object]) -> Document:
         """See `Confirm`."""
-        self._require_same(differences(self.facts, facts.to_dict()), facts.robot)
+        now = facts.to_dict()
+        different = differences(self.facts, now)
+        if not different and "motions" in self.facts:
+            different = _differences_in_series(self.facts["motions"], now)
+        self._require_same(different, facts.robot)
         return {"how": self.how, "by": self.who or this_user(), **self.more}
 
     def _require_same(self, different: Sequence[str], robot: str) -> None:
@@ -287,7 +297,11 @@ def granted_in(path: Path) -> Granted:
     document = read_json(path)
     facts = document.get("facts")
     texts = all(isinstance(document.get(key), str) for key in ("how", "by"))
-    if not (texts and isinstance(facts, dict) and facts.get("robot") and facts.get("address")):
+    motions = facts.get("motions", []) if isinstance(facts, dict) else []
+    whole = isinstance(motions, list) and all(
+        isinstance(one, dict) and {"experiment", "swept"} <= one.keys() for one in motions
+    )
+    if not (texts and whole and facts and facts.get("robot") and facts.get("address")):
         raise DataError(
             f"{path} is not a confirmation: it needs how, by, and facts with robot and address",
             hint="start the run from the dashboard's start page",
@@ -320,6 +334,57 @@ def differences(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
     return changes
 
 
+def together(motions: Sequence[Mapping[str, Any]]) -> Document:
+    """Return the facts that confirm several motions, those of a series, at once.
+
+    Args:
+        motions: `MotionFacts.to_dict` of each, in the order of execution.
+
+    Returns:
+        What they have in common; of more than one also all of them as `motions`.
+    """
+    first = motions[0] if motions else {}
+    facts = {key: value for key, value in first.items() if all(value == m[key] for m in motions)}
+    return facts | ({"motions": list(motions)} if len(motions) > 1 else {})
+
+
+def _differences_in_series(
+    motions: Sequence[Mapping[str, Any]], now: Mapping[str, Any]
+) -> list[str]:
+    """Return what is not as it was confirmed for this experiment of a series.
+
+    The experiments before it may have left the arm anywhere they went, so that its own way there
+    may sweep what they swept; payload and speed are its own.
+    """
+    different = [f"the experiment {now['experiment']} was not shown"]
+    for i, one in enumerate(motions):
+        if one["experiment"] == now["experiment"]:
+            so_far = {"swept": _hull([each["swept"] for each in motions[: i + 1]])}
+            if not (different := differences({**one, **so_far}, now)):
+                break
+    return different
+
+
+def _hull(spaces: Sequence[Mapping[str, Any]]) -> Document:
+    """Return the ranges of the joints and the boxes that contain those of several motions."""
+    joints = [
+        {
+            "name": same[0]["name"],
+            "min_rad": min(one["min_rad"] for one in same),
+            "max_rad": max(one["max_rad"] for one in same),
+        }
+        for same in zip(*(each["joints"] for each in spaces), strict=True)
+    ]
+    boxes = {
+        part: {
+            "min_m": np.min([each[part]["min_m"] for each in spaces], axis=0).tolist(),
+            "max_m": np.max([each[part]["max_m"] for each in spaces], axis=0).tolist(),
+        }
+        for part in ("tool", "elbow")
+    }
+    return {"joints": joints, **boxes}
+
+
 def _beyond(confirmed: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     changes = []
     for was, is_ in zip(confirmed["joints"], now["joints"], strict=False):
@@ -342,7 +407,7 @@ class Gate:
         experiment: Says which robot of which station.
         confirm: Who confirms the motion of a real robot.
         confirmed: Facts that were confirmed before; they hold unless robot, address or payload
-            has changed.
+            has changed, or the motion goes further or is faster.
     """
 
     def __init__(
@@ -365,16 +430,6 @@ class Gate:
         if self._at.real and not self._holds({"robot": name, "address": self._at.text}):
             self._confirm.admit(name, self._at.text)
 
-    def asks(self, robot: Robot, plan: Plan) -> bool:
-        """Return whether the motion of a real robot has to be confirmed, which was perhaps before.
-
-        Args:
-            robot: Need not be connected.
-            plan: What is executed, or what that is a part of.
-        """
-        name, at = self._experiment.spec.robot, address_of(robot).text
-        return not self._holds({"robot": name, "address": at, "loads": loads_document(plan.loads)})
-
     def facts(self, robot: Robot, plan: Plan) -> MotionFacts | None:
         """Return what has to be confirmed before a plan is executed; None where nothing has to be.
 
@@ -387,7 +442,8 @@ class Gate:
         facts = replace(motion_facts(self._experiment, robot, plan), address=self._at.text)
         shown = facts.to_dict()
         same = self._holds({key: shown[key] for key in ("robot", "address", "loads")})
-        return None if same else facts
+        changed = differences(self._confirmed, shown)
+        return None if same and not changed else replace(facts, changed=tuple(changed))
 
     def confirmation(self, robot: Robot, plan: Plan) -> Document | None:
         """Return the record of the confirmation of a motion; None where none is needed.
@@ -402,7 +458,13 @@ class Gate:
         facts = self.facts(robot, plan)
         if facts is None:
             return None
-        answer = self._confirm(facts, lambda: _keep_reading(robot))
+        try:
+            answer = self._confirm(facts, lambda: _keep_reading(robot))
+        except NotConfirmed as refused:
+            if not facts.changed:
+                raise
+            what = f"{refused.message}; not as confirmed before: {'; '.join(facts.changed)}"
+            raise NotConfirmed(what, hint=refused.hint) from None
         return {**answer, "time": utc_now(), "facts": facts.to_dict(), "digest": facts.digest}
 
     def _holds(self, now: Mapping[str, Any]) -> bool:

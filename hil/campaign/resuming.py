@@ -17,13 +17,13 @@ import numpy as np
 from hil.arms import require_same_arm
 from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
-from hil.campaign.confirmation import Gate, Granted, MotionFacts, Unconfirmed, shown_by
+from hil.campaign.confirmation import Gate, Granted, MotionFacts, shown_by
 from hil.campaign.execute import Attendance, execute
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
-from hil.campaign.robots import held, opened, standing_at
+from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
 from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
@@ -39,7 +39,7 @@ from hil.record.parts import attempt_of, name_of_attempt
 from hil.record.provenance import started_as, utc_now
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
-from hil.robot import Robot, Status, address_of
+from hil.robot import Robot, Status
 from hil.spec.load import spec_hash
 
 COLD_AFTER_S = 600.0
@@ -129,7 +129,8 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
         SpecError, PluginError, RobotError: The robot cannot be reached or used.
         PlanError: No clear way leads from where the arm stands back to the plan.
         PreflightFailed: It is another robot.
-        NotConfirmed: Address or payload differs from the confirmed one, and was not confirmed.
+        NotConfirmed: Address or payload differs from the confirmed one, or the motion goes
+            further or is faster, and was not confirmed.
         RecordingError: The run directory cannot be written to.
     """
     experiment, plan = unfinished.experiment, unfinished.plan
@@ -161,22 +162,6 @@ def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded
                 attendance.stage(text)
             attempt = Attempt(directory, number, experiment, plan, todo, before)
             return execute(attempt, robot, attendance)
-
-
-def asks_again(directory: RunDirectory, experiment: Experiment) -> bool:
-    """Return whether going on with a run has to be confirmed; nothing is connected.
-
-    Args:
-        directory: The run, see `require_resumable`.
-        experiment: Its own copies of spec and station.
-
-    Raises:
-        DataError: Its plan cannot be read.
-        SpecError, PluginError, RobotError: The robot cannot be opened.
-    """
-    gate = Gate(experiment, Unconfirmed(), _confirmed_before(directory))
-    with opened(experiment.spec.robot, experiment.robot) as robot:
-        return address_of(robot).real and gate.asks(robot, read_plan(directory.path / "plan.json"))
 
 
 def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:

@@ -141,7 +141,7 @@ def go_on_with(
         run: Directory of a run that ended early.
         runs: The folder of runs that it is in.
         operator: Who asks; recorded as who is at the robot.
-        confirmed: As in `start_run`; not needed if address and payload are unchanged.
+        confirmed: As in `start_run`; not needed if what was confirmed before still holds.
 
     Raises:
         DataError: It is live, was completed, or cannot be gone on with; nothing was started.

@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from hil.campaign.confirmation import digest_of
+from hil.campaign.confirmation import digest_of, together
 from hil.errors import HilError, NotConfirmed, SpecError
 from hil.web.planning import plan_apart
 from hil.web.threads import PLANS
@@ -43,14 +43,9 @@ class ShownMotions:
         return digest
 
     def confirmed(self, digest: str) -> dict[str, Any]:
-        """Return what a digest confirms; of several motions what they have in common.
-
-        Empty where no page has shown it.
-        """
+        """Return what a digest confirms, see `together`; empty where no page has shown it."""
         with self._looking:
-            motions = self._kept.get(digest, [])
-        first = motions[0] if motions else {}
-        return {key: value for key, value in first.items() if all(value == m[key] for m in motions)}
+            return together(self._kept.get(digest, []))
 
 
 MOTIONS = ShownMotions()
@@ -69,7 +64,13 @@ def refusal_of(given: Mapping[str, str], digest: str, *, real: bool) -> HilError
     if not real:
         return None
     facts = MOTIONS.confirmed(given.get("facts", ""))
-    if not (facts.get("robot") and facts.get("address") and given.get("checked")):
+    if facts and not (facts.get("robot") and facts.get("address")):
+        robots = {f"{one['robot']} at {one['address']}": None for one in facts["motions"]}
+        return NotConfirmed(
+            f"not started: it moves {' and '.join(robots)}, and this form confirms one robot",
+            hint=f"start it on the command line: hil run {given.get('spec', '')}".rstrip(),
+        )
+    if not (facts and given.get("checked")):
         return NOT_SHOWN
     if given.get("confirm", "").strip() != facts["robot"]:
         return NotConfirmed(

@@ -15,7 +15,8 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from hil.campaign.experiment import load_experiment
-from hil.campaign.resuming import asks_again, require_resumable
+from hil.campaign.resuming import require_resumable
+from hil.campaign.robots import moves_for_real
 from hil.campaign.starting import check_resume, go_on_with, started_runs
 from hil.report.judgement import RESUMABLE
 from hil.web.checked import digest_of
@@ -105,13 +106,13 @@ async def go_on(request: Request) -> Response:
         return ONCE.of(sent, lambda: start().id) if given.get("once") else start().id
 
     run, digest, real = await in_thread("starting", look)
-    confirmed = MOTIONS.confirmed(given.get("facts", "")) if real else None
+    confirmed = (MOTIONS.confirmed(given.get("facts", "")) or None) if real else None
     if (refusal := refusal_of(given, digest, real=real)) is not None:
         try:
             shown = await plans_to_show(lambda: _asked(run), request.is_disconnected)
         except (Gone, CancelledError):  # by the client, or with the dashboard: it is not read
             return Response(status_code=499)
-        # Without a motion everything is measured, and what is left is to fit and to judge it.
+        # Without facts the motion was confirmed before, from where the arm stands, or none is left.
         if "error" in shown or shown["facts"]:
             shown = {"error": refusal, "status": 409} | shown
             return await run_in_threadpool(ended_page, request, run, operator=operator, shown=shown)
@@ -119,14 +120,14 @@ async def go_on(request: Request) -> Response:
 
 
 def resumption_of(run: Path, settings: Settings) -> tuple[str, bool]:
-    """Return a digest of what going on with a run executes, and whether it has to be confirmed.
+    """Return a digest of what going on with a run executes, and whether a real robot moves.
 
     Raises:
         HilError: It cannot be gone on with.
     """
-    directory = check_resume(run, settings.runs)
+    check_resume(run, settings.runs)
     experiment = load_experiment(run / "spec.yaml", run / "station.yaml")
-    return digest_of([experiment]), asks_again(directory, experiment)
+    return digest_of([experiment]), moves_for_real(experiment)
 
 
 async def _asked(run: Path) -> dict[str, str]:
