@@ -109,10 +109,19 @@ class FoxgloveLive:
         ever: such a one is left behind, and goes with the process.
         """
         server, self._server = self._server, None
-        self._channels, self._context = {}, None
-        if server is not None:
-            with contextlib.suppress(HilError):
-                bounded(server.stop, STOP_WITHIN_S, "closing the live view")
+        channels, self._channels = self._channels, {}
+        contexts, self._context = [self._context], None
+        if server is None:
+            return
+
+        def close() -> None:
+            server.stop()
+            # Not while clients are served: freeing a channel has blocked the whole process then.
+            channels.clear()
+            contexts.clear()
+
+        with contextlib.suppress(HilError):
+            bounded(close, STOP_WITHIN_S, "closing the live view")
 
     def __enter__(self) -> FoxgloveLive:
         self.start()
