@@ -80,6 +80,7 @@ def test_no_operator_attends_the_run_of_a_worker(
         raise HilError("enough")
 
     monkeypatch.setattr("hil.campaign.run.resume_experiment", resumed)
+    (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
     answer = worker._done(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
     assert answer["error"]["message"] == "enough"
     assert desks[0].go_on is nobody_goes_on
