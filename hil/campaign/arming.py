@@ -87,7 +87,7 @@ class Moves:
                     f"{self.file}: robots: {name} is a real robot ({experiment.station_source}), "
                     f"and its driver {experiment.robot.driver!r} does not state an address",
                     hint="add the property `address` (hil.robot.HasAddress) to the driver: only an "
-                    "address tells one robot from another",
+                    "address distinguishes one robot from another",
                 )
             real.append(experiment)
             addresses[name] = at.text

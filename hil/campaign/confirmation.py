@@ -51,7 +51,7 @@ class MotionFacts:
     """What a person has to know before a robot moves.
 
     Attributes:
-        experiment: Name of the experiment; tells the motions of a series apart.
+        experiment: Name of the experiment; distinguishes the motions of a series.
         robot: Name in its station.
         model, driver: As the station says.
         address: Where its commands go.
