@@ -194,20 +194,23 @@ def test_a_program_of_somebody_else_is_recorded_and_fitted_to(tmp_path):
     poses = HOME + np.random.default_rng(3).uniform(-1, 1, (20, 6)) * SPREAD
     with mock_ur("--speed", "10") as mock:
         recording = start_recording(tmp_path, mock.address, "--until", "program-stops")
-        lines = [line for q in poses for line in (f"movej({bracketed(q)}, a=4, v=2)", "sleep(0.4)")]
-        play(mock, lines)
+        # Long enough that a late slip of an axis leaves most of the dwell.
+        lines = [line for q in poses for line in (f"movej({bracketed(q)}, a=4, v=2)", "sleep(0.8)")]
+        play(mock, ["sleep(1.0)", *lines])
         document = finished(recording)
     assert document["reason"] == "the program has stopped"
     assert (document["gaps"], document["missing"], document["duplicates"]) == (0, 0, 0)
     run = Path(document["run"])
     dwells = load_source(run, kinds=("dwell",))
     stood = np.array([dwells["q"][rows].mean(axis=0) for _, rows in dwells.slices()])
-    assert len(stood) == 21  # and where it stood before
-    assert np.abs(stood[1:] - poses).max() < 2e-3
+    assert np.abs(stood[0] - HOME).max() < 2e-3  # where it stood before
+    missed = [n for n, q in enumerate(poses) if np.abs(stood - q).max(axis=1).min() > 2e-3]
+    assert not missed, (document["found"], stood)
+    assert len(stood) >= 21  # one more where an axis slipped in the middle of a dwell
     assert {c.payload.mass for c in dwells.conditions} == {0.0}
     fitted = fit_sources([run], estimator="static-wls", out=tmp_path / "models")
     assert fitted.fitted.model.training_ is not None
-    assert fitted.fitted.model.training_.samples == 210
+    assert fitted.fitted.model.training_.samples == 10 * len(stood)
     moves = fit_sources([run], estimator="rigid-wls", out=tmp_path / "models")
     assert moves.fitted.seconds > 0
 
