@@ -7,9 +7,9 @@ sheet); they are repeated because what shows itself, such as a dataset, may not 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
-from typing import Literal
+from typing import Any, Literal
 
 Tone = Literal["pass", "fail", "warn"]
 Row = Sequence[object]
@@ -29,6 +29,9 @@ DARK = {
 }  # fmt: skip
 
 MOST_ROWS = 12
+
+CARDS: dict[type, Callable[[Any], str]] = {}
+"""Cards that a later package draws: the picture of a plan is drawn by the report."""
 
 
 def card(

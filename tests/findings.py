@@ -397,7 +397,7 @@ def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
     from hil.campaign.confirmation import Granted, motion_facts, together
     from hil.campaign.experiment import load_experiment
-    from hil.campaign.robots import planned
+    from hil.campaign.preview import planned
     from hil.errors import NotConfirmed
 
     shown = []

@@ -30,7 +30,8 @@ from hil.campaign.arming import (
 )
 from hil.campaign.confirmation import motion_facts
 from hil.campaign.experiment import Experiment, load_experiment
-from hil.campaign.robots import opened, planned
+from hil.campaign.preview import planned
+from hil.campaign.robots import opened
 from hil.cli.app import app
 from hil.errors import NotConfirmed, SpecError, exit_code_of
 from hil.pipeline import measuring

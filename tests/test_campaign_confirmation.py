@@ -28,6 +28,7 @@ from hil.campaign.confirmation import (
 )
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
+from hil.campaign.preview import planned
 from hil.campaign.run import RunReport
 from hil.cli.app import app
 from hil.engine import Reply
@@ -391,7 +392,7 @@ def test_what_was_confirmed_covers_less_motion_but_no_more(
 def test_facts_confirmed_on_a_form_move_that_robot_and_no_other(
     real: Callable[[str], None], experiment: hil.Experiment
 ) -> None:
-    with hil.campaign.robots.planned(experiment) as (robot, plan, _):
+    with planned(experiment) as (robot, plan, _):
         facts = confirmation.motion_facts(experiment, robot, plan).to_dict()
     file = experiment.folder / "confirmed.json"
     file.write_text(json.dumps({"how": "dashboard", "by": "anna", "facts": facts}))

@@ -12,7 +12,7 @@ from report_runs import dwell_plan, write_run
 
 from hil import plugins
 from hil.campaign.judging import judge_recording, judge_run
-from hil.campaign.view import verdict_word
+from hil.campaign.verdict import verdict_word
 from hil.errors import DataError, FitError
 from hil.identify.static import StaticWls
 from hil.record.rundir import RunDirectory

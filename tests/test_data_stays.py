@@ -7,9 +7,9 @@ from fuzzing import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.data.described import dwell_rule_of, steps_of_plan
+from hil.data.described import dwell_rule_of, found_plan, steps_of_plan
 from hil.data.dwells import find_dwells
-from hil.data.stays import MOST_HELD, FoundSteps, StayFinder, found_plan
+from hil.data.stays import MOST_HELD, FoundSteps, StayFinder
 from hil.payload import Payload
 from hil.robot.state import state_dtype
 from hil.typing import StructArray

@@ -21,7 +21,8 @@ from recorded_rows import record_state
 
 import hil.record.numbering as numbering
 from hil.errors import DataError, RecordingError
-from hil.record import RunDirectory, list_runs
+from hil.record import RunDirectory
+from hil.record.catalogue import list_runs
 
 
 def started(root: Path, name: str = "fourier") -> RunDirectory:

@@ -82,7 +82,8 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         PlanError: No safe plan follows from the spec.
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.campaign.robots import planned
+    from hil.campaign.preview import planned
+    from hil.plan import shown  # noqa: F401  the card of a plan in a notebook has its picture
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):
         return made

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.live_state import read_live
-from hil.campaign.view import verdict_word
+from hil.campaign.verdict import verdict_word
 from hil.errors import DataError, Rejected
 from hil.record.catalogue import list_runs
 from hil.record.lock import is_live

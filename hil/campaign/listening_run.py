@@ -13,7 +13,8 @@ from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import open_recorder
 from hil.campaign.listening_notes import NOT_USABLE, fit_notes, unusable_notes
 from hil.campaign.sink import RunSink, counts_of
-from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder, found_plan
+from hil.data.described import found_plan
+from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
 from hil.errors import HilError, RobotTimeout, exit_code_of
 from hil.payload import Payload

@@ -9,7 +9,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hil import plugins
-from hil.campaign.arm_check import require_within_reach
 from hil.campaign.experiment import Experiment
 from hil.engine.bounded import bounded
 from hil.excite.setting import Watch, unwatched
@@ -115,56 +114,19 @@ def held(
     """
     with opened(experiment.spec.robot, experiment.robot) as robot:
         admit(robot)
-        with _held(experiment, robot, wait_s=wait_s, tell=report) as lease:
+        with leased_and_connected(experiment, robot, wait_s=wait_s, tell=report) as lease:
             yield robot, lease
 
 
 @contextlib.contextmanager
-def planned(
-    experiment: Experiment, *, connect: bool = False, watch: Watch = unwatched
-) -> Iterator[tuple[Robot, Plan, bool]]:
-    """The robot, the plan, and whether it begins where the robot stands now.
-
-    A robot in wall time is left alone unless it is to be connected to: plans are made at desks,
-    before the arm is switched on, and while others drive it. Its plan begins in the roomiest pose
-    of its range then, at the rate and within the limits that its driver knows by itself.
-
-    Args:
-        experiment: Says which robot of which station.
-        connect: Plan from where a robot in wall time stands now, too; it is leased meanwhile.
-        watch: Is told how far trajectories are that take long to compute.
-
-    Raises:
-        RobotConnectionError, PluginError, SpecError, RobotError: See `held`.
-        SpecError: The arm cannot do it, or it would give no result; see `require_within_reach`.
-        PlanError: No safe plan follows from the spec.
-    """
-    with opened(experiment.spec.robot, experiment.robot) as robot:
-        can = robot.capabilities
-        require_within_reach(experiment, can)
-        if can.clock == "wall" and not connect:
-            plan = build_plan(
-                experiment.spec,
-                experiment.robot,
-                rate_hz=can.rate_hz,
-                watch=watch,
-                part=experiment.commissioning,
-            )
-            yield robot, plan, False
-            return
-        with _held(experiment, robot):
-            yield robot, plan_for(experiment, robot, watch), True
-
-
-@contextlib.contextmanager
-def _held(
+def leased_and_connected(
     experiment: Experiment,
     robot: Robot,
     *,
     wait_s: float = 0.0,
     tell: Callable[[str], object] = lambda text: None,
 ) -> Iterator[Lease]:
-    """An open robot, leased, then connected; let go of in the opposite order."""
+    """Lease an open robot, then connect it; release both in the opposite order."""
     name, station = experiment.spec.robot, experiment.station_source
     driver = experiment.robot.driver
     with leased(

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment
-from hil.campaign.verdict import VerdictWord
-from hil.campaign.view import verdict_word
+from hil.campaign.verdict import VerdictWord, verdict_word
 from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal

@@ -10,13 +10,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, HilError
 from hil.plan.commissioning import Commissioning
-from hil.record.files import json_document, read_json, require_known_version, write_replacing
+from hil.record.files import (
+    json_document,
+    new_folder,
+    read_json,
+    require_known_version,
+    write_replacing,
+)
 from hil.record.numbering import name_for_path
 from hil.spec.series import SeriesSpec
 
@@ -115,16 +120,3 @@ class SeriesFolder:
 def is_series_folder(path: Path) -> bool:
     """Whether a series was begun in a folder."""
     return (path / DOCUMENT).is_file()
-
-
-def new_folder(above: Path, name: str) -> Path:
-    """A new folder of this name, or of the name and the next free number."""
-    above.mkdir(parents=True, exist_ok=True)
-    for n in count(1):
-        path = above / (name if n == 1 else f"{name}-{n}")
-        try:
-            path.mkdir()
-        except FileExistsError:
-            continue
-        return path
-    raise AssertionError("there is always a next number")

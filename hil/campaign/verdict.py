@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
-from hil.errors import HilError
+from hil.errors import DataError, HilError
+from hil.record.files import read_json
 from hil.spec.experiment import Accept
 
 VerdictWord = Literal["passed", "rejected", "not judged"]
@@ -98,3 +100,17 @@ def word(passed: bool | None) -> VerdictWord:
 
 def _passed(rows: Sequence[Mapping[str, Any]]) -> bool | None:
     return all(row["passed"] for row in rows) if rows else None
+
+
+def verdict_word(run: Path) -> VerdictWord:
+    """Return `passed`, `rejected` or `not judged`, as `verdict.json` of a run directory says.
+
+    A missing or damaged file says nothing.
+    """
+    file = run / "verdict.json"
+    try:
+        document = read_json(file) if file.is_file() else {}
+    except DataError:
+        document = {}
+    passed = document.get("passed")
+    return word(passed if isinstance(passed, bool) else None)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.verdict import VerdictWord, word
+from hil.campaign.verdict import verdict_word
 from hil.errors import DataError, HilError
 from hil.identify.model_folder import models_below
 from hil.record.catalogue import RunListing
@@ -80,13 +80,6 @@ def describe_run(run: str | Path) -> dict[str, Any]:
     }
     page = directory.path / "report.html"
     return out | {"report": str(page) if page.is_file() else None}
-
-
-def verdict_word(run: Path) -> VerdictWord:
-    """`passed`, `rejected` or `not judged`."""
-    document = _optional(run / "verdict.json") or {}
-    passed = document.get("passed")
-    return word(passed if isinstance(passed, bool) else None)
 
 
 def number_in(document: Mapping[str, Any], key: str) -> float | None:

@@ -38,10 +38,10 @@ def simulate_schedule(
         json: Whether to print one document and nothing else.
     """
     from hil.campaign.extras import require_extras
-    from hil.campaign.series_folder import new_folder
     from hil.engine.signals import ignore_from_now_on
     from hil.pipeline.bound import bind
     from hil.pipeline.simulation import require_mock, simulate
+    from hil.record.files import new_folder
     from hil.record.numbering import name_for_path
     from hil.report.simulation_page import render_simulation
     from hil.spec.schedule import load_schedule_spec

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.data.dataset import SeriesKind
+from hil.data.dwells import DwellRule as StayRule
 from hil.data.series import Origin, StepNote
 from hil.errors import DataError
 from hil.payload import Payload
@@ -183,3 +184,41 @@ def dwell_rule_of(plan: Mapping[str, Any], where: object) -> DwellRule:
             raise ValueError(f"samples is {samples}")
         rest = {key: number(raw[key], key) for key in raw if key != "samples"}
         return DwellRule(samples=samples, **rest)
+
+
+FOUND_FORMAT = 1
+
+
+def found_plan(
+    steps: list[dict[str, Any]], *, name: str, robot: Mapping[str, Any], payload: Payload
+) -> dict[str, Any]:
+    """What was found, in the form of a plan document, but without motions: it moves nothing.
+
+    Args:
+        steps: By `FoundSteps.steps`.
+        name: Of the recording.
+        robot: As in its start document.
+        payload: What was mounted.
+    """
+    rule = DwellRule(settle_rad_s=StayRule().speed)
+    return {
+        "hil_found": FOUND_FORMAT,
+        "name": name,
+        "robot_model": robot["model"],
+        "joint_names": list(robot["joint_names"]),
+        "rate_hz": robot["rate_hz"],
+        "dwell": {
+            "dwell_s": rule.dwell_s,
+            "samples": rule.samples,
+            "settle_rad_s": rule.settle_rad_s,
+            "timeout_s": rule.timeout_s,
+        },
+        "loads": [
+            {
+                "mass_kg": payload.mass,
+                "com_m": list(payload.com),
+                "inertia_kgm2": list(payload.inertia),
+            }
+        ],
+        "steps": steps,
+    }

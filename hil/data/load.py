@@ -20,6 +20,7 @@ from hil.data.completeness import base_record, dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.described import (
     dwell_rule_of,
+    found_plan,
     mapping,
     origin_of_import,
     origin_of_run,
@@ -32,7 +33,7 @@ from hil.data.described import (
 )
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import TARGET, Series, StepNote, assemble, cut
-from hil.data.stays import FOUND_FILE, FoundSteps, found_plan
+from hil.data.stays import FOUND_FILE, FoundSteps
 from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import DwellRule

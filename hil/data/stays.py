@@ -8,15 +8,12 @@ even ones move, odd ones stand still.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hil.data.dwells import DwellRule
-from hil.payload import Payload
-from hil.plan.plan import DwellRule as PlanRule
 from hil.typing import BoolArray, FloatArray, StructArray
 
 LEAVES_AT = 2.0
@@ -189,44 +186,6 @@ class FoundSteps:
             return 0
         way = self._found[index].q_end - before.q_end
         return int((way > 0).all()) - int((way < 0).all())
-
-
-FOUND_FORMAT = 1
-
-
-def found_plan(
-    steps: list[dict[str, Any]], *, name: str, robot: Mapping[str, Any], payload: Payload
-) -> dict[str, Any]:
-    """What was found, in the form of a plan document, but without motions: it moves nothing.
-
-    Args:
-        steps: By `FoundSteps.steps`.
-        name: Of the recording.
-        robot: As in its start document.
-        payload: What was mounted.
-    """
-    rule = PlanRule(settle_rad_s=DwellRule().speed)
-    return {
-        "hil_found": FOUND_FORMAT,
-        "name": name,
-        "robot_model": robot["model"],
-        "joint_names": list(robot["joint_names"]),
-        "rate_hz": robot["rate_hz"],
-        "dwell": {
-            "dwell_s": rule.dwell_s,
-            "samples": rule.samples,
-            "settle_rad_s": rule.settle_rad_s,
-            "timeout_s": rule.timeout_s,
-        },
-        "loads": [
-            {
-                "mass_kg": payload.mass,
-                "com_m": list(payload.com),
-                "inertia_kgm2": list(payload.inertia),
-            }
-        ],
-        "steps": steps,
-    }
 
 
 def _pose(q: FloatArray, poses: list[FloatArray]) -> int:

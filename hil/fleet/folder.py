@@ -15,12 +15,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.series_folder import new_folder
 from hil.errors import DataError, RecordingError
 from hil.held_file import hold
 from hil.holder import Holder, this_process
 from hil.record.files import (
     json_document,
+    new_folder,
     read_json,
     require_known_version,
     write_once,

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.verdict import VerdictWord
-from hil.campaign.view import verdict_word
+from hil.campaign.verdict import VerdictWord, verdict_word
 from hil.errors import DataError
 from hil.fleet.fit_task import FitResult
 from hil.identify.model_file import write_whole

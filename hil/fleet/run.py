@@ -10,7 +10,7 @@ from typing import Any
 
 from hil import errors
 from hil.campaign.series import Ended
-from hil.campaign.view import verdict_word
+from hil.campaign.verdict import verdict_word
 from hil.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
 from hil.fleet.folder import FleetFolder
 from hil.fleet.workers import Manner, Workers

@@ -20,8 +20,7 @@ import numpy as np
 from hil.errors import FitError, SpecError
 from hil.identify.band_coverage import BandCoverage
 from hil.identify.block_quantile import conformal_quantile
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import number
+from hil.identify.parameters import number, whole
 from hil.identify.speed_ranges import range_numbers, speed_edges, window_of
 from hil.typing import BoolArray, FloatArray, IntArray
 

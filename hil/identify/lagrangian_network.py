@@ -31,8 +31,7 @@ from hil.identify.lagrangian.direction import DIRECTION
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.lagrangian.friction_settings import FRICTIONS
 from hil.identify.lagrangian.task import Preparation
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share
+from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share, whole
 from hil.identify.plausible import require_plausible
 from hil.identify.training_loop.extra import LEARN, TO_TRAIN, require_torch
 from hil.identify.training_loop.settings import TrainingSettings

@@ -184,3 +184,15 @@ def require_known(given: dict[str, Any], known: tuple[str, ...], of: str) -> Non
                 f"{of} has no parameter {name!r} (it has {', '.join(known) or 'none'})",
                 hint=did_you_mean(name, known),
             )
+
+
+def whole(name: str, value: Any, *, at_least: int, at_most: float | None = None) -> int:
+    """Return a whole number of at least and at most so much.
+
+    Raises:
+        SpecError: It is not; the message names the parameter.
+    """
+    number(name, value, at_least=at_least, at_most=at_most)
+    if int(value) != value:
+        raise SpecError(f"{name} is {value!r}, but must be a whole number")
+    return int(value)

@@ -29,8 +29,7 @@ from hil.identify.checks import (
     require_robot,
     torque_scale,
 )
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import MOST_SEED, mapping, number, settings, share
+from hil.identify.parameters import MOST_SEED, mapping, number, settings, share, whole
 from hil.identify.plausible import require_plausible
 from hil.identify.residual.fit import Course, learn, require_one_rate
 from hil.identify.residual.fitted import CorrectedModel

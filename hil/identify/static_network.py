@@ -24,7 +24,7 @@ from hil.errors import FitError, SpecError
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.network import Mlp
-from hil.identify.lm.settings import Settings, whole
+from hil.identify.lm.settings import Settings
 from hil.identify.lm.train import train
 from hil.identify.lm.trained import Callback
 from hil.identify.network_inputs import (
@@ -40,7 +40,7 @@ from hil.identify.network_result import (
     held_out_poses,
     networks_from,
 )
-from hil.identify.parameters import choice, flag, number
+from hil.identify.parameters import choice, flag, number, whole
 from hil.identify.static_model import Form, StaticModel
 from hil.identify.stream import MemorylessStream
 from hil.payload import Payload

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from hil.excite.motion import Motion, motion_from_dict
+from hil.notebook import CARDS, card
 from hil.payload import Payload
 from hil.plan.extremes import Extremes, extremes_of
 from hil.typing import FloatArray
@@ -142,10 +143,11 @@ class Plan:
         return f"<Plan {self.name} for {self.robot_model}: {told}>"
 
     def _repr_html_(self) -> str:
-        """Itself in a notebook, with its picture."""
-        from hil.plan.shown import plan_card
-
-        return plan_card(self)
+        """Card for a notebook; with its picture where `hil.report` is loaded, as by `hil.plan`."""
+        if drawn := CARDS.get(Plan):
+            return drawn(self)
+        facts = {"robot": self.robot_model, "takes": f"{self.duration_s:.0f} s"}
+        return card("Plan", self.name, facts | {"hash": self.hash[:12]})
 
     @property
     def waypoints(self) -> int:

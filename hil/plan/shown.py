@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.notebook import card, number
+from hil.notebook import CARDS, card, number
 from hil.plan.picture import picture_of
 from hil.plan.plan import Plan
 from hil.plan.preview import preview
@@ -27,3 +27,6 @@ def plan_card(plan: Plan) -> str:
         "hash": plan.hash[:12],
     }
     return card("Plan", plan.name, facts, picture=picture_of(plan), notes=told.warnings)
+
+
+CARDS[Plan] = plan_card

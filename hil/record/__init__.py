@@ -1,6 +1,5 @@
 """MCAP recording, columnar reading and the run directory."""
 
-from hil.record.catalogue import RunListing, list_runs
 from hil.record.continuity import Counts
 from hil.record.events import EventLog, read_events
 from hil.record.provenance import collect_provenance
@@ -20,12 +19,10 @@ __all__ = [
     "Recorder",
     "RecordingInfo",
     "RunDirectory",
-    "RunListing",
     "RunStatus",
     "Topic",
     "TopicInfo",
     "collect_provenance",
-    "list_runs",
     "read_events",
     "read_info",
     "read_topic",

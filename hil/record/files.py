@@ -8,6 +8,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -149,3 +150,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple, set, frozenset)):
         return [_plain(item) for item in value]
     return str(value)
+
+
+def new_folder(above: Path, name: str) -> Path:
+    """Create a folder of this name, or of the name and the next free number."""
+    above.mkdir(parents=True, exist_ok=True)
+    for n in count(1):
+        path = above / (name if n == 1 else f"{name}-{n}")
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        return path
+    raise AssertionError("there is always a next number")

@@ -15,8 +15,7 @@ from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
 from hil.identify.checks import Needs
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import flag, number
+from hil.identify.parameters import flag, number, whole
 from hil.study import dynamic_tables as tables
 from hil.study.base import Progress, Study, silent
 from hil.study.dynamic_data import NEEDS, trajectories_of

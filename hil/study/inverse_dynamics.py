@@ -15,8 +15,7 @@ from hil.dynamics import RobotModel
 from hil.errors import FitError
 from hil.executor import cores
 from hil.identify.checks import Needs
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import MOST_SEED, flag, number
+from hil.identify.parameters import MOST_SEED, flag, number, whole
 from hil.study import inverse_drawn as drawn
 from hil.study import inverse_tables as tables
 from hil.study.base import Progress, Study, silent

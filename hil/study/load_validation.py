@@ -17,8 +17,7 @@ from hil.dynamics import RobotModel
 from hil.errors import HilError, SpecError
 from hil.identify.base import HONEST
 from hil.identify.checks import Needs
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, flag, number
+from hil.identify.parameters import choice, flag, number, whole
 from hil.identify.payload_declared import FALSE_ALARM
 from hil.identify.payload_problem import Friction
 from hil.study import load_tables as tables

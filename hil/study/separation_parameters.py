@@ -7,8 +7,7 @@ from typing import Any
 
 from hil.errors import SpecError
 from hil.identify.lm.network import Mlp
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, number
+from hil.identify.parameters import choice, number, whole
 
 INPUTS = 4
 

@@ -15,8 +15,7 @@ from hil.errors import FitError
 from hil.executor import cores
 from hil.identify.checks import Needs
 from hil.identify.linear_methods import Weights
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, flag, number
+from hil.identify.parameters import choice, flag, number, whole
 from hil.study.base import Progress, Study, silent
 from hil.study.result import Part, StudyResult
 from hil.study.separation_band import bands

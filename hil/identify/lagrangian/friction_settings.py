@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
 from hil.errors import SpecError
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, flag, number, require_known
+from hil.identify.parameters import choice, flag, number, require_known, whole
 
 FrictionKind: TypeAlias = Literal["none", "coulomb", "stribeck", "dissipative", "unconstrained"]
 

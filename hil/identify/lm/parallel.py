@@ -20,9 +20,10 @@ from threadpoolctl import threadpool_limits
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.rows import Rows
 from hil.identify.lm.scaling import Scaling
-from hil.identify.lm.settings import Settings, whole
+from hil.identify.lm.settings import Settings
 from hil.identify.lm.trained import Callback, Epoch, History
 from hil.identify.lm.training import Training
+from hil.identify.parameters import whole
 from hil.typing import FloatArray
 
 POLL_S = 0.05

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from hil.errors import SpecError
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.steps import Solver
-from hil.identify.parameters import choice, number, require_known
+from hil.identify.parameters import choice, number, require_known, whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +72,3 @@ class Settings:
         """
         require_known(settings, tuple(f.name for f in fields(Settings)), "train")
         return Settings(**settings)
-
-
-def whole(name: str, value: Any, *, at_least: int, at_most: float | None = None) -> int:
-    """A whole number of at least so much, and at most so much.
-
-    Raises:
-        SpecError: It is not; the message names the parameter.
-    """
-    number(name, value, at_least=at_least, at_most=at_most)
-    if int(value) != value:
-        raise SpecError(f"{name} is {value!r}, but must be a whole number")
-    return int(value)

@@ -13,7 +13,7 @@ from hil.errors import FitError
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.conformal import SpeedBands
 from hil.identify.friction_curve import FrictionCurve, HasFrictionCurve
-from hil.identify.lm.settings import whole
+from hil.identify.parameters import whole
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.selection import Selection
 from hil.identify.residual.settings import ResidualSettings

@@ -7,8 +7,7 @@ from math import gcd
 from typing import Any, Literal, get_args
 
 from hil.errors import SpecError
-from hil.identify.lm.settings import whole
-from hil.identify.parameters import choice, flag, number, require_known
+from hil.identify.parameters import choice, flag, number, require_known, whole
 
 Heard = Literal["motion", "history", "measured"]
 Layout = Literal["grouped", "joint"]
