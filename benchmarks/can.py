@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RobotError
+from hil.core.errors import RobotError
 
 RATES_HZ = (250, 500, 1000)
 SECONDS, QUICK_SECONDS = 0.8, 0.3

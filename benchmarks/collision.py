@@ -12,9 +12,9 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from hil.arms import ArmDescription, load_arm
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import CollisionModel, Environment
 from hil.dynamics.build import model_from_arm
-from hil.typing import FloatArray, IntArray
 
 SAMPLES = 560_000
 LEG_SAMPLES = 860

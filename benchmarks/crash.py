@@ -26,11 +26,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import StructArray
 from hil.record import STATE_TOPIC, Attachment, McapWriter, Recorder, read_topic, state_topic
 from hil.record.recover_run import recover
 from hil.record.rundir import RunDirectory
-from hil.typing import StructArray
 
 RATE_HZ = 500.0
 KILLS, QUICK_KILLS = 200, 10

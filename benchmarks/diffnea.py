@@ -18,6 +18,7 @@ import numpy as np
 import scipy.optimize
 from threadpoolctl import threadpool_limits
 
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
 from hil.identify.compress import upper_triangle
 from hil.identify.diffnea.bodies import Bodies
@@ -25,7 +26,6 @@ from hil.identify.diffnea.forms import FORMS, spread
 from hil.identify.diffnea.motion import ArmMotion, sign_of
 from hil.identify.diffnea.problem import Problem
 from hil.identify.diffnea.unknowns import Unknowns, folding
-from hil.typing import FloatArray
 
 SAMPLES, QUICK_SAMPLES = 12_000, 1_000
 ITERATIONS, QUICK_ITERATIONS = 1_000, 100

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import load_arm
+from hil.core.typing import StructArray
 from hil.dynamics import CollisionModel
 from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
@@ -18,7 +19,6 @@ from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
 from hil.robot import Status, state_dtype
 from hil.spec import ExperimentSpec, StationRobot
-from hil.typing import StructArray
 
 POSES, QUICK_POSES = 24, 4
 PEER_ROWS, QUICK_PEER_ROWS = 4000, 500

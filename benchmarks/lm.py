@@ -19,7 +19,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from hil.errors import FitError
+from hil.core.errors import FitError
 
 POSES, QUICK_POSES = 650, 60
 ITERATIONS, QUICK_ITERATIONS = 100, 5

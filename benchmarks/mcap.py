@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.record import STATE_TOPIC, McapWriter, Topic, read_topic, state_topic
-from hil.typing import StructArray
 
 RATE_HZ = 500.0
 MESSAGES, QUICK_MESSAGES = 600_000, 30_000

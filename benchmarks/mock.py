@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.robot import Segment
-from hil.typing import FloatArray
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.driver import MockRobot
 

@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import load_arm
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
 from hil.dynamics.regressor import COMPILED_FROM, compiles
-from hil.typing import FloatArray
 
 ARM = "ur5"
 SAMPLES = 60_000

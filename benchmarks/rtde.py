@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import RobotError
-from hil.typing import FloatArray, StructArray
+from hil.core.errors import RobotError
+from hil.core.typing import FloatArray, StructArray
 from hil_drivers.ur.receiver import Receiver
 
 SECONDS, QUICK_SECONDS = 20.0, 3.0

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, StructArray
 from hil.record import STATE_TOPIC, Counts, McapWriter, Recorder, read_topic, state_topic
 from hil.record.parts import part_name, recordings_in
-from hil.typing import FloatArray, StructArray
 
 RATE_HZ = 500.0
 HOURS, QUICK_HOURS = 1.0, 0.05

@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hil.api import (
-        Experiment,
         dataset,
         estimate_payload,
         evaluate,
         export_data,
         export_model,
         figures,
-        find_runs,
         fit,
         import_recording,
         load,
@@ -34,6 +32,8 @@ if TYPE_CHECKING:
         study,
         try_out,
     )
+    from hil.campaign.experiment import Experiment
+    from hil.catalogue.view import find_runs
 
 __version__ = "0.1.0"
 

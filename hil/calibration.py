@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
 
+from hil.core.errors import DataError, SpecError
+from hil.core.suggest import did_you_mean
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.load import load_source
 from hil.dynamics import load_model
-from hil.errors import DataError, SpecError
 from hil.identify.controller_gains import ControllerGains, controller_gains, shows_controller
 from hil.identify.gains import Gains, calibrate_gains
-from hil.suggest import did_you_mean
 
 GainsMethod = Literal["auto", "known-loads", "controller"]
 

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hil.core.errors import DataError, FitError, RecordingError, SpecError
+from hil.core.extras import require_installed
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
-from hil.errors import DataError, FitError, RecordingError, SpecError
 from hil.evaluate import evaluate
-from hil.extras import require_installed
 from hil.gains_file import DriveGains
 from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
@@ -31,7 +32,6 @@ from hil.identify.training import Training
 from hil.identify.training_loop.attached import attach, keeps_checkpoints
 from hil.identify.training_loop.problem import HearsBeginning, Watch
 from hil.payload import Payload
-from hil.typing import FloatArray
 from hil.validation import (
     EVALUATION_FILE,
     Validation,
@@ -80,7 +80,7 @@ class FitReport:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per held-out source."""
-        from hil.notebook import card, number
+        from hil.core.notebook import card, number
 
         model = self.fitted.model
         unit = "A" if model.effort_kind_ == "current" else "N·m"

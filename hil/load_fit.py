@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hil.core.errors import DataError, SpecError
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
 from hil.dynamics.weighing import CALIBRATED_SHARE, GAIN_SHARE
-from hil.errors import DataError, SpecError
 from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
 from hil.identify.gain_lines import calibrated

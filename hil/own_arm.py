@@ -12,14 +12,14 @@ import numpy as np
 import yaml
 
 from hil.arms import ArmDescription, arm_from_dict
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.dynamics.collision import CollisionModel
 from hil.dynamics.described import Described, described
 from hil.dynamics.environment import Environment
-from hil.errors import SpecError
 from hil.own_arm_limits import require_ranges, without_odd_speeds
 from hil.own_arm_text import arm_text, silent
 from hil.spec.new import Draft, render
-from hil.typing import FloatArray
 
 MOCKED_JOINTS = 6
 """The mock has drives for so many."""

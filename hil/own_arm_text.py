@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.source import shown
+from hil.core.typing import BoolArray, FloatArray
 from hil.dynamics.described import Described
 from hil.spec.new import quoted
-from hil.spec.source import shown
-from hil.typing import BoolArray, FloatArray
 
 ACCELERATION_PER_SPEED = 3.0
 """Guessed limit [1/s]: full speed in a third of a second."""

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from hil.campaign.experiment import BUILT_IN, find_station
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.suggest import did_you_mean
 from hil.identify.base import RobotEstimator
 from hil.spec.station import StationRobot
-from hil.suggest import did_you_mean
 
 GRAVITY_TOLERANCE = 0.05
 """[m/s²]"""

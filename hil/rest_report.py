@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.core.errors import PlanError, SpecError
+from hil.core.typing import FloatArray
 from hil.deploy.rest_pose import RestPose, described, rest_poses
 from hil.deploy.resting import RestingArm
-from hil.errors import PlanError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.standstill import gravity_torque, holding_friction, require_torque
 from hil.payload import Payload
 from hil.plan.surroundings import collision_model
 from hil.rest_place import place_of
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.collision import CollisionModel

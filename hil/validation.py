@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.data.fingerprints import revisited
 from hil.data.load import serial_of
 from hil.data.splits import SAME_SHARE
-from hil.errors import DataError
 from hil.evaluate import Evaluation
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes, write_whole
@@ -49,7 +49,7 @@ class Validation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import card
+        from hil.core.notebook import card
 
         return card("Validation on", self.source, {}, notes=self.notes) + self.errors._repr_html_()
 

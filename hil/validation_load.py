@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import HilError
 from hil.evaluate.evaluation import filtered_effort
 from hil.identify.base import RobotEstimator
 from hil.identify.payload_declared import Declaration, check_declarations
@@ -23,7 +24,6 @@ from hil.identify.payload_fit import estimate_payload
 from hil.identify.payload_halves import halves, payload_halves
 from hil.identify.payload_problem import with_identified
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

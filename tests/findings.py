@@ -284,7 +284,7 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
 
     from starlette.testclient import TestClient
 
-    from hil import load, run
+    from hil.api import load, run
     from hil.campaign.confirmation import Granted
     from hil.campaign.desk import console_desk
     from hil.robot import Address
@@ -358,10 +358,10 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     """Go on with a run of a confirmed arm that stands elsewhere, without and with its name."""
     from unittest import mock
 
-    from hil import load, resume, run
+    from hil.api import load, resume, run
     from hil.campaign.confirmation import Granted
     from hil.campaign.desk import console_desk
-    from hil.errors import NotConfirmed
+    from hil.core.errors import NotConfirmed
     from hil.robot import Address
     from hil_mock_robot.driver import MockRobot
 
@@ -398,7 +398,7 @@ def series_are_confirmed_step_by_step(folder: Path) -> str:
     from hil.campaign.confirmation import Granted, motion_facts, together
     from hil.campaign.experiment import load_experiment
     from hil.campaign.preview import planned
-    from hil.errors import NotConfirmed
+    from hil.core.errors import NotConfirmed
 
     shown = []
     for name, mass in (("a", 0.0), ("b", 1.0)):

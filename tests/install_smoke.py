@@ -18,7 +18,7 @@ PLUGIN_MISSING = 2
 
 GUARDED = """
 import sys
-from hil.errors import HilError
+from hil.core.errors import HilError
 try:
     {need}
 except HilError as error:
@@ -33,7 +33,7 @@ ROWS = 1500
 NEEDS = {
     "mock": "hil mock ur --help",
     "ur": "from hil_drivers.ur.control import _library; _library('rtde_control')",
-    "can": "from hil.plugins import load; load('hil.drivers', 'cia402')",
+    "can": "from hil.core.plugins import load; load('hil.drivers', 'cia402')",
     "ads": "from hil_drivers.twincat.reach import library; library()",
     "learn": "hil fit one.mcap -e lagrangian",
     "web": "hil serve --host nowhere.invalid",

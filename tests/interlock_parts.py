@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from hil.core.typing import StructArray
 from hil.engine.interlocks import Interlock, InterlockContext, from_spec
 from hil.robot import Status, state_dtype
 from hil.spec.interlocks import Interlock as InterlockSpec
-from hil.typing import StructArray
 
 N = 6
 NAMES = tuple(f"j{i + 1}" for i in range(N))

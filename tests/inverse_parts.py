@@ -9,13 +9,13 @@ from typing import Any, Self
 import numpy as np
 from synthetic_motion import LOAD, moving, raw
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
 from hil.identify.residual.selection import Selection
 from hil.identify.rigid import RigidWls
 from hil.study.inverse_methods import ROWS, Row
-from hil.typing import FloatArray
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,

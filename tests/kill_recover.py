@@ -17,7 +17,7 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.record.reader import read_topic
 from hil.record.recover import recover_file
 

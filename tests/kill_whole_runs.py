@@ -265,7 +265,7 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 
 def rows_on_disk(run: Path) -> dict[int, bytes]:
     """Return the rows of each attempt that can be read from the disk at this moment."""
-    from hil.errors import DataError
+    from hil.core.errors import DataError
     from hil.record.parts import attempt_of
     from hil.record.reader import read_topic
     from hil.record.rundir import RunDirectory

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import CommandRefused, RobotConnectionError
+from hil.core.errors import CommandRefused, RobotConnectionError
+from hil.core.typing import FloatArray, StructArray
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
-from hil.typing import FloatArray, StructArray
 
 N = 6
 BLOCK = 8

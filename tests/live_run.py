@@ -55,11 +55,11 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.campaign.control import Control
     from hil.campaign.live_state import LiveState
     from hil.campaign.operator import ConsoleOperator
+    from hil.core.live_lock import hold_run
     from hil.engine import Engine, Observers
     from hil.excite.motion import Hold
     from hil.payload import Payload
     from hil.plan.plan import DwellRule, LoadStep, Plan, Step
-    from hil.record.lock import hold_run
     from hil.record.rundir import RunDirectory
 
     first = 2 if times == "twice" else 1

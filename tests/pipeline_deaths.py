@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from pipeline_parts import occasion
 
+from hil.core.typing import FloatArray
 from hil.data.load import load_source
 from hil.fitting import usable_part
 from hil.pipeline.stages import FOLDER
 from hil.record.rundir import RunDirectory
 from hil.registry.registry import Registry
 from hil.schedule.ledger import Ledger
-from hil.typing import FloatArray
 
 SCRIPT = Path(__file__).with_name("pipeline_dies.py")
 SECOND = occasion(1, "campaign").id

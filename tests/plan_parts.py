@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.workspace import Workspace
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot, Surroundings
-from hil.typing import FloatArray
 
 DEGREE = np.pi / 180
 

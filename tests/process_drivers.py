@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from kinematic_robot import KinematicRobot, require_within
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault
+from hil.core.typing import FloatArray, StructArray
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
-from hil.typing import FloatArray, StructArray
 
 N = 3
 BRAKING_S = 0.1

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.record import STATE_TOPIC, McapWriter, Topic, state_topic
-from hil.typing import StructArray
 
 EPOCH = 1.8e9
 JOINTS = [f"joint_{i}" for i in range(1, 7)]

@@ -9,7 +9,7 @@ import random
 import sys
 from pathlib import Path
 
-from hil.errors import RegistryError
+from hil.core.errors import RegistryError
 from hil.registry.registry import Registry
 
 

@@ -10,7 +10,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from hil.errors import FitError, RobotConnectionError, Stopped
+from hil.core.errors import FitError, RobotConnectionError, Stopped
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import Ledger
 from hil.schedule.loop import Scheduler

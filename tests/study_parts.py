@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import FitError, SpecError
 from hil.study.base import GROUP, Ended, Progress, Study, silent, tell_ended
 from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
 

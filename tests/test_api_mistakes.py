@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.payload import Payload
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import load_experiment
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 SPEC = """\
 hil: 1

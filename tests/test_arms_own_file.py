@@ -10,7 +10,7 @@ import pytest
 
 from hil.arms import model_sha256, require_same_arm
 from hil.arms.description import _parsed
-from hil.errors import DataError
+from hil.core.errors import DataError
 
 URDF = Path(__file__).with_name("own_arm.urdf")
 

@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil import benchmarking  # noqa: E402
-from hil.errors import FitError  # noqa: E402
+from hil.core.errors import FitError  # noqa: E402
 
 ROOT = Path(__file__).parents[1]
 pytestmark = pytest.mark.filterwarnings(  # torch.func.jvp itself, when it is first used

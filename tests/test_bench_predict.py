@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from hil.benchmarking import measure
+from hil.core.errors import FitError
 from hil.deploy.export.c_build import compiler
-from hil.errors import FitError
 
 pytest.importorskip("torch", reason="torch is not installed")
 

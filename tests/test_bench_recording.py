@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil import benchmarking
-from hil.errors import PluginError
+from hil.core.errors import PluginError
 
 
 @pytest.mark.wire

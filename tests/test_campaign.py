@@ -12,8 +12,8 @@ import pytest
 import hil
 from hil.campaign.parts import hold_out
 from hil.campaign.run import RunReport
+from hil.core.errors import DataError
 from hil.data.load import load_source
-from hil.errors import DataError
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import HoldOut

@@ -33,7 +33,7 @@ from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.preview import planned
 from hil.campaign.robots import opened
 from hil.cli.app import app
-from hil.errors import NotConfirmed, SpecError, exit_code_of
+from hil.core.errors import NotConfirmed, SpecError, exit_code_of
 from hil.pipeline import measuring
 from hil.pipeline.bound import bind_file
 from hil.robot import Address

@@ -17,8 +17,8 @@ from hil.campaign import bench as bench_module
 from hil.campaign.bench import bench
 from hil.campaign.live_state import LiveState
 from hil.cli.app import app
-from hil.errors import RobotConnectionError, SpecError
-from hil.record.lock import hold_run
+from hil.core.errors import RobotConnectionError, SpecError
+from hil.core.live_lock import hold_run
 from hil.robot import Capabilities
 from hil.robot.lease import leased
 

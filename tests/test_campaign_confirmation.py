@@ -31,10 +31,10 @@ from hil.campaign.desk import Desk
 from hil.campaign.preview import planned
 from hil.campaign.run import RunReport
 from hil.cli.app import app
+from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit_code_of
 from hil.engine import Reply
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.steps import Steps
-from hil.errors import DataError, NotConfirmed, RobotFault, SpecError, exit_code_of
 from hil.plan.plan import Plan
 from hil.robot import Address
 from hil_mock_robot.driver import MockRobot
@@ -220,7 +220,7 @@ def test_a_signal_at_the_question_ends_as_documented(
 ) -> None:
     console = FakeConsole()
     console.on_line = lambda: signal.raise_signal(signal.SIGINT)
-    with pytest.raises(hil.errors.Stopped) as ended:
+    with pytest.raises(hil.core.errors.Stopped) as ended:
         run(experiment, TypedName(console))
     assert exit_code_of(ended.value) == 130
 

@@ -13,8 +13,8 @@ from live_run import until
 
 from hil.campaign.control import Control
 from hil.campaign.control_files import MOST_BYTES, ControlRequest, drop
-from hil.errors import DataError, RecordingError
-from hil.record.lock import hold_run, run_holder
+from hil.core.errors import DataError, RecordingError
+from hil.core.live_lock import hold_run, run_holder
 
 
 class FakeEngine:

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
+from hil.core.errors import DataError
 from hil.data.load import load_source
-from hil.errors import DataError
 from hil.record import McapWriter, RunDirectory, read_topic, state_topic
 from hil.record.recover_run import recover
 

@@ -16,9 +16,9 @@ import pytest
 
 import hil
 from hil.campaign import execute, operator, recording
+from hil.core.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.engine import Engine
 from hil.engine.signals import SignalWatch
-from hil.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 

@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil import plugins
 from hil.cli.app import app
-from hil.errors import PluginError
+from hil.core import plugins
+from hil.core.errors import PluginError
 
 SPEC = """\
 hil: 1

@@ -11,9 +11,9 @@ import pytest
 from hil.campaign.follow import EventTail, follow, how_it_ended, newest_live, only_live
 from hil.campaign.live_state import LiveState
 from hil.cli.watching import WatchLines, end_line, live_line
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.live_lock import hold_run
 from hil.live.log_words import words_of
-from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import hil
+from hil.core.errors import PreflightFailed
 from hil.engine.steps import Steps
-from hil.errors import PreflightFailed
 from hil.plan.plan import Step
 from hil.record.reserve import BYTES, NAME
 from hil.record.rundir import RunDirectory

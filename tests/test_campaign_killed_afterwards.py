@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.campaign.view import list_runs
 from hil.cli.app import app
-from hil.errors import DataError, FitError, Rejected
+from hil.core.errors import DataError, FitError, Rejected
 from hil.record.recover_run import recover
 from hil.record.reserve import NAME as RESERVE
 from hil.record.reserve import reserve

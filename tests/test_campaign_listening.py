@@ -21,9 +21,9 @@ from hil.campaign.listened import Wanted
 from hil.campaign.listening import listen
 from hil.campaign.listening_notes import fit_notes
 from hil.cli.app import app
+from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
 from hil.data.load import load_source
-from hil.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.payload import Payload
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory

@@ -16,9 +16,9 @@ from interlock_parts import NAMES, made, rows
 from hil.campaign import live_state
 from hil.campaign.arm_view import ArmView
 from hil.campaign.live_state import LiveState, read_live, standing_in
+from hil.core.errors import RecordingError
 from hil.engine import Observers, observers
 from hil.engine.interlocks.interlock import Margin
-from hil.errors import RecordingError
 from hil.robot import Capabilities
 
 PROGRESS: dict[str, Any] = {

@@ -11,10 +11,10 @@ import pytest
 
 import hil
 from hil.campaign.run import RunReport
+from hil.core.errors import DataError, SpecError
 from hil.data.dwells import series_means
 from hil.data.load import gravity_of, load_source
 from hil.dynamics import load_model
-from hil.errors import DataError, SpecError
 from hil.identify import load_model_file
 from hil.identify.static import StaticWls
 from hil.record.rundir import RunDirectory

@@ -12,14 +12,14 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil import plugins
 from hil.campaign.arm_check import require_within_reach
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import load_experiment
 from hil.campaign.starting import check_start
 from hil.cli.app import app
+from hil.core import plugins
+from hil.core.errors import FitError, SpecError
 from hil.dynamics import load_model
-from hil.errors import FitError, SpecError
 from hil.identify.base import needs_of
 from hil.identify.checks import Needs
 from hil.identify.rigid_linear import RigidLinear

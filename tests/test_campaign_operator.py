@@ -30,11 +30,12 @@ from hil.campaign.operator import (
     prompts_of,
     require_attended,
 )
+from hil.core.errors import PreflightFailed, SpecError, Stopped
 from hil.engine import Reply
 from hil.engine.prompt import NOBODY
-from hil.errors import PreflightFailed, SpecError, Stopped
+from hil.payload import Payload
 from hil.plan.plan import LoadStep, Step
-from hil.robot import Capabilities, Payload
+from hil.robot import Capabilities
 
 MOUNT = "Mount the 3 kg disc"
 

@@ -16,7 +16,7 @@ import yaml
 import hil
 from hil.campaign.preview import WITHOUT_THE_ROBOT
 from hil.campaign.robots import opened
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil.robot.lease import leased
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.campaign.remaining import connected_steps, legs_of, remaining_steps
+from hil.core.typing import FloatArray
 from hil.excite.motion import Hold, Line
 from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
-from hil.typing import FloatArray
 
 
 def line(a: float, b: float) -> Line:

@@ -23,12 +23,12 @@ from hil.campaign import operator, resuming
 from hil.campaign.live_state import LIVE_FILE, read_live
 from hil.campaign.steering import stop_run
 from hil.campaign.trainings import FOLDER
+from hil.core.errors import DataError, PreflightFailed, RecordingError
 from hil.data import completeness
 from hil.data.completeness import completeness_of
 from hil.data.load import load_source
 from hil.engine import Reply
 from hil.engine.steps import Steps
-from hil.errors import DataError, PreflightFailed, RecordingError
 from hil.plan.plan import Plan
 from hil.record.reader import read_topic
 from hil.record.recorder import Recorder

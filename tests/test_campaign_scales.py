@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from weighing_parts import CYLINDER, Mounted, Scales, bodies, sweep
 
-from hil.errors import PreflightFailed
+from hil.core.errors import PreflightFailed
 from hil.payload import Payload
 from hil.plan.plan import Plan
 from hil.plan.preview import preview

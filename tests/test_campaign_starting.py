@@ -20,7 +20,7 @@ from hil.campaign import detached, starting
 from hil.campaign.live_state import read_live
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.campaign.steering import answer_run
-from hil.errors import DataError, RecordingError, SpecError
+from hil.core.errors import DataError, RecordingError, SpecError
 from hil.record.events import read_events
 from hil.record.provenance import STARTED_ID, collect_provenance, started_as
 from hil.record.rundir import RunDirectory

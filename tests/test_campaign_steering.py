@@ -21,9 +21,9 @@ from hil.campaign.steering import (
     resume_live_run,
     stop_run,
 )
-from hil.errors import DataError, RobotTimeout
+from hil.core.errors import DataError, RobotTimeout
+from hil.core.live_lock import hold_run, is_live
 from hil.record.events import read_events
-from hil.record.lock import hold_run, is_live
 from hil.record.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire

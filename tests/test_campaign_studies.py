@@ -13,7 +13,7 @@ from study_parts import register
 import hil
 from hil.campaign.run import RunReport
 from hil.campaign.studies import entries_for, run_studies
-from hil.errors import DataError, FitError, SpecError, Stopped
+from hil.core.errors import DataError, FitError, SpecError, Stopped
 from hil.record.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.study.store import read_study, study_files

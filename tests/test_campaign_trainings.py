@@ -12,14 +12,14 @@ import pytest
 from terminal_parts import terminal_on
 from test_campaign_verdict import COUNTS, run_with
 
-from hil import plugins
 from hil.campaign.afterwards import judge_and_study
 from hil.campaign.judging import judge_run
 from hil.campaign.trainings import FOLDER, FitNews, fit_or_go_on
 from hil.cli.progress import ProgressLines
+from hil.core import plugins
+from hil.core.errors import CheckpointRefused, DataError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.errors import CheckpointRefused, DataError, Stopped
 from hil.identify.static import StaticWls
 from hil.identify.training_loop.problem import KeptIfPossible, Told
 from hil.record.rundir import RunDirectory

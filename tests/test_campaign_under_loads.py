@@ -16,8 +16,8 @@ from hil.campaign import judging, studies, under_loads
 from hil.campaign.judging import judge_run
 from hil.campaign.studies import entries_for, run_studies
 from hil.campaign.under_loads import as_in_spec, of_other_arms
+from hil.core.errors import FitError
 from hil.data.dataset import Dataset
-from hil.errors import FitError
 from hil.identify.model_file import load_model_file
 from hil.identify.rigid import RigidWls
 from hil.payload import Payload

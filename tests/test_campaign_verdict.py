@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from report_runs import dwell_plan, write_run
 
-from hil import plugins
 from hil.campaign.judging import judge_recording, judge_run
 from hil.campaign.verdict import verdict_word
-from hil.errors import DataError, FitError
+from hil.core import plugins
+from hil.core.errors import DataError, FitError
 from hil.identify.static import StaticWls
 from hil.record.rundir import RunDirectory
 from hil.report import render_report

@@ -14,7 +14,7 @@ from test_campaign_resume import Noted, Told, measured, plan_of, plan_of_spec, s
 import hil
 from hil.campaign.run import RunReport
 from hil.campaign.weighed_before import is_whole, weighed_before
-from hil.errors import PreflightFailed
+from hil.core.errors import PreflightFailed
 from hil.payload import Payload
 from hil.plan.plan import Plan, Step
 from hil.record.recorder import Recorder

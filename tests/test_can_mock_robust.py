@@ -17,7 +17,7 @@ import pytest
 from can_master import Master
 from can_mock import mock_can
 
-from hil.errors import PluginError, RobotConnectionError
+from hil.core.errors import PluginError, RobotConnectionError
 from hil_mock_robot.cia402.assembly import Mock
 from hil_mock_robot.cia402.ends import ignored
 from hil_mock_robot.cia402.python_can_end import PythonCanEnd

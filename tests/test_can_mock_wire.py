@@ -15,7 +15,7 @@ from can_master import Master
 from can_mock import mock_can
 
 from hil.arms import load_arm
-from hil.errors import CommandRefused, RobotConnectionError
+from hil.core.errors import CommandRefused, RobotConnectionError
 from hil_mock_robot.cia402.app import main
 from hil_mock_robot.cia402.telling import tell
 

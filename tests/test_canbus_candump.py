@@ -9,7 +9,7 @@ import pytest
 
 from hil.canbus.candump import CandumpWriter, line_of, logged_in, read_candump
 from hil.canbus.frame import ERROR, EXTENDED, REMOTE, Frame
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 
 FRAMES = [
     Frame(0x80, b"", 1699999999.0),

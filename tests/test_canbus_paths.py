@@ -13,7 +13,7 @@ from canbus_parts import can_channel, raw_end  # noqa: F401
 from hil.canbus import paths
 from hil.canbus.hub import Hub
 from hil.canbus.paths import named_channels, socket_path
-from hil.errors import PluginError
+from hil.core.errors import PluginError
 
 
 @pytest.fixture

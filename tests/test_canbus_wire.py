@@ -14,7 +14,7 @@ from other_process import other_process
 
 from hil.canbus.hub import Hub
 from hil.canbus.hub_thread import HostedHub, hub_thread
-from hil.errors import PluginError
+from hil.core.errors import PluginError
 
 pytestmark = pytest.mark.wire
 

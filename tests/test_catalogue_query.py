@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from hil.catalogue.query import parse
 from hil.catalogue.view import find_runs
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 
 @pytest.fixture(scope="module")

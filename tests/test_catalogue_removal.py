@@ -13,7 +13,7 @@ from catalogue_runs import settle, write_run
 
 from hil.catalogue.removal import leftovers, remove
 from hil.catalogue.retention import Decision, Policy, decide
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))

@@ -29,8 +29,8 @@ from hil.catalogue.removal import leftovers, remove
 from hil.catalogue.retention import Policy, decide
 from hil.catalogue.view import find_runs
 from hil.cli.app import app
-from hil.errors import DataError, RegistryError, SpecError
-from hil.record.lock import hold_run
+from hil.core.errors import DataError, RegistryError, SpecError
+from hil.core.live_lock import hold_run
 from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
 from hil.registry.registry import Registry

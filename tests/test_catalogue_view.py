@@ -17,7 +17,7 @@ from catalogue_runs import settle, write_run
 from hil.catalogue import view
 from hil.catalogue.facts import facts_of
 from hil.catalogue.view import FILE, find_runs
-from hil.record.lock import hold_run
+from hil.core.live_lock import hold_run
 from hil.record.numbering import run_folders
 
 

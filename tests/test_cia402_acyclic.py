@@ -7,7 +7,7 @@ import threading
 import pytest
 from cia402_drives import drives
 
-from hil.errors import CommandRefused, RobotTimeout, SpecError
+from hil.core.errors import CommandRefused, RobotTimeout, SpecError
 from hil_drivers.cia402 import canopen_acyclic, objects
 from hil_drivers.cia402.aborts import Aborted
 from hil_drivers.cia402.inspection import errors_of

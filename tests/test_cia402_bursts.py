@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from hil.canbus.frame import pack_frame
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.bursts import MOST, receiving, sending
 from hil_drivers.cia402.ports import SocketPort
 

@@ -11,7 +11,7 @@ import pytest
 from can_mock import MockCan, mock_can
 from cia402_robot import options
 
-from hil.errors import RobotConnectionError, RobotFault
+from hil.core.errors import RobotConnectionError, RobotFault
 from hil.robot import Status
 from hil.testing.moves import follow, move
 from hil_drivers.cia402.axes_robot import AxesRobot

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cia402_drives import ARM, drives
 
-from hil.errors import CommandRefused, RobotConnectionError
+from hil.core.errors import CommandRefused, RobotConnectionError
 from hil_drivers.cia402.commissioning import commission
 from hil_drivers.cia402.inspection import out_of_range
 from hil_drivers.cia402.options import options_of

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, CST, ENABLED, FAULT, OFF, PERIOD_S, READY, FakeDrives
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil_drivers.cia402.contracts import Emergency, News, Outputs
 from hil_drivers.cia402.core import Core
 from hil_drivers.cia402.mapping import ALL_MODES, INCOMPLETE, STALLED

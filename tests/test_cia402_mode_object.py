@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.mapping import MAPPINGS
 from hil_drivers.cia402.mode_object import carries_mode, set_mode

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from hil.canbus.frame import pack_frame
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.bus_options import SIMULATED
 from hil_drivers.cia402.options import options_of

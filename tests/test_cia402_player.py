@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, CST, PERIOD_S
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 from hil_drivers.cia402.contracts import Inputs, Outputs
 from hil_drivers.cia402.control import FADE_S, Gains
 from hil_drivers.cia402.player import HOLDING, MOVING, Player, Track

@@ -14,7 +14,7 @@ from in_time import InTime, measured_again
 
 from hil.canbus.frame import ERROR, pack_frame, unpack_frame
 from hil.canbus.hub_thread import hub_thread
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.ports import PythonCanPort, SocketPort, port_of
 
 FRAME = pack_frame(0x181, b"\x01\x02\x03")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil_drivers.cia402.profile import PROFILES, AxisProfile, axis_profile
 from hil_drivers.cia402.scaling import Scaling
 

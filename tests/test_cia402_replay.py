@@ -17,8 +17,8 @@ from cia402_robot import options
 
 from hil.campaign.replaying import replay
 from hil.canbus.frame import Frame
+from hil.core.errors import DataError, PluginError
 from hil.data.load import load_source
-from hil.errors import DataError, PluginError
 from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
 from hil_drivers.cia402.options import options_of

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 from hil_drivers.cia402 import axes_robot
 from hil_drivers.cia402.axes_robot import AxesRobot
 from hil_drivers.cia402.mapping import MAPPINGS

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from cia402_drives import drives
 
-from hil.errors import RobotFault
+from hil.core.errors import RobotFault
 from hil.robot import Status
 from hil_drivers.cia402.trouble import Trouble
 from hil_mock_robot.cia402.contracts import key

@@ -9,10 +9,10 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from hil import errors
 from hil.cli.app import EXIT_CODES, app
 from hil.cli.explaining import _example
-from hil.errors import HilError, SpecError
+from hil.core import errors
+from hil.core.errors import HilError, SpecError
 from hil.spec.describe import MODELS, KeyInfo, explain_key, keys_below, reference
 
 

@@ -14,7 +14,7 @@ import hil
 from hil.arms import load_arm, model_sha256
 from hil.arms.description import _parsed
 from hil.cli.app import app
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 from hil.spec import load_spec, load_station
 from hil.spec.commented import COLUMN, WIDTH, commented
 from hil.spec.experiment import ExperimentSpec

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.pipeline.stages import Stage, run_stages
 from hil.schedule.ledger import kept
 from hil.schedule.occasion import Occasion

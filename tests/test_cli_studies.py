@@ -17,7 +17,7 @@ from hil.cli.app import app
 from hil.cli.progress import ProgressLines
 from hil.cli.study_progress import StudyBar
 from hil.cli.study_tables import table_lines
-from hil.errors import FitError, Stopped
+from hil.core.errors import FitError, Stopped
 from hil.study.result import Table
 from hil.study.store import problem_files
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.cli.training_line import EVERY_S, TrainingLine
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.fitting import fit_sources
 from hil.identify.training_loop.problem import Told
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 TOOL: dict[str, Any] = {

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.conformal import SpeedBands
-from hil.typing import FloatArray, IntArray
 
 Simulated = tuple[FloatArray, FloatArray, IntArray]
 Draw = Callable[[np.random.Generator, int], Simulated]

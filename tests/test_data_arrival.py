@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from synthetic_motion import arriving, moving
 
+from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
 from hil.data.arrival import NEAR_RAD, POINTS, QD, Q, Track, arrival, directions
 from hil.data.dataset import rows_of
 from hil.data.dwells import dwells_of
 from hil.data.series import Origin, StepNote, assemble, cut
 from hil.data.splits import split
-from hil.errors import DataError
 from hil.record import state_topic
 from hil.robot import Status
 

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from hil.core.typing import FloatArray, StructArray
 from hil.data.completeness import (
     completeness_of,
     dwell_is_over,
@@ -22,7 +23,6 @@ from hil.plan.plan import DwellRule, Plan, Step
 from hil.record.topic import STATE_TOPIC, state_topic
 from hil.record.writer import McapWriter
 from hil.robot.state import Status, state_dtype
-from hil.typing import FloatArray, StructArray
 
 RATE = 125.0
 RULE = DwellRule(dwell_s=0.05, samples=4, settle_rad_s=0.002, timeout_s=0.3)

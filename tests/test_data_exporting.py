@@ -16,11 +16,11 @@ from typer.testing import CliRunner
 
 from hil import api
 from hil.cli.app import app
+from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
 from hil.data.exporting import export_data
 from hil.data.importing import import_file
 from hil.data.load import load_source
-from hil.errors import DataError, HilError, PluginError, RecordingError
 from hil.payload import Payload
 from hil.plan.plan import LoadStep
 

@@ -4,6 +4,7 @@ from pydantic import ValidationError
 from scipy.signal import butter, filtfilt, savgol_filter
 from synthetic_motion import dataset, fourier, moving, raw
 
+from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
 from hil.data.filters import (
     FilterSettings,
@@ -17,7 +18,6 @@ from hil.data.filters import (
     sample_rate,
     zero_phase,
 )
-from hil.errors import DataError
 
 
 @pytest.fixture

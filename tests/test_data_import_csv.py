@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import DataError, RecordingError, SpecError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source, serial_of
-from hil.errors import DataError, RecordingError, SpecError
 from hil.payload import Payload
 from hil.record import read_info
 

@@ -6,9 +6,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from hil.core.errors import DataError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source
-from hil.errors import DataError
 
 ROWS = 40
 T = np.arange(ROWS) * 0.004

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.core.errors import SpecError
 from hil.data.importing import load_map
-from hil.errors import SpecError
 
 MAPS = sorted((Path(__file__).parents[1] / "experiments" / "maps").glob("*.yaml"))
 

@@ -7,8 +7,8 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 
+from hil.core.errors import DataError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, learn_and_validate, rows_to_fit, with_part
-from hil.errors import DataError
 from hil.identify.base import prepared
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_hysteresis import RigidHysteresis

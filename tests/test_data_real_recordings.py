@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.core.errors import DataError
 from hil.data.importing import import_file
 from hil.data.load import load_source
 from hil.data.splits import split
 from hil.dynamics import load_model
-from hil.errors import DataError
 from hil.evaluate import evaluate
 from hil.fitting import fit_sources
 from hil.identify.rigid import RigidWls

@@ -4,10 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_motion import dataset, dwelling, moving
 
+from hil.core.errors import DataError
 from hil.data import Conditions, Dataset
 from hil.data.fingerprints import SKETCH_ROWS, Sketch, revisited
 from hil.data.splits import assert_disjoint, groups, kfold, paper_sample_split, split
-from hil.errors import DataError
 
 
 def of_conditions(conditions):

@@ -18,11 +18,11 @@ from collision_parts import (
 )
 from mock_motions import blend, hold
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.deploy.collision import CollisionDetector
 from hil.deploy.collision_thresholds import CollisionThresholds
 from hil.deploy.rest_margin import FADES_S, RestMargin, resting_friction
 from hil.dynamics import load_model
-from hil.errors import DataError, FitError, SpecError
 from hil.identify.conformal import SpeedBands
 from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth

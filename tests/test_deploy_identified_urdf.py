@@ -15,12 +15,12 @@ from synthetic_motion import COULOMB, LOAD, ROTORS, VISCOUS, fourier, moving, no
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import FitError, RecordingError
 from hil.deploy.identified_urdf import export_urdf
 from hil.deploy.urdf_edit import edited
 from hil.deploy.urdf_text import roll_pitch_yaw
 from hil.dynamics import RobotModel
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.errors import FitError, RecordingError
 from hil.identify.rigid import RigidWls
 
 COVERED = """<?xml version="1.0"?>

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hil.core.errors import SpecError
 from hil.deploy.low_pass import LowPass
-from hil.errors import SpecError
 
 
 def gain(hz, cutoff=10.0, rate=1000.0):

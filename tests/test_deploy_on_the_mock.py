@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
+from hil.core.errors import FitError, PlanError, SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.errors import FitError, PlanError, SpecError
 from hil.identify import load_model_file
 from hil_mock_robot.driver import MockRobot
 

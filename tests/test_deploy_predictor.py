@@ -10,13 +10,13 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
+from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.deploy import compiled
 from hil.deploy.export.c_build import compiler
 from hil.deploy.export.c_program import c_source
 from hil.deploy.export.golden import motion
 from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
-from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.identify import estimator
 from hil.identify.base import prepared
 from hil.payload import Payload

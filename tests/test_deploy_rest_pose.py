@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from hil.core.errors import PlanError
 from hil.deploy.brakes_fail import brakes_fail
 from hil.deploy.rest_pose import NEAREST, described, rest_poses
 from hil.deploy.resting import RestingArm
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel
 from hil.dynamics.sample_distances import SampleDistances
-from hil.errors import PlanError
 
 CEILING = Environment(table_z=0.0, walls=(Plane((0.0, 0.0, 0.6), (0.0, 0.0, -1.0), "ceiling"),))
 UPRIGHT = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])

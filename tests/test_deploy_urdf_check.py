@@ -13,11 +13,11 @@ from synthetic_motion import dwelling, moving, nominal
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import FitError, RecordingError
 from hil.deploy import identified_parameters, identified_urdf, urdf_text
 from hil.deploy.identified_urdf import export_urdf
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre, body_parameters
-from hil.errors import FitError, RecordingError
 from hil.identify import estimator
 from hil.identify.rigid import RigidWls
 

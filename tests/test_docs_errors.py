@@ -1,4 +1,4 @@
-"""docs/reference/errors.md has every error with its exit code, as hil/errors.py has it."""
+"""docs/reference/errors.md has every error with its exit code, as hil/core/errors.py has it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import inspect
 import re
 from pathlib import Path
 
-from hil import errors
+from hil.core import errors
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "errors.md").read_text("utf-8")

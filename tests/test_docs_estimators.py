@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.yaml_values import scalar
 from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE
 from hil.identify import estimator
@@ -17,7 +18,6 @@ from hil.identify.base import GROUP, HONEST
 from hil.identify.lagrangian.choices import OURS as OURS_LAGRANGIAN
 from hil.identify.residual.settings import TRAINING, ResidualSettings
 from hil.identify.static import PAPER_PROTOCOL
-from hil.spec.yaml_values import scalar
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "estimators.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]

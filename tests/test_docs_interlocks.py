@@ -13,7 +13,7 @@ from engine_parts import ListSink, engine
 from interlock_parts import NAMES, rows
 from kinematic_robot import KinematicRobot
 
-from hil import plugins
+from hil.core import plugins
 from hil.engine.interlocks import InterlockContext, from_spec
 from hil.spec import spec_from_text
 from hil.spec.interlocks import DEFAULTS, KINDS

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.spec.load import load_spec
 from hil.spec.weigh import Weigh
 

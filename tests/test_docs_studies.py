@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hil import plugins
-from hil.spec.yaml_values import scalar
+from hil.core import plugins
+from hil.core.yaml_values import scalar
 from hil.study.base import GROUP
 from hil.study.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
 from hil.study.dynamic_methods import METHODS as DYNAMIC_METHODS

@@ -12,8 +12,8 @@ from synthetic_motion import LOAD
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import DataError, RegistryError
 from hil.drift.history import PROBES_FILE, assess, identity, probes_of
-from hil.errors import DataError, RegistryError
 from hil.fitting import fit_sources
 from hil.identify.model_file import plain
 from hil.registry.pointers import pointed

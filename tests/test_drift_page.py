@@ -12,9 +12,9 @@ from drift_parts import probe
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import DataError
 from hil.drift.bands import Banded, banded
 from hil.drift.history import assess
-from hil.errors import DataError
 from hil.fitting import fit_sources
 from hil.registry.registry import Registry
 from hil.report import drift_figures as figures

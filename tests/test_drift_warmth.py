@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from synthetic_motion import moving
 
+from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.drift.warmth import friction_change
-from hil.errors import DataError
 
 PER_K = np.array([-0.01, 0.0, 0.002, -0.004, -0.01, -0.02])
 

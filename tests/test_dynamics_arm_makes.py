@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
+from hil.core.errors import SpecError
 from hil.dynamics import load_model
-from hil.errors import SpecError
 
 QUARTER = np.pi / 2
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from dynamics_arms import UR_ARMS, motion
 
+from hil.core.errors import FitError
 from hil.dynamics import BaseParameters, RobotModel, base_parameters, conditioning
-from hil.errors import FitError
 
 
 @pytest.mark.parametrize("name", UR_ARMS)

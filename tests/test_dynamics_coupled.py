@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from dynamics_arms import motion
 
+from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters, load_model
-from hil.errors import SpecError
 from hil.payload import Payload
 
 ROTORS = np.array([0.36, 0.36, 0.1, 0.03, 0.05, 0.01])

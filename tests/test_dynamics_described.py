@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hil.arms import load_arm
+from hil.core.errors import SpecError
 from hil.dynamics.described import described
 from hil.dynamics.robot_model import RobotModel, load_model
-from hil.errors import SpecError
 from hil.own_arm import own_arm_drafts
 from hil.plan.place import plannable_arm
 from hil.spec.station import StationRobot

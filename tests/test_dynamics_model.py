@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from dynamics_arms import UR_ARMS, dh_chain, mjcf, motion, mujoco_torques
 
+from hil.core.errors import DataError, SpecError
 from hil.dynamics import RobotModel, load_model, payload_parameters
-from hil.errors import DataError, SpecError
 from hil.payload import Payload
 
 ROTORS = (0.75, 0.74, 0.62, 0.11, 0.12, 0.13)

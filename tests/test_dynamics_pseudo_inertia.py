@@ -6,6 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.dynamics.inertial import body_parameters, transfer_matrix
 from hil.dynamics.pseudo_inertia import (
     coordinate_jacobian,
@@ -18,8 +20,6 @@ from hil.dynamics.pseudo_inertia import (
     pseudo_inertia,
     to_coordinates,
 )
-from hil.errors import FitError
-from hil.typing import FloatArray
 
 ARROWHEAD = body_parameters(1.0, (0.0, 0.0, 0.0), np.diag([0.1, 0.1, 0.5]))
 """Positive moments that no mass density has: 0.1 + 0.1 < 0.5."""

@@ -7,8 +7,8 @@ from dynamics_arms import motion
 
 import hil.dynamics.regressor as module
 from hil.arms import arm_names
+from hil.core.errors import DataError
 from hil.dynamics import RobotModel, base_parameters
-from hil.errors import DataError
 
 SAMPLES = 203
 

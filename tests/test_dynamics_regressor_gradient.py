@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
 from hil.dynamics.identification_columns import IdentificationColumns
 from hil.dynamics.information import log_condition, neg_log_det
 from hil.dynamics.regressor_gradient import RegressorSweep
-from hil.typing import FloatArray
 
 SLIDE = """<robot name="slide"><link name="base"/>
 <link name="cart"><inertial><mass value="2"/><origin xyz="0.1 0 0.2"/>

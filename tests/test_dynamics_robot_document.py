@@ -7,8 +7,8 @@ import pytest
 from dynamics_arms import motion, urdf, written
 
 from hil.arms import load_arm
+from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, load_model
-from hil.errors import SpecError
 from hil.payload import Payload
 
 ROTORS = (0.75, 0.74, 0.62, 0.11, 0.12, 0.13)

@@ -12,18 +12,14 @@ import pytest
 from engine_parts import ListSink, engine, small_plan
 from kinematic_robot import KinematicRobot
 
+from hil.core.errors import InterlockTripped, PlanError, RobotFault
+from hil.core.typing import StructArray
 from hil.engine import Observers, Outcome, Reply, RunState
 from hil.engine.interlocks import Threshold, from_spec
 from hil.engine.states import IllegalTransition, StateMachine
-from hil.errors import (
-    InterlockTripped,
-    PlanError,
-    RobotFault,
-)
 from hil.payload import Payload
 from hil.robot import Robot
 from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
-from hil.typing import StructArray
 
 
 def test_the_test_robot_is_a_robot() -> None:

@@ -7,10 +7,7 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
-from hil.engine import TRANSITIONS, Outcome, RunState
-from hil.engine.freshness import Deadline
-from hil.engine.telling import under_way
-from hil.errors import (
+from hil.core.errors import (
     HilError,
     InterlockTripped,
     PreflightFailed,
@@ -20,11 +17,14 @@ from hil.errors import (
     StaleState,
     Stopped,
 )
+from hil.core.typing import StructArray
+from hil.engine import TRANSITIONS, Outcome, RunState
+from hil.engine.freshness import Deadline
+from hil.engine.telling import under_way
 from hil.excite.motion import Hold
 from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.robot import Status
-from hil.typing import StructArray
 
 
 def test_a_dwell_waits_until_ten_samples_are_at_rest() -> None:

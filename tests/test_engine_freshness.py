@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from interlock_parts import rows
 
+from hil.core.errors import InterlockTripped, StaleState
 from hil.engine.freshness import STALE_AFTER_BLOCKS, Freshness
-from hil.errors import InterlockTripped, StaleState
 
 
 class Wall:

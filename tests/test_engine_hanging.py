@@ -14,10 +14,10 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
+from hil.core.errors import RobotTimeout
+from hil.core.typing import StructArray
 from hil.engine import Outcome, watchdog
-from hil.errors import RobotTimeout
 from hil.robot import Capabilities
-from hil.typing import StructArray
 
 
 class WallRobot(KinematicRobot):

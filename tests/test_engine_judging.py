@@ -10,11 +10,11 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
+from hil.core.errors import InterlockTripped
+from hil.core.typing import StructArray
 from hil.engine import Outcome
 from hil.engine.judging import SLOW_S, Judge
-from hil.errors import InterlockTripped
 from hil.robot import Capabilities
-from hil.typing import StructArray
 
 
 class Foreign:

@@ -11,12 +11,12 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
+from hil.core.typing import StructArray
 from hil.engine import Engine, Observers, Outcome, RunState
 from hil.engine.interlocks import Threshold
 from hil.engine.pausing import CLEAR_FOR_S
 from hil.engine.signals import SignalWatch
 from hil.engine.states import TRANSITIONS
-from hil.typing import StructArray
 
 
 class AtStep:

@@ -8,12 +8,12 @@ import pytest
 from engine_parts import ListSink, engine, small_plan
 from kinematic_robot import KinematicRobot
 
+from hil.core.errors import RobotFault
+from hil.core.typing import StructArray
 from hil.engine import Outcome
 from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
-from hil.errors import RobotFault
 from hil.robot import HasSpeedScaling, Status
 from hil.spec.interlocks import DEFAULTS, SpeedScalingInterlock
-from hil.typing import StructArray
 
 UNTIL = 10**9
 

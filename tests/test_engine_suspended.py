@@ -8,8 +8,7 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
-from hil.engine import Outcome, watchdog
-from hil.errors import (
+from hil.core.errors import (
     HilError,
     RobotConnectionError,
     RobotFault,
@@ -17,9 +16,10 @@ from hil.errors import (
     StaleState,
     exit_code_of,
 )
+from hil.core.typing import StructArray
+from hil.engine import Outcome, watchdog
 from hil.robot import Capabilities, Segment
 from hil.robot.protocol import ClockKind
-from hil.typing import StructArray
 
 
 class Suspended(KinematicRobot):

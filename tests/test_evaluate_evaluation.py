@@ -8,8 +8,8 @@ import pytest
 from scipy.signal import butter, filtfilt
 from synthetic_motion import dwelling, moving, raw
 
+from hil.core.errors import SpecError
 from hil.data import Dataset, Prediction
-from hil.errors import SpecError
 from hil.evaluate import Criterion, evaluate, judge
 
 

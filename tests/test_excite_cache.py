@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from excitation_parts import Bench, Finder, bench, finder  # noqa: F401
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
 from hil.excite.cache import user_cache
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from plan_parts import DEGREE, toy_workspace
 
-from hil.errors import PlanError, SpecError
+from hil.core.errors import PlanError, SpecError
+from hil.core.typing import FloatArray
 from hil.excite.arrange import Arrangement
 from hil.excite.dwell import DwellProgram
 from hil.excite.motion import Hold, Line
@@ -19,7 +20,6 @@ from hil.excite.visit import Action, Program, Visit, pose_visit
 from hil.excite.waypoint_file import AngleUnit, read_waypoints
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import Dwell
-from hil.typing import FloatArray
 
 
 def disc(q: FloatArray) -> FloatArray:

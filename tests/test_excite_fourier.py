@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_parts import DEGREE, toy_workspace
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.coefficients import fitting_frequency
 from hil.excite.fourier import FourierExcitation
 from hil.excite.motion import Motion
@@ -18,7 +19,6 @@ from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import Fourier
-from hil.typing import FloatArray
 
 RATE = 100.0
 CLEAR = toy_workspace()

@@ -13,10 +13,10 @@ import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.motion import FourierSeries, Hold, Line, Motion, motion_from_dict
 from hil.excite.profile import rest_to_rest
-from hil.typing import FloatArray
 
 RATE = 125.0
 relaxed = settings(max_examples=30, deadline=None)

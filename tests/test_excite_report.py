@@ -17,9 +17,9 @@ from hil.arms import load_arm
 from hil.campaign.excitation import appraise_excitation
 from hil.campaign.excitation_report import ExcitationReport
 from hil.cli.app import app
+from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
-from hil.errors import SpecError
 from hil.excite.appraisal import jerk_of
 from hil.excite.information import Information
 from hil.excite.motion import FourierSeries

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from plan_parts import JointSpace, toy_workspace
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.poses import draw_poses, roomy_poses
 from hil.excite.roadmap import Roadmap
 from hil.excite.workspace import Workspace
-from hil.typing import FloatArray
 
 
 def disc(q: FloatArray) -> FloatArray:

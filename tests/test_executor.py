@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
-from hil.executor import BLAS_VARIABLES, cores, processes
+from hil.core.executor import BLAS_VARIABLES, cores, processes
 
 
 def test_workers_are_spawned_processes_with_one_blas_thread_each(

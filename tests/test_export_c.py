@@ -10,6 +10,7 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 
+from hil.core.errors import FitError, PluginError, RecordingError, SpecError
 from hil.deploy.export.c_build import STRICT, built, compiler, self_tested
 from hil.deploy.export.c_columns import GROUPS
 from hil.deploy.export.c_export import export_c
@@ -17,7 +18,6 @@ from hil.deploy.export.c_program import c_source
 from hil.deploy.export.c_text import array, number
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.reading import program_of
-from hil.errors import FitError, PluginError, RecordingError, SpecError
 from hil.identify import estimator
 from hil.identify.friction.library import groups
 

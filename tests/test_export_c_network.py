@@ -16,8 +16,8 @@ from export_network_parts import (
     streamed,
 )
 
+from hil.core.errors import FitError
 from hil.deploy.export.c_network import network_piece
-from hil.errors import FitError
 
 KINDS = {
     "grouped": {"split": False},

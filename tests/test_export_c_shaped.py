@@ -7,10 +7,10 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 
+from hil.core.errors import FitError
 from hil.deploy.export.c_build import built, compiler, self_tested
 from hil.deploy.export.c_export import export_c
 from hil.deploy.export.reading import program_of
-from hil.errors import FitError
 from hil.identify import estimator
 from hil.identify.diffnea.forms import FORMS
 

@@ -21,8 +21,9 @@ from synthetic_motion import dwelling, moving, nominal
 from test_dynamics_momentum import SLIDING
 from typer.testing import CliRunner
 
-from hil import plugins
 from hil.cli.app import app
+from hil.core import plugins
+from hil.core.errors import FitError, RecordingError
 from hil.deploy.export import (
     json_check,
     json_columns,
@@ -38,7 +39,6 @@ from hil.deploy.export.json_read import rigid_torque
 from hil.deploy.export.json_robot import robot_part
 from hil.deploy.export.json_terms import adapted, library_term
 from hil.dynamics import RobotModel, base_parameters
-from hil.errors import FitError, RecordingError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.base import GROUP
 from hil.identify.friction.library import groups

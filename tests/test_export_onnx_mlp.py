@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from synthetic_motion import dwelling, moving, nominal
 
+from hil.core.errors import FitError, PluginError, RecordingError
 from hil.deploy.export import mlp_export
 from hil.deploy.export.mlp_export import export_onnx_mlp, onnxruntime_says
 from hil.deploy.export.mlp_nets import Chain, chain_of
-from hil.errors import FitError, PluginError, RecordingError
 from hil.identify import estimator
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")

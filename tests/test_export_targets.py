@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from json_models import fitted
 
+from hil.core.errors import DataError, HilError, RecordingError, SpecError
 from hil.deploy.export.exported import require_new
 from hil.deploy.export.targets import export_model
-from hil.errors import DataError, HilError, RecordingError, SpecError
 
 
 def damaged(name: str, change):

@@ -13,8 +13,8 @@ import pytest
 from synthetic_motion import fourier, moving, nominal
 
 import hil
+from hil.core.errors import FitError
 from hil.deploy.identified_urdf import UrdfExport, export_urdf
-from hil.errors import FitError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 

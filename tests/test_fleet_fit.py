@@ -22,10 +22,10 @@ from typer.testing import CliRunner
 
 from hil.campaign.run import run_experiment
 from hil.cli.app import app
+from hil.core.errors import DataError, FitError
+from hil.core.executor import one_thread
 from hil.data.dataset import Dataset
 from hil.drift.history import identity
-from hil.errors import DataError, FitError
-from hil.executor import one_thread
 from hil.fleet import fit_task, fitting
 from hil.fleet.fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
 from hil.fleet.fitting import computed, fit_runs

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 from hil.campaign.run import run_experiment
 from hil.cli.app import app
+from hil.core.errors import DataError
+from hil.core.executor import one_thread
 from hil.drift.features import Features, feature_names
 from hil.drift.history import Probe
-from hil.errors import DataError
-from hil.executor import one_thread
 from hil.fleet.fit_task import FitResult
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import experiment_for, spec_for

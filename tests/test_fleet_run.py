@@ -17,10 +17,10 @@ from typer.testing import CliRunner
 from hil.campaign.experiment import mock_bench
 from hil.campaign.robots import open_robot
 from hil.cli.app import app
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
+from hil.core.files import read_json
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import robots_like, spec_for
-from hil.record.files import read_json
 from hil.robot.lease import leased
 from hil.spec.load import load_station, spec_from_text
 

@@ -13,8 +13,8 @@ import pytest
 
 from hil.campaign.desk import Desk
 from hil.campaign.series import Ended
+from hil.core.errors import HilError
 from hil.engine.pausing import nobody_goes_on
-from hil.errors import HilError
 from hil.fleet import worker, workers
 from hil.fleet.folder import FleetFolder
 from hil.fleet.worker import Job

@@ -18,10 +18,10 @@ from lz4.frame import compress as lz4_compress
 from mcap.opcode import Opcode
 from recorded_rows import JOINTS, record_state
 
-from hil.errors import HilError
+from hil.core.errors import HilError
+from hil.core.typing import StructArray
 from hil.record import read_info, read_topic
 from hil.record.recover import recover_file
-from hil.typing import StructArray
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = b"\x04\0\0\0ros2\0\0\0\0"

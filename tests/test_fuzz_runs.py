@@ -20,14 +20,14 @@ from hil import api
 from hil.campaign.judging import judge_run
 from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
+from hil.core.errors import DataError, HilError
+from hil.core.yaml_source import parse
 from hil.data.load import gravity_of, load_source, serial_of
-from hil.errors import DataError, HilError
 from hil.preflight import CheckResult
 from hil.record import Attachment, McapWriter, RunDirectory, read_events, state_topic
 from hil.report import render_report, summary_lines
 from hil.report.facts import read_facts
 from hil.spec import load_spec, spec_hash
-from hil.spec.yaml_source import parse
 
 ROOT = Path(__file__).parents[1]
 EVENTS = "events.jsonl"

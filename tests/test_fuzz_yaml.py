@@ -12,11 +12,11 @@ from fuzzing import ANYTHING, damaged, examples, quick_folder
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.core.errors import SpecError
+from hil.core.yaml_source import parse
 from hil.data.importing.import_map import load_map
-from hil.errors import SpecError
 from hil.spec import load_spec, load_station
 from hil.spec.series import load_series_spec
-from hil.spec.yaml_source import parse
 
 ROOT = Path(__file__).parents[1] / "experiments"
 Load = Callable[[Path], object]

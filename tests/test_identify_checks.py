@@ -7,8 +7,8 @@ import pytest
 from bad_networks import LAGRANGIAN, RESIDUAL
 from synthetic_motion import GAINS, dwelling, moving, nominal
 
+from hil.core.errors import DataError, FitError
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError
 from hil.identify import estimator
 from hil.identify.motor import current_of
 from hil.identify.plausible import require_plausible

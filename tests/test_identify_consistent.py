@@ -8,9 +8,9 @@ import pytest
 from scipy.optimize import minimize
 from synthetic_motion import fourier, nominal, plant
 
+from hil.core.errors import PluginError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
-from hil.errors import PluginError
 from hil.identify.consistent import consistent_least_squares
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.reference_coordinates import ReferenceCoordinates

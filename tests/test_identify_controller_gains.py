@@ -13,9 +13,9 @@ from synthetic_motion import COULOMB, GAINS, VISCOUS, fourier, moving, nominal
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import DataError, FitError, RecordingError, SpecError
 from hil.data.importing import import_file
 from hil.data.load import load_source
-from hil.errors import DataError, FitError, RecordingError, SpecError
 from hil.gains_file import read_gains, write_gains
 from hil.identify.controller_gains import controller_gains
 

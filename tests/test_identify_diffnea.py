@@ -18,15 +18,15 @@ from synthetic_motion import (
     plant,
 )
 
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.data import Dataset
 from hil.dynamics import base_parameters
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.errors import SpecError
 from hil.identify import estimator
 from hil.identify.model_file import load_model_file
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.typing import FloatArray
 
 SEEDS = (1, 2, 3)
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import rosen, rosen_der, rosen_hess
 from synthetic_motion import nominal
 
+from hil.core.typing import FloatArray
 from hil.dynamics import base_parameters
 from hil.dynamics.pseudo_inertia import divergence, is_consistent
 from hil.identify.compress import JointwiseQR
@@ -19,7 +20,6 @@ from hil.identify.diffnea.problem import Problem
 from hil.identify.diffnea.rows import BendingRows
 from hil.identify.diffnea.unknowns import Unknowns, folding
 from hil.identify.friction.memory import dahl_slopes, dahl_states
-from hil.typing import FloatArray
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]
 BASE = base_parameters(nominal(), rotor=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_motion import moving, nominal, raw
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.identify import estimator
 
 

@@ -7,8 +7,8 @@ import pytest
 from synthetic_motion import GAINS, dwelling, nominal, plant
 from test_identify_static_inverse import K2, bent
 
+from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.errors import DataError, FitError
 from hil.identify.gains import Gains, calibrate_gains
 from hil.identify.motor import torque_of
 from hil.payload import Payload

@@ -7,9 +7,9 @@ from synthetic_memory import remembering
 from synthetic_motion import dwelling, moving, nominal, raw
 from test_identify_rigid_hysteresis import made, rms
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError, SpecError
 from hil.identify import estimator
 from hil.identify.friction.library import LOADED
 from hil.identify.hysteresis_settings import BANDWIDTHS, MOTION_HZ, filters_for

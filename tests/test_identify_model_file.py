@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_motion import LOAD, dwelling, moving, nominal
 
-from hil.errors import DataError, FitError, PluginError, SpecError
+from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.rigid import RigidWls
 from hil.identify.static import StaticWls

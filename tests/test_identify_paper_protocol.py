@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, dataset, dwelling, nominal, plant
 
-from hil.errors import FitError, SpecError
+from hil.core.errors import FitError, SpecError
 from hil.identify import load_model_file, save_model
 from hil.identify.gravity import paper_functions
 from hil.identify.static import CURRENT_PART, StaticWls, signed_square

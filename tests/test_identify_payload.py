@@ -11,10 +11,10 @@ from dynamics_arms import mjcf, mujoco_torques
 from load_parts import OFF_AXIS, recorded
 from synthetic_motion import COULOMB, GAINS, LOAD, ROTORS, VISCOUS, fourier, moving, nominal, plant
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
 from hil.dynamics.pseudo_inertia import is_consistent, pseudo_inertia
-from hil.errors import DataError, FitError, SpecError
 from hil.identify.load_body import central, central_jacobian, nearest_body, payload_of
 from hil.identify.payload_fit import estimate_payload, true_values
 from hil.identify.payload_halves import payload_halves

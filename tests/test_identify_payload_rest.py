@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal, plant
 
+from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.errors import DataError, FitError
 from hil.identify.payload_fit import true_values
 from hil.identify.payload_rest import estimate_payload_at_rest
 from hil.identify.rigid import RigidWls

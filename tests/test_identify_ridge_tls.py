@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from sklearn.linear_model import Ridge as SkRidge
 
-from hil.errors import FitError
+from hil.core.errors import FitError
 from hil.identify.ridge import GRID, left_out_ridge, ridge
 from hil.identify.total_least_squares import rough, total_least_squares
 

@@ -20,10 +20,10 @@ from synthetic_motion import (
     true_torque,
 )
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.data.filters import FilterSettings, zero_phase
 from hil.dynamics import base_parameters
-from hil.errors import DataError, FitError, SpecError
 from hil.identify import estimator, load_model_file
 from hil.identify.rigid import RigidWls
 from hil.payload import Payload

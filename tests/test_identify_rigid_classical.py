@@ -5,10 +5,10 @@ import pytest
 import statsmodels.api as sm
 from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, VISCOUS, moving, nominal, plant, raw
 
+from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.dynamics.pseudo_inertia import pseudo_inertia
-from hil.errors import FitError, SpecError
 from hil.identify import estimator, load_model_file
 from hil.identify.friction_exponent import power_of_speed
 

@@ -9,9 +9,9 @@ from safetensors.numpy import load_file, save_file
 from synthetic_memory import dahl_loop, remembering
 from synthetic_motion import GAINS, LOAD, nominal, plant
 
+from hil.core.errors import DataError
 from hil.data.filters import filter_columns, prepare
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.errors import DataError
 from hil.identify import estimator, load_model_file
 
 NOISE_A = 0.02

@@ -7,9 +7,9 @@ import pytest
 from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 
 import hil
+from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source
-from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.fitting import evaluate_sources, fit_sources, parse_payload
 from hil.payload import Payload
 

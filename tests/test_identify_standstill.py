@@ -8,9 +8,9 @@ import pytest
 from dynamics_arms import urdf, written
 from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nominal
 
+from hil.core.errors import DataError, FitError
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
-from hil.errors import DataError, FitError
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, fourier, moving, nominal, plant
 
+from hil.core.errors import FitError, SpecError
 from hil.data import Conditions, Dataset
-from hil.errors import FitError, SpecError
 from hil.identify.gravity import paper_functions
 from hil.identify.static import StaticWls
 

@@ -15,11 +15,11 @@ from synthetic_motion import (
     plant,
 )
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.data.arrival import Q
 from hil.data.dwells import series_means
 from hil.data.splits import split
-from hil.errors import DataError, FitError, SpecError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.static_coulomb import StaticCoulomb
 from hil.identify.static_hysteresis import StaticHysteresis

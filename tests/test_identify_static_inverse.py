@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, nominal, plant
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
-from hil.errors import DataError, FitError, SpecError
 from hil.evaluate import evaluate
 from hil.identify import load_model_file, save_model
 from hil.identify.motor import current_of, has_current, nearest_current, torque_of

@@ -10,10 +10,10 @@ from sklearn.linear_model import ElasticNet, Lasso, LinearRegression, Ridge
 from synthetic_motion import GAINS, LOAD, dwelling, nominal, plant
 from test_identify_paper_protocol import own_regressor
 
+from hil.core.errors import FitError, SpecError
 from hil.data import Dataset
 from hil.data.splits import split
 from hil.dynamics import base_parameters
-from hil.errors import FitError, SpecError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.static import PAPER_PROTOCOL, StaticWls
 from hil.identify.static_linear import StaticLinear

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from synthetic_motion import GAINS, dwelling, nominal
 
+from hil.core.errors import DataError, FitError, SpecError
 from hil.data.splits import split
-from hil.errors import DataError, FitError, SpecError
 from hil.identify import load_model_file
 from hil.identify.lm.scaling import ConstantInputWarning
 from hil.identify.static import PAPER_PROTOCOL, StaticWls

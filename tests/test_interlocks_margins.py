@@ -10,6 +10,7 @@ import pytest
 from interlock_parts import NAMES, made, rows, with_value
 from test_interlocks_distances import Lever, bodies, space
 
+from hil.core.typing import StructArray
 from hil.engine.interlocks import (
     Backlog,
     Distances,
@@ -20,7 +21,6 @@ from hil.engine.interlocks import (
     LeastDistance,
     Margin,
 )
-from hil.typing import StructArray
 
 
 def margin_of(interlock: Interlock | LeastDistance, block: StructArray) -> Margin | None:

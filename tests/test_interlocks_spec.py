@@ -13,13 +13,13 @@ from engine_parts import ListSink, engine
 from interlock_parts import NAMES, rows, spec_of
 from kinematic_robot import KinematicRobot
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import PlanError, SpecError
+from hil.core.typing import StructArray
 from hil.engine import Outcome
 from hil.engine.interlocks import InterlockContext, from_spec
-from hil.errors import PlanError, SpecError
 from hil.spec import ExperimentSpec, load_spec, spec_from_text, spec_hash
 from hil.spec.interlocks import DEFAULTS, PluggedInterlock
-from hil.typing import StructArray
 
 GOOD = """hil: 1
 name: demo

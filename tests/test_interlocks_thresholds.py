@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from interlock_parts import NAMES, made, rows, spec_of, with_value
 
+from hil.core.errors import InterlockTripped, PlanError
 from hil.engine.interlocks import InterlockContext, from_spec
-from hil.errors import InterlockTripped, PlanError
 
 CURRENT = InterlockContext(joint_names=NAMES, effort_kind="current")
 GEARED = InterlockContext(

@@ -15,6 +15,7 @@ from json_models import KINDS, fitted
 from synthetic_motion import dwelling, nominal
 from test_export_json import EXTRA
 
+from hil.core.errors import FitError
 from hil.deploy.export import json_check, json_rest
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.json_check import comparisons, differences
@@ -22,7 +23,6 @@ from hil.deploy.export.json_columns import CONSTANTS, column, friction_torque, s
 from hil.deploy.export.json_export import document_of
 from hil.deploy.export.json_read import rigid_torque, torque_per_effort
 from hil.deploy.export.json_terms import FORMS, NETWORK, library_term
-from hil.errors import FitError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 from hil.identify.friction.library import column_names, groups

@@ -19,7 +19,7 @@ from pipeline_parts import write_schedule
 from typer.testing import CliRunner, Result
 
 import hil
-from hil import errors
+from hil.core import errors
 from hil.schedule.ledger import kept
 
 ROOT = Path(__file__).parents[1]

@@ -9,8 +9,8 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import LOAD, moving, nominal
 
+from hil.core.errors import DataError, PluginError, SpecError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
-from hil.errors import DataError, PluginError, SpecError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.base import HONEST, prepared
 from hil.identify.model_file import json_bytes, model_files

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.lagrangian.friction_settings import FRICTIONS, FrictionSettings
 
 torch = pytest.importorskip("torch", reason="torch is not installed")

@@ -8,7 +8,7 @@ from scipy.special import expit
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.errors import SpecError  # noqa: E402
+from hil.core.errors import SpecError  # noqa: E402
 from hil.identify.lagrangian.network import LagrangianNetwork  # noqa: E402
 from hil.identify.lagrangian.settings import NetworkSettings  # noqa: E402
 from hil.identify.lagrangian.trunk import softplus  # noqa: E402

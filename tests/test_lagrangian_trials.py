@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_motion import moving, nominal
 
-from hil.errors import FitError
+from hil.core.errors import FitError
 from hil.identify import estimator, load_model_file, save_model
 from hil.identify.lagrangian import choices
 

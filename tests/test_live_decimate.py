@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hil.core.typing import StructArray
 from hil.live.decimate import AT_ONCE, Decimation
 from hil.robot import state_dtype
-from hil.typing import StructArray
 
 
 class Wall:

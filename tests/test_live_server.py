@@ -20,7 +20,8 @@ from live_client import PROTOCOL, Message, Viewer
 from websockets.sync.client import connect
 
 from hil.cli.live_view import live_view, recorded_capabilities
-from hil.errors import DataError, PluginError
+from hil.core.errors import DataError, PluginError
+from hil.core.typing import StructArray
 from hil.live import FoxgloveLive
 from hil.live import server as server_module
 from hil.live.server import is_loopback
@@ -28,7 +29,6 @@ from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.topic import STATE_TOPIC
 from hil.robot import Capabilities, Status, state_dtype
-from hil.typing import StructArray
 
 pytestmark = pytest.mark.wire
 

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.lm.arrays import numpy_arrays
 from hil.identify.lm.network import Mlp
 

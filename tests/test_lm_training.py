@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from hil.errors import FitError, SpecError
+from hil.core.errors import FitError, SpecError
 from hil.identify.lm.arrays import numpy_arrays
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.rows import averaged, checked_rows, equal_inputs

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil import plugins
+from hil.core import plugins
 
 ROOT = Path(__file__).parents[1]
 CHILD = ROOT / "tests" / "missing_modules.py"

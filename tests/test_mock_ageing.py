@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil_mock_robot.driver import MockRobot
 
 SHOULDER = 1

@@ -7,8 +7,9 @@ import pytest
 from in_time import InTime, measured_again
 from mock_motions import ASIDE, UPRIGHT, move, play
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
-from hil.robot import Payload, Status
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
+from hil.payload import Payload
+from hil.robot import Status
 from hil_mock_robot.driver import MockRobot
 
 DT = 1 / 125

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil_mock_robot.driver import MockRobot
 from hil_mock_robot.faults import KINDS, Fault, faults_of
 from hil_mock_robot.options import Options

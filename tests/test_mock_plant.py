@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from hil.arms import load_arm
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.mounting import MOUNTS, gravity_of

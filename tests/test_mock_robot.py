@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mock_motions import blend, fourier, play, segment
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.payload import Payload
 from hil.robot import Robot, Status, state_dtype
 from hil_mock_robot.driver import MockRobot
@@ -326,7 +326,7 @@ def test_missing_libraries_are_a_plugin_error_that_says_what_to_install():
     code = (
         "import importlib.util as u; find = u.find_spec;"
         "u.find_spec = lambda n, *a: None if n in ('mujoco', 'numba') else find(n, *a);"
-        "from hil_mock_robot.driver import MockRobot; from hil.errors import PluginError\n"
+        "from hil_mock_robot.driver import MockRobot; from hil.core.errors import PluginError\n"
         "try: MockRobot('b')\n"
         "except PluginError as e: print(e)"
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.arms import load_arm
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 from hil_mock_robot.draw import draw_truth, ranges
 from hil_mock_robot.mock import EmbeddedMock
 from hil_mock_robot.truth import Truth

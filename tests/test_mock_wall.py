@@ -12,7 +12,7 @@ import pytest
 from in_time import InTime, measured_again
 from mock_motions import ASIDE, UPRIGHT, move, play
 
-from hil.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotError, RobotFault, RobotTimeout
 from hil.robot import Robot, Status
 from hil.testing.conformance import robot_conformance
 from hil_mock_robot.driver import MockRobot

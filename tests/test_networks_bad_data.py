@@ -10,8 +10,8 @@ import pytest
 from bad_networks import fitted, recorded, spoilt, unfitted
 from synthetic_motion import dwelling, moving, nominal
 
+from hil.core.errors import DataError, FitError, HilError
 from hil.data import Dataset
-from hil.errors import DataError, FitError, HilError
 
 pytest.importorskip("torch", reason="torch is not installed")
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load, save
 from synthetic_motion import moving
 
-from hil.errors import DataError, FitError, HilError, PluginError
+from hil.core.errors import DataError, FitError, HilError, PluginError
 from hil.identify import load_model_file, save_model
 
 torch = pytest.importorskip("torch", reason="torch is not installed")

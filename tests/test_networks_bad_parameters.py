@@ -12,10 +12,10 @@ from bad_networks import LAGRANGIAN
 from synthetic_motion import moving, nominal
 from test_identify_sources import layout, recording
 
-from hil import plugins
 from hil.cli.app import main
+from hil.core import plugins
+from hil.core.errors import SpecError
 from hil.data.importing import import_file
-from hil.errors import SpecError
 from hil.identify import estimator
 from hil.identify.lagrangian.settings import NetworkSettings
 from hil.identify.parameters import settings

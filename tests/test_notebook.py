@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import hil
-from hil import notebook
 from hil.campaign.run import RunReport
+from hil.core import notebook
+from hil.core.errors import DataError
 from hil.data.dataset import Conditions, Dataset
-from hil.errors import DataError
 from hil.evaluate.evaluation import Errors, Evaluation
 from hil.fitting import FitReport, Fitted
 from hil.registry.compare import Comparison

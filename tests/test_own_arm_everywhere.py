@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import hil
 from hil.arms.description import _parsed
 from hil.cli.app import app
-from hil.errors import DataError
+from hil.core.errors import DataError
 
 URDF = Path(__file__).with_name("own_arm.urdf")
 FEWER = {

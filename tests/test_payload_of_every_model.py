@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from synthetic_motion import LOAD, arriving, moving, nominal
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.typing import FloatArray
 from hil.data import Dataset
 from hil.dynamics import RobotModel
 from hil.identify import estimator
 from hil.identify.base import GROUP, RobotEstimator
-from hil.typing import FloatArray
 
 QUICK = {"epochs": 1, "batch_size": 300, "device": "cpu"}
 PARAMETERS: Mapping[str, dict[str, Any]] = {

@@ -10,9 +10,9 @@ import pytest
 from pipeline_parts import CAMPAIGN, FOURIER, PROBE, SCHEDULE, write_schedule
 from typer.testing import CliRunner
 
-from hil import plugins
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.core import plugins
+from hil.core.errors import SpecError
 from hil.identify.base import estimator
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind

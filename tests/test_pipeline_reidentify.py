@@ -15,9 +15,9 @@ import pytest
 from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
 from hil.campaign.experiment import Experiment
+from hil.core.errors import FitError, HilError
 from hil.drift import history
 from hil.drift.bands import banded
-from hil.errors import FitError, HilError
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
 from hil.pipeline.measuring import Measuring

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.pipeline.stages import FOLDER, Document, Stage, kept_document, run_stages
 
 

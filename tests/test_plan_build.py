@@ -16,8 +16,8 @@ import pytest
 from plan_parts import DEGREE, plan_of, samples_between, spec_of, ur5
 
 from hil.arms import load_arm
+from hil.core.errors import PlanError, SpecError
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel
-from hil.errors import PlanError, SpecError
 from hil.plan.build import build_plan
 from hil.plan.place import plannable_arm, roadmap_of, workspace_of
 from hil.plan.plan import Plan, Step

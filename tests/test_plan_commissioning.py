@@ -13,7 +13,7 @@ import pytest
 from plan_parts import spec_of, ur5
 
 from hil.arms import load_arm
-from hil.errors import PlanError, SpecError
+from hil.core.errors import PlanError, SpecError
 from hil.excite.motion import FourierSeries, Hold, Line
 from hil.payload import Payload
 from hil.plan.build import build_plan

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_plans import plans, small_plan
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.files import json_document
 from hil.plan.document import require_plan
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
-from hil.record.files import json_document
 
 
 @examples(50)

@@ -12,8 +12,8 @@ from plan_parts import plan_of, spec_of
 from hil.arms import load_arm
 from hil.campaign.experiment import Experiment, mock_bench
 from hil.campaign.preview import preview_experiment
+from hil.core.errors import PlanError, SpecError
 from hil.dynamics import RobotModel
-from hil.errors import PlanError, SpecError
 from hil.plan.interlocks import interlock_margins
 from hil.plan.plan import Plan
 

@@ -11,8 +11,9 @@ import pytest
 import yaml
 from plan_parts import plan_of, spec_of, toy_workspace, ur5
 
+from hil.core.errors import HilError, PlanError, SpecError
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.errors import HilError, PlanError, SpecError
 from hil.excite.arrange import Arrangement
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
@@ -24,7 +25,6 @@ from hil.plan.place import checked_start, roadmap_of
 from hil.plan.plan import Plan
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
-from hil.typing import FloatArray
 
 TUTORIAL = Path(__file__).parents[1] / "docs/tutorial/first-real-ur5.md"
 CLEARANCE_M = 0.02

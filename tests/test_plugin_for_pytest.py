@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from kinematic_robot import KinematicRobot
 
-from hil import plugins
-from hil.errors import RobotFault, RobotTimeout, SpecError
+from hil.core import plugins
+from hil.core.errors import RobotFault, RobotTimeout, SpecError
 from hil.robot import Robot, Status
 from hil.testing.conformance import Conformance, MakeRobot, check_names
 from hil.testing.contract_tests import RobotConformance

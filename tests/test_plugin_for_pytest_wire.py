@@ -13,7 +13,7 @@ import can
 import canopen
 import pytest
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotTimeout
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotTimeout
 from hil.testing.can_bus import CanBus
 from hil.testing.ur_controller import UrController, free_address, ur_controller
 

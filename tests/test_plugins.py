@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hil import plugins
-from hil.errors import PluginError
+from hil.core import plugins
+from hil.core.errors import PluginError
 
 DRIVERS = "hil.drivers"
 

@@ -15,9 +15,10 @@ import pytest
 from kinematic_robot import KinematicRobot
 from plan_parts import JointSpace, always_clear, ur5
 
-from hil import plugins
 from hil.arms import load_arm
-from hil.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
+from hil.core import plugins
+from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
+from hil.core.typing import FloatArray, StructArray
 from hil.excite.motion import Hold, Line
 from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
@@ -32,7 +33,6 @@ from hil.preflight import (
 )
 from hil.preflight.preflight import NEVER_WAIVED
 from hil.robot import Capabilities, Finding, HasChecks, Identity, Limits, Status
-from hil.typing import FloatArray, StructArray
 
 NAMES = tuple(f"j{i + 1}" for i in range(6))
 NOW = 1.9e9

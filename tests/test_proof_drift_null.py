@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from null_probes import FIRST_SEED, probes
 
+from hil.core.executor import processes
 from hil.drift.causes import causes
 from hil.drift.chart import FALSE_ALARM, charted
 from hil.drift.features import Features
-from hil.executor import processes
 
 ROBOTS, PROBES, WORN = 20, 50, 3
 NAME = "shoulder_lift_joint friction"

@@ -11,9 +11,9 @@ import yaml
 
 from hil.arms import load_arm
 from hil.cli import candidates
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.quick_yaml import DEEPEST, look_into
 from hil.fleet.members import spec_for
-from hil.quick_yaml import DEEPEST, look_into
 from hil.spec.new import as_scalar
 from hil_mock_robot.ur.faults import read_faults
 
@@ -42,7 +42,7 @@ def test_what_is_no_document_is_one_kind_of_error(text: str | bytes) -> None:
 
 def test_brackets_without_end_do_not_end_the_process() -> None:
     code = (
-        "from hil.quick_yaml import look_into\n"
+        "from hil.core.quick_yaml import look_into\n"
         "for text in ('[' * 60000, '[' * 60000 + ']' * 60000, '{a: ' * 60000, '- ' * 60000):\n"
         "    try: look_into(text)\n"
         "    except ValueError as error: assert 'more than 100 levels' in str(error), error\n"

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from recorded_rows import rows_of, six_axis_topic
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.record import STATE_TOPIC, McapWriter, Recorder, read_topic
 from hil.record.parts import recordings_in
 

@@ -16,7 +16,7 @@ from git_parts import repository_with
 from in_time import InTime, measured_again
 
 import hil.record.provenance as provenance
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.record import EventLog, collect_provenance, read_events
 
 

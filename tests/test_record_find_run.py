@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.record.catalogue import find_run
 
 

@@ -15,8 +15,8 @@ from mcap_ros2.decoder import DecoderFactory
 from recorded_rows import EPOCH, JOINTS, raw_topic, rows_of, six_axis_topic
 from rosbags.highlevel import AnyReader
 
+from hil.core.typing import StructArray
 from hil.record import STATE_TOPIC, Attachment, McapWriter
-from hil.typing import StructArray
 
 COUNT = 100
 EVENT = {"t": EPOCH + 0.25, "kind": "checkpoint", "step": 7}

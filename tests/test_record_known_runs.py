@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from hil.core.live_lock import hold_run
 from hil.record import known_runs as module
 from hil.record.known_runs import KnownRuns
-from hil.record.lock import hold_run
 
 
 def made(root: Path, name: str = "0001-a", started_as: str = "") -> Path:

@@ -18,11 +18,11 @@ from typing import Any
 import pytest
 from other_process import holding_run, other_process
 
-from hil import held_file
 from hil.campaign.view import describe_run
-from hil.errors import DataError, RecordingError
+from hil.core import held_file
+from hil.core.errors import DataError, RecordingError
+from hil.core.live_lock import hold_run, is_live, run_holder
 from hil.record.catalogue import list_runs
-from hil.record.lock import hold_run, is_live, run_holder
 from hil.record.rundir import RunDirectory
 
 
@@ -180,8 +180,8 @@ CHILDREN = """
 import multiprocessing, subprocess, sys, time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from hil.executor import processes
-from hil.record.lock import hold_run
+from hil.core.executor import processes
+from hil.core.live_lock import hold_run
 
 if __name__ == "__main__":
     with hold_run(Path(sys.argv[1])):
@@ -224,7 +224,7 @@ def test_children_that_outlive_the_holder_do_not_hold_its_run(tmp_path: Path) ->
 FORKED = """
 import os
 from pathlib import Path
-from hil.held_file import hold
+from hil.core.held_file import hold
 held = hold(Path({path!r}), {{"host": "here"}})
 if os.fork() == 0:
     held.release()

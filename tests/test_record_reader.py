@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from recorded_rows import EPOCH, JOINTS, raw_topic, record_state, rows_of, six_axis_topic
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.record import STATE_TOPIC, Attachment, McapWriter, read_info, read_topic
 from hil.record.cdr import CDR_HEADER
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
+from hil.core.typing import StructArray
 from hil.record import STATE_TOPIC, McapWriter, Recorder, Topic, read_info, read_topic
-from hil.typing import StructArray
 
 
 class SlowDisk(McapWriter):

@@ -19,14 +19,14 @@ from recorded_rows import EPOCH, JOINTS, record_state
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
+from hil.core.live_lock import hold_run
+from hil.core.typing import StructArray
 from hil.record import Attachment, RunDirectory, read_info, read_topic
-from hil.record.lock import hold_run
 from hil.record.recover import recover_file
 from hil.record.recover_run import recover
 from hil.record.scan import scan
 from hil.report.soundness import torn as torn_in_words
-from hil.typing import StructArray
 
 ROWS = 40
 ROWS_PER_CHUNK = 4

@@ -10,7 +10,7 @@ from recorded_rows import JOINTS, rows_of, six_axis_topic
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.record import STATE_TOPIC, Attachment, McapWriter, RunDirectory, read_info, read_topic
 from hil.record.recover_run import recover
 from hil.record.scan import ChunkSpan, scan

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from recorded_rows import rows_of, six_axis_topic
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.record import STATE_TOPIC, McapWriter, Recorder, RunDirectory, read_info, read_topic
 from hil.record.recover import recover_file
 from hil.record.recover_run import recover

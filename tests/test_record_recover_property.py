@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from recorded_rows import raw_topic, rows_of
 
-from hil.errors import DataError, HilError
+from hil.core.errors import DataError, HilError
+from hil.core.typing import StructArray
 from hil.record import Attachment, McapWriter, read_info, read_topic
 from hil.record.cdr import CDR_HEADER
 from hil.record.recover import recover_file
 from hil.record.scan import scan
-from hil.typing import StructArray
 
 TOPIC = raw_topic()
 ROWS, ROWS_PER_CHUNK = 12, 3

@@ -20,7 +20,7 @@ import pytest
 from recorded_rows import record_state
 
 import hil.record.numbering as numbering
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.record import RunDirectory
 from hil.record.catalogue import list_runs
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded_rows import raw_topic, six_axis_topic
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.record import Topic, state_topic
 from hil.record.cdr import dtype_of_schema
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from recorded_rows import JOINTS, record_state
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import StructArray
 from hil.record import read_info, read_topic
-from hil.typing import StructArray
 
 ROWS_PER_CHUNK = 4
 

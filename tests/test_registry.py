@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from synthetic_motion import moving, nominal
 
-from hil.errors import DataError, RegistryError
+from hil.core.errors import DataError, RegistryError
 from hil.identify import estimator
 from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
 from hil.registry.registry import Registry

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from synthetic_motion import moving, nominal
 
+from hil.core.errors import RegistryError
 from hil.data import Dataset
-from hil.errors import RegistryError
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
 from hil.identify.training import Training

@@ -12,7 +12,7 @@ from test_identify_sources import recording
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.errors import DataError, Rejected, SpecError
+from hil.core.errors import DataError, Rejected, SpecError
 from hil.fitting import fit_sources
 from hil.registry.facts import facts_of
 from hil.registry.registry import Registry

@@ -15,10 +15,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from hil.core.typing import FloatArray
 from hil.plan.picture_style import STYLE
 from hil.report import colours
 from hil.report.study_curves import PALETTE
-from hil.typing import FloatArray
 
 APART = 15.0
 VISION = {

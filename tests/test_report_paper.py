@@ -15,7 +15,7 @@ import pytest
 from study_parts import bars, curve, result, six_panels
 
 import hil
-from hil.errors import DataError, PluginError, SpecError
+from hil.core.errors import DataError, PluginError, SpecError
 from hil.report.paper import items, write_papers
 from hil.report.paper_figure import drawn
 from hil.report.paper_tables import csv_text, latex_text

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.report import colours, figures, render_report
 from hil.report.blocks import Badge, Page, Panel, Plots, Section
 from hil.report.drift_figures import Along

@@ -11,7 +11,7 @@ import pytest
 from report_runs import dwell_plan, write_run
 from study_parts import bars, curve, result, six_panels
 
-from hil.errors import DataError, FitError
+from hil.core.errors import DataError, FitError
 from hil.report import render_report
 from hil.report.blocks import Badge, Page, Plots
 from hil.report.render import page_html

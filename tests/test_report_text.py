@@ -12,8 +12,8 @@ from study_parts import result
 from hil.api import parse_parameters
 from hil.campaign.view import list_runs
 from hil.cli.runs import tell_run
-from hil.errors import DataError
-from hil.record.lock import hold_run
+from hil.core.errors import DataError
+from hil.core.live_lock import hold_run
 from hil.report import summary_lines
 from hil.study.store import write_study
 

@@ -12,9 +12,9 @@ from synthetic_motion import LOAD, moving, nominal
 
 pytest.importorskip("torch", reason="torch is not installed")
 
+from hil.core.errors import DataError, FitError
 from hil.data import Dataset
 from hil.data.parts import BY_SAMPLE, JUDGE, LEARN, VALIDATE, with_part
-from hil.errors import DataError, FitError
 from hil.evaluate import evaluate
 from hil.identify import estimator
 from hil.identify.base import HONEST

@@ -13,7 +13,7 @@ from synthetic_motion import LOAD
 
 pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.identify.base import prepared
 from hil.identify.model_file import load_model_file, plain, save_model
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from residual_models import known
 
+from hil.core.typing import FloatArray
 from hil.identify.residual.fit import Learnt
 from hil.identify.residual.judged import Judged
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.out_of_fold import NO_FOLD, Physics
 from hil.identify.residual.settings import ResidualSettings
-from hil.typing import FloatArray
 
 
 class Wild:

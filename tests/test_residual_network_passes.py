@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from residual_parts import OFFSETS, motions, problem, random_network, small
 
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 from hil.identify.residual.ring import RingTcn
 from hil.identify.residual.trained import TrainedTcn
 

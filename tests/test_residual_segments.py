@@ -5,7 +5,7 @@ import pytest
 from residual_parts import OFFSETS, ROWS, motions, small
 from synthetic_motion import moving
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.segments import Segments
 from hil.identify.residual.split import motion_frequency, slow_and_fast

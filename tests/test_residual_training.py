@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from residual_parts import OFFSETS, ROWS, motions, problem, small
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.identify.residual.motions import Motions
 
 torch = pytest.importorskip("torch", reason="torch is not installed")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from kinematic_robot import KinematicRobot
 
-from hil import plugins
+from hil.core import plugins
 from hil.robot import Address, Capabilities, address_of, is_loopback
 from hil.robot.facts import facts_document, facts_from
 from hil.robot.process import RobotProcess

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from kinematic_robot import KinematicRobot
 
-from hil.errors import CommandRefused, RobotFault
+from hil.core.errors import CommandRefused, RobotFault
+from hil.core.typing import StructArray
 from hil.robot import Capabilities, Limits, Robot, Segment, Status
 from hil.robot.process import RobotProcess
 from hil.testing.bench import Bench
@@ -21,7 +22,6 @@ from hil.testing.conformance import NotConforming, robot_conformance
 from hil.testing.robot_checks import BEFORE_AND_AFTER, BENCH, CONNECTED, FAULTY
 from hil.testing.stop_checks import a_fault_surfaces_in_the_next_read
 from hil.testing.unit_checks import rows_are_in_the_units_they_say
-from hil.typing import StructArray
 from hil_mock_robot.driver import MockRobot
 
 

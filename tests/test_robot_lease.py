@@ -14,7 +14,7 @@ from in_time import InTime, measured_again
 from kinematic_robot import KinematicRobot
 from other_process import other_process
 
-from hil.errors import RobotConnectionError, SpecError
+from hil.core.errors import RobotConnectionError, SpecError
 from hil.robot import Capabilities, HasResource
 from hil.robot.lease import (
     Lease,

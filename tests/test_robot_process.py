@@ -21,7 +21,7 @@ from process_inspected import Inspected
 import hil
 from hil.campaign.driver_check import check_driver
 from hil.campaign.robots import connected, open_robot, opened
-from hil.errors import (
+from hil.core.errors import (
     CommandRefused,
     PluginError,
     RobotConnectionError,

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil import errors
-from hil.errors import (
+from hil.core import errors
+from hil.core.errors import (
     HilError,
     RobotConnectionError,
     RobotError,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 from hil.record.catalogue import find_run
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -9,9 +9,9 @@ import pytest
 from load_parts import OFF_AXIS, recorded
 from synthetic_motion import moving, nominal, raw
 
+from hil.core.errors import DataError
 from hil.dynamics import load_model
 from hil.dynamics.same_robot import may_be
-from hil.errors import DataError
 from hil.evaluate import evaluate
 from hil.identify.model_file import load_model_file
 from hil.identify.payload_fit import estimate_payload

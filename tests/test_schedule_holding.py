@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from schedule_parts import HOUR, at, events, raising, schedule, scheduler
 
-from hil.errors import (
+from hil.core.errors import (
     DataError,
     InterlockTripped,
     RobotError,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from schedule_parts import MONDAY, at
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
 from hil.schedule.ledger import LEDGER_FILE, Ledger, kept, occasion_of
 from hil.schedule.occasion import Occasion
 

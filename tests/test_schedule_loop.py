@@ -23,7 +23,7 @@ from schedule_parts import (
     scheduler,
 )
 
-from hil.errors import FitError, RobotConnectionError, Stopped
+from hil.core.errors import FitError, RobotConnectionError, Stopped
 from hil.schedule.ledger import Ledger, kept
 from hil.schedule.loop import Interruption
 

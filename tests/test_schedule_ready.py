@@ -16,7 +16,7 @@ import pytest
 
 from hil.campaign import driver_check, robots
 from hil.campaign.experiment import load_experiment
-from hil.errors import RobotConnectionError, RobotFault, Stopped
+from hil.core.errors import RobotConnectionError, RobotFault, Stopped
 from hil.robot import Finding, Status, state_dtype
 from hil.robot.lease import leased
 from hil.schedule.curfew import curfew

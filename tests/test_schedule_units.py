@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import RecordingError, SpecError
+from hil.core.errors import RecordingError, SpecError
 from hil.schedule.notify import Command
 from hil.schedule.systemd import next_words, units_of, write_units
 

@@ -13,7 +13,7 @@ from pipeline_parts import SCHEDULE, write_schedule
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.pipeline.simulation import STAGES, conditions, noise_day
 from hil.registry.registry import Registry
 from hil.report.simulation_page import simulation_page

@@ -10,9 +10,9 @@ from textwrap import dedent
 import pytest
 from typer.testing import CliRunner
 
-from hil import plugins
 from hil.cli.app import app
-from hil.errors import SpecError
+from hil.core import plugins
+from hil.core.errors import SpecError
 from hil.spec import spec_from_text
 from hil.spec.judgeable import require_judgeable
 from hil.spec.load import load_station

@@ -11,10 +11,10 @@ from fuzzing import examples
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.yaml_source import parse
+from hil.core.yaml_values import scalar
 from hil.spec import load_station, spec_from_text, spec_hash
-from hil.spec.yaml_source import parse
-from hil.spec.yaml_values import scalar
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = [path.read_text("utf-8") for path in sorted((ROOT / "experiments").glob("*.yaml"))]

@@ -11,7 +11,7 @@ from hil.arms import arm_names
 from hil.campaign.bench import bench
 from hil.campaign.experiment import NOT_MOCKED, mock_bench
 from hil.campaign.robots import opened
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.payload import Payload
 from hil.spec import (
     ExperimentSpec,

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.yaml_source import read_source
 from hil.spec.describe import explain_key, keys_below, reference
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import Model, keys_of, tree
@@ -23,7 +24,6 @@ from hil.spec.schema import (
 )
 from hil.spec.series import SeriesSpec, is_series
 from hil.spec.station import Station
-from hil.spec.yaml_source import read_source
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = sorted((ROOT / "experiments").glob("*.yaml"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hil.campaign.series import load_series
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.spec import load_spec
 from hil.spec.series import is_series, load_series_spec
 

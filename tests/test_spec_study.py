@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from study_parts import Counted, register
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.spec import spec_from_text, spec_hash
 
 BEFORE = "0b571600153e60c56f2d133d444b72d4256564e20fe1301a9d3c7e1cd93367be"
@@ -51,7 +51,7 @@ def test_what_is_wrong_is_told_with_its_place(entry: str, expected: str) -> None
 
 
 def test_without_any_installed_the_message_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.plugins.entry_points", lambda *, group: [])
+    monkeypatch.setattr("hil.core.plugins.entry_points", lambda *, group: [])
     assert "there is no study 'counted'; none is installed" in line_of("study: [{study: counted}]")
 
 

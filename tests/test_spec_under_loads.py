@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import spec_from_text
 

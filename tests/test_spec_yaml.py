@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hil.errors import SpecError
-from hil.spec.source import Source
-from hil.spec.yaml_nodes import MOST_BYTES
-from hil.spec.yaml_source import parse, read_source
-from hil.spec.yaml_values import scalar
+from hil.core.errors import SpecError
+from hil.core.source import Source
+from hil.core.yaml_nodes import MOST_BYTES
+from hil.core.yaml_source import parse, read_source
+from hil.core.yaml_values import scalar
 
 
 def lines_of(text: str | bytes) -> list[str]:

@@ -14,12 +14,12 @@ from sklearn.linear_model import LinearRegression
 from synthetic_motion import SIGN_WIDTH, moving, nominal, raw
 
 import hil
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, prepare
 from hil.data.splits import assert_disjoint, groups
 from hil.dynamics import base_parameters, coulomb_viscous_columns
-from hil.errors import DataError, FitError
 from hil.identify.base import GROUP
 from hil.identify.model_file import json_bytes
 from hil.study import dynamic_methods

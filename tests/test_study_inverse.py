@@ -12,9 +12,9 @@ import pytest
 from inverse_parts import SMALL, Toy, run_of, toys
 from synthetic_motion import LOAD, nominal, plant
 
+from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
-from hil.errors import DataError, FitError
 from hil.identify.base import estimator
 from hil.identify.model_file import json_bytes
 from hil.study import inverse_dynamics, inverse_fits, inverse_found

@@ -10,11 +10,11 @@ import pytest
 from inverse_parts import run_of
 from synthetic_motion import nominal
 
+from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.data.parts import JUDGE, PART
 from hil.data.prediction import Prediction
 from hil.data.splits import groups
-from hil.errors import DataError
 from hil.identify.rigid import RigidWls
 from hil.study import inverse_fits
 from hil.study.inverse_cases import Case, honest_case, paper_case, recorded

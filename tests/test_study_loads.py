@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 
 from hil.campaign import studies as campaign
 from hil.cli.app import app
+from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
-from hil.errors import DataError, FitError, PluginError, SpecError
 from hil.identify.payload_declared import Declaration
 from hil.identify.rigid import RigidWls
 from hil.payload import Payload

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from separation_parts import SAMPLES, program, robot
 
+from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset, rows_of
 from hil.dynamics import load_model
-from hil.errors import FitError, SpecError
 from hil.study.base import silent, study
 from hil.study.result import StudyResult
 from hil.study.separation_data import one_per_pose, pairs, recording_of, sample_noise

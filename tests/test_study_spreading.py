@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 from threadpoolctl import threadpool_info
 
-from hil.errors import FitError, SpecError
-from hil.executor import BLAS_VARIABLES, one_thread, spread_over
-from hil.study import spreading
+from hil.core import spreading
+from hil.core.errors import FitError, SpecError
+from hil.core.executor import BLAS_VARIABLES, one_thread, spread_over
 from hil.study.base import Ended, silent
 from hil.study.separation_tasks import Task, run_tasks
 

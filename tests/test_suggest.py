@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from hil.suggest import LONGEST_WORD, closest, did_you_mean
+from hil.core.suggest import LONGEST_WORD, closest, did_you_mean
 
 KEYS = ("waypoints", "seed", "dwell_s", "settle_rad_s", "max_velocity_deg_s", "max_jerk_deg_s3",
         "approach", "approach_deg", "range_deg", "file", "file_unit", "kind")  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.errors import CheckpointRefused, DataError, HilError, SpecError
+from hil.core.errors import CheckpointRefused, DataError, HilError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 

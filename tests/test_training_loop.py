@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.errors import FitError, SpecError
+from hil.core.errors import FitError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.parameters import settings
 from hil.identify.training_loop.curves import Curves, sparkline
 from hil.identify.training_loop.problem import Told

@@ -12,8 +12,8 @@ from trial_parts import STATION, bench, model, model_folder, reference, short_tr
 from typer.testing import CliRunner
 
 from hil.cli.app import app
+from hil.core.errors import SpecError
 from hil.dynamics import load_model
-from hil.errors import SpecError
 from hil.payload import Payload
 from hil.report.trial_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from hil import api
 from hil.cli.app import app
-from hil.errors import HilError, RecordingError, Rejected, SpecError
+from hil.core.errors import HilError, RecordingError, Rejected, SpecError
 from hil.trial.settings import FRICTION_SHARE
 
 

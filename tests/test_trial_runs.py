@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from trial_parts import bench, model, reference, way
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.errors import SpecError
 from hil.payload import Payload
 from hil.plan.build import build_plan
 from hil.spec.station import StationRobot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from hil.errors import HilError, RobotConnectionError, RobotTimeout
+from hil.core.errors import HilError, RobotConnectionError, RobotTimeout
 from hil_drivers.twincat.beat import Beat
 
 

@@ -11,7 +11,7 @@ import pytest
 from in_time import InTime
 from plc_desk import Desk, desk_robot, line_to, little_move, on_the_desk
 
-from hil.errors import (
+from hil.core.errors import (
     CommandRefused,
     PluginError,
     RobotConnectionError,

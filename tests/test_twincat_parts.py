@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from hil.errors import RobotConnectionError, SpecError
+from hil.core.errors import RobotConnectionError, SpecError
 from hil.robot import Segment
 from hil_drivers.twincat.options import options_of
 from hil_drivers.twincat.ring import Ring

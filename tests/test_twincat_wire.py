@@ -17,7 +17,7 @@ from in_time import InTime, measured_again
 from plc_mock import MockPlc, mock_plc
 from ur_mock import loopback
 
-from hil.errors import (
+from hil.core.errors import (
     CommandRefused,
     HilError,
     PluginError,

@@ -12,7 +12,7 @@ import pytest
 from ur_machine import Wire, machine_of
 from ur_mock import loopback, mock_ur
 
-from hil.errors import CommandRefused, PluginError, SpecError
+from hil.core.errors import CommandRefused, PluginError, SpecError
 from hil_mock_robot.command_line import loopback_of
 from hil_mock_robot.ur.app import main
 from hil_mock_robot.ur.mode_codes import RobotMode, SafetyMode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.errors import CommandRefused, SpecError
+from hil.core.errors import CommandRefused, SpecError
 from hil.robot import Segment
 from hil_drivers.ur.braking import Ramp
 from hil_drivers.ur.options import SERIES_HZ, options_of

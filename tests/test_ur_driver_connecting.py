@@ -17,7 +17,7 @@ import pytest
 import yaml
 from ur_mock import mock_ur
 
-from hil.errors import CommandRefused, HilError, RobotFault
+from hil.core.errors import CommandRefused, HilError, RobotFault
 from hil.robot import HasChecks, Segment
 from hil.testing.moves import begin, follow, move, standing_at
 from hil_drivers.ur.robot import UrRobot

@@ -18,7 +18,7 @@ import pytest
 from in_time import InTime, measured_again
 from ur_driver_parts import own_address
 
-from hil.errors import (
+from hil.core.errors import (
     CommandRefused,
     HilError,
     RobotConnectionError,

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
 from hil.payload import Payload
 from hil.robot import Segment, Status, state_dtype
 from hil_drivers.checks import require_liftable

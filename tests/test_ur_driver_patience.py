@@ -12,7 +12,7 @@ import pytest
 from ur_driver_parts import own_address
 from ur_mock import loopback
 
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil_drivers import patience
 from hil_drivers.patience import once_listening
 from hil_drivers.ur.dashboard import Dashboard

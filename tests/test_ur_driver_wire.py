@@ -14,13 +14,7 @@ import pytest
 from in_time import InTime, measured_again
 from ur_mock import mock_ur
 
-from hil.errors import (
-    CommandRefused,
-    HilError,
-    RobotConnectionError,
-    RobotFault,
-    SpecError,
-)
+from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, SpecError
 from hil.excite.motion import Line
 from hil.payload import Payload
 from hil.robot import Segment, Status

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ur_machine import Wire, machine_of, pass_time
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.payload import Payload
 from hil_mock_robot.schedule import Schedule
 from hil_mock_robot.ur.faults import Fault, fault_of, faults_of, read_faults

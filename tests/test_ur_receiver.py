@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rtde_peer import Conversation, Peer
 
-from hil.errors import RobotConnectionError, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotTimeout
 from hil_drivers.ur.cutting import Cutter
 from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.rtde_wire import Layout

@@ -22,11 +22,11 @@ import pytest
 from ur_mock import MockUr, mock_ur
 
 from hil import benchmarking
+from hil.core.errors import RobotConnectionError, SpecError
+from hil.core.typing import StructArray
 from hil.data.load import load_source
-from hil.errors import RobotConnectionError, SpecError
 from hil.fitting import fit_sources
 from hil.robot import Listens, Status
-from hil.typing import StructArray
 from hil_drivers.ur.receiver import Receiver
 from hil_drivers.ur.robot import UrRobot
 

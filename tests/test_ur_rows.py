@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.record.writer import require_rows_of
 from hil.robot import Status, state_dtype
 from hil_drivers.ur.fields import FIELDS, names_for

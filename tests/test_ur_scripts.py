@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ur_control_parts import HOME, beside
 from ur_machine import machine_of
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 from hil_mock_robot.ur.control_script import ControlScript
 from hil_mock_robot.ur.inbox import LARGEST_TEXT, MOST_LINES, ScriptInbox
 from hil_mock_robot.ur.modes import RobotMode, RuntimeState

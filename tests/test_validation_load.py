@@ -13,8 +13,8 @@ from load_parts import OFF_AXIS, recorded
 from synthetic_motion import nominal, raw
 
 from hil.cli.under_load import print_under_load
+from hil.core.errors import FitError
 from hil.data.dataset import Dataset
-from hil.errors import FitError
 from hil.evaluate import evaluate
 from hil.identify.rigid import RigidWls
 from hil.payload import Payload

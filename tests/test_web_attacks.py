@@ -26,9 +26,9 @@ from live_run import until
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from hil.record.lock import hold_run
+from hil.core.live_lock import hold_run
+from hil.core.throttle import OncePerMinute
 from hil.record.rundir import RunDirectory
-from hil.throttle import OncePerMinute
 from hil.web.app import create_app
 from hil.web.protocol import LimitedProtocol, Limits
 from hil.web.settings import Settings

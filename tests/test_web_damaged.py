@@ -16,7 +16,7 @@ from web_parts import dashboard, failing, run_in, seen
 
 from hil.catalogue.view import find_runs
 from hil.cli.app import app
-from hil.record.lock import hold_run
+from hil.core.live_lock import hold_run
 from hil.record.rundir import RunDirectory
 
 DEEP = '{"a": ' * 900 + "1" + "}" * 900

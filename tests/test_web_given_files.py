@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from started_parts import written
 from web_parts import dashboard
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.excite.waypoint_file import MOST_QUOTED, read_waypoints
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import tree

@@ -14,7 +14,7 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 from hil.cli.serving import _offered, serve
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.web.app import create_app
 from hil.web.listeners import Listeners
 from hil.web.security import MOST_BYTES, POLICY

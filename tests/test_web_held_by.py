@@ -13,7 +13,7 @@ import pytest
 from starlette.testclient import TestClient
 
 from hil.campaign.started import FOLDER, Started
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil.robot.lease import leased
 from hil.web.app import create_app
 from hil.web.held_by import held_by

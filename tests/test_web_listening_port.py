@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil.web import serving
 
 

@@ -24,7 +24,7 @@ from started_parts import written
 from web_parts import dashboard, failing
 
 from hil.campaign.detached import ticks_of
-from hil.errors import PlanError
+from hil.core.errors import PlanError
 from hil.web import plan_process, planning
 
 ENDLESS = "excitation.waypoints=100000"

@@ -23,7 +23,7 @@ from web_parts import address_of_run, dashboard, plain, require_fit_for_all, see
 import hil
 from hil.campaign.confirmation import Granted
 from hil.campaign.starting import started_runs
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil.robot import Address
 from hil.web import motions, plan_process, resume_pages
 from hil_mock_robot.driver import MockRobot

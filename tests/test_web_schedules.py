@@ -16,7 +16,7 @@ from schedule_parts import raising, scheduler
 from starlette.testclient import TestClient
 from web_parts import SLY, dashboard, plain, seen
 
-from hil.errors import FitError
+from hil.core.errors import FitError
 from hil.schedule.ledger import LEDGER_FILE, Ledger, kept
 from hil.spec.schedule import load_schedule_spec
 from hil.web.schedules_known import coming

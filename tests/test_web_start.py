@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 from started_parts import PROMPT, written
 
 from hil.campaign.starting import started_runs
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.record.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.once import Once

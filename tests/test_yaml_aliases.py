@@ -17,15 +17,15 @@ from typer.testing import CliRunner
 from hil.arms import load_arm
 from hil.campaign.answers import load_answers
 from hil.cli.app import app
+from hil.core.errors import SpecError
+from hil.core.quick_yaml import look_into
+from hil.core.yaml_source import parse
 from hil.data.importing.import_map import load_map
-from hil.errors import SpecError
 from hil.fleet.members import spec_for
 from hil.gains_file import read_gains
-from hil.quick_yaml import look_into
 from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec
-from hil.spec.yaml_source import parse
 from hil_mock_robot.ur.faults import read_faults
 
 MOST_CPU_S = 0.05

@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from hil.errors import RobotConnectionError, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotTimeout
 
 RATE_HZ = 125.0
 ROW = np.dtype(

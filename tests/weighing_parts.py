@@ -13,6 +13,7 @@ from plan_parts import spec_of, ur5
 from hil.campaign.scales import gains_of, reading_of
 from hil.campaign.weighed_before import Readings
 from hil.campaign.weighing import Weighing
+from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
 from hil.payload import Payload
@@ -20,7 +21,6 @@ from hil.plan.build import build_plan
 from hil.plan.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.weigh import Weigh
-from hil.typing import FloatArray, StructArray
 from hil_mock_robot.driver import MockRobot
 
 UPRIGHT = (0.0, 0.0, -9.81)

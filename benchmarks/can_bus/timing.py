@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.can_bus.ending import forbid_priority
-from hil.typing import IntArray
+from hil.core.typing import IntArray
 from hil_drivers.cia402.histogram import Histogram
 from hil_drivers.cia402.schedule import Schedule
 

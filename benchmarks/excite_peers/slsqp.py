@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import RobotModel
 from hil.dynamics.regressor_gradient import RegressorSweep
 from hil.excite.motion import FourierSeries
-from hil.typing import FloatArray, IntArray
 
 
 class Slsqp:

@@ -11,12 +11,12 @@ import numpy as np
 from benchmarks.identification import recordings
 from benchmarks.identification.methods import DEFAULT, fitted, reason, titles, with_gains
 from benchmarks.identification.table import Section, Table, slug
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
-from hil.errors import HilError
 from hil.identify.controller_gains import controller_gains
 from hil.identify.payload_halves import HalfTested, payload_halves
-from hil.typing import FloatArray
 
 TRUE_KG = 2.805
 GOAL_RAW_A, GOAL_MASS_SHARE = 0.125, 0.05

@@ -15,11 +15,11 @@ from benchmarks.identification.methods import (
 )
 from benchmarks.identification.parts import cut, in_turn
 from benchmarks.identification.table import Section, Table, joints, numbers, slug
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, load_model
-from hil.errors import HilError
 from hil.evaluate import Errors
-from hil.typing import FloatArray
 
 NAMES = {
     "ur10": "Universal Robots UR10 (CB3)",

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import HilError, PluginError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import HilError, PluginError
 from hil.evaluate import Errors, evaluate
 from hil.identify.base import GROUP, RobotEstimator, estimator
-from hil.typing import FloatArray
 
 DEFAULT = "default"
 """Title of the model `hil fit` should be given when nobody has reasons for another."""

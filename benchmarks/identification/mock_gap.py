@@ -18,15 +18,15 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.identification.mock_recording import recorded, trajectories
 from hil.arms import load_arm
+from hil.core.errors import HilError
+from hil.core.executor import processes
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import prepare
 from hil.dynamics import RobotModel, load_model
-from hil.errors import HilError
-from hil.executor import processes
 from hil.identify.base import RobotEstimator
 from hil.study.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
 from hil.study.dynamic_methods import METHODS, missing, score, unfitted
-from hil.typing import FloatArray
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.simulation import Setting, Simulation
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.arms import load_arm
+from hil.core.typing import FloatArray
 from hil.dynamics import BaseParameters
 from hil.dynamics.inertial import body_parameters
-from hil.typing import FloatArray
 from hil_mock_robot.truth import LinkTruth, Truth
 
 

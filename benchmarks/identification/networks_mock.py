@@ -23,6 +23,7 @@ from benchmarks.identification.networks_fits import (
     decided,
     tasks_of,
 )
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.identify.base import RobotEstimator
@@ -32,7 +33,6 @@ from hil.study.inverse_fits import fitted_family
 from hil.study.inverse_methods import ONE_TO_SIX, ROWS, unfitted
 from hil.study.inverse_score import Judged, judged, nothing
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray
 from hil_mock_robot.draw import draw_truth
 
 ARM = "ur5"

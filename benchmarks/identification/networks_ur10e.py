@@ -18,6 +18,7 @@ from benchmarks.identification.networks_fits import (
     decided,
     tasks_of,
 )
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import load_model
@@ -25,7 +26,6 @@ from hil.identify.base import RobotEstimator, estimator
 from hil.study.inverse_fits import fitted_family
 from hil.study.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray
 
 ARM = "ur10e"
 RIGID = ("wls", "ours")

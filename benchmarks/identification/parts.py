@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.typing import BoolArray
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import derivative, nyquist_fraction, sample_rate, zero_phase
-from hil.typing import BoolArray
 
 TRAIN_SHARE = 0.6
 GAP_S = 0.5

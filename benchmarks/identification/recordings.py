@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 
 from benchmarks.identification.parts import cut, thinned
+from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.data.importing import import_file
 from hil.data.load import load_source
-from hil.errors import DataError
 
 _ROOT = Path(__file__).resolve().parents[2]
 MAPS = _ROOT / "experiments" / "maps"

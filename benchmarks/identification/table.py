@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from hil.typing import FloatArray
+from hil.core.typing import FloatArray
 
 
 @dataclass

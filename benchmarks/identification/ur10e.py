@@ -14,9 +14,9 @@ from benchmarks.identification.methods import (
     titles,
 )
 from benchmarks.identification.table import Section, Table, joints, numbers, slug
+from hil.core.errors import HilError
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
-from hil.errors import HilError
 from hil.evaluate import Errors
 
 ANCHORS = {"OLS": 0.1470, "WLS": 0.1450, "IRLS": 0.1451, "LMI, weighted": 0.1448}

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.lm_peers.course import LAYERS, Problem, Stopwatch, Terms, contest, skip
+from hil.core.typing import FloatArray
 from hil.identify.lm.network import Mlp
-from hil.typing import FloatArray
 
 
 def pyrenn_module() -> Any:

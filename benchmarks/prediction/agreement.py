@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hil.core.errors import FitError
 from hil.deploy.export.agreement import scale_of
 from hil.deploy.export.golden import AGREES, LOAD, golden_of
 from hil.deploy.predictor import Predictor
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
 

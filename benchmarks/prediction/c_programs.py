@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.prediction.clock import told
+from hil.core.typing import FloatArray
 from hil.deploy.export.c_build import asked, built
 from hil.deploy.export.c_export import export_c
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
 
 FLAGS = {"portable": ("-O2",), "native": ("-O3", "-march=native")}
 

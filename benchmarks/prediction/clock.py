@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.golden import motion
 from hil.dynamics import RobotModel
-from hil.typing import FloatArray
 
 RATE_HZ = 1000.0
 FEWEST = 200

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.prediction.clock import timed, told
+from hil.core.typing import FloatArray
 from hil.deploy.export.golden import RATE_HZ, SAMPLES, motion
 from hil.dynamics import RobotModel
-from hil.typing import FloatArray
 
 
 def timed_pinocchio(robot: RobotModel, calls: int) -> dict[str, float]:

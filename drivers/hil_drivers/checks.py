@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
+from hil.core.typing import FloatArray
 from hil.payload import Payload
 from hil.robot import Limits, Segment
-from hil.typing import FloatArray
 
 AT_SET_POINT_RAD = 0.02
 SLACK_RAD = 1e-6

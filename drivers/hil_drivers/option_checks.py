@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import SpecError
-from hil.suggest import closest
+from hil.core.errors import SpecError
+from hil.core.suggest import closest
 
 Range = tuple[float, float]
 

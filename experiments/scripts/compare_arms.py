@@ -21,9 +21,9 @@ import numpy as np
 import typer
 
 import hil
-from hil.errors import DataError, HilError, SpecError
+from hil.core.errors import DataError, HilError, SpecError
+from hil.core.notebook import card, number
 from hil.identify import load_model_file
-from hil.notebook import card, number
 
 SURE = 0.99
 TELLING = ("rigid-wls", "rigid-linear", "rigid-lmi", "rigid-irls", "rigid-diffnea")

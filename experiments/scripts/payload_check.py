@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 import hil
-from hil.errors import HilError, SpecError
+from hil.core.errors import HilError, SpecError
 from hil.identify import load_model_file
 
 WRONG, NOT_CHECKED = 10, 20

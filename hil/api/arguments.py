@@ -11,7 +11,7 @@ from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 
 if TYPE_CHECKING:
     from hil.payload import Payload
@@ -132,7 +132,7 @@ def whole(given: int, what: str, least: int) -> int:
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, Any]:
     """`name=value` texts to a dict; values are read as YAML scalars."""
-    from hil.spec.yaml_values import scalar
+    from hil.core.yaml_values import scalar
 
     pairs = [text.partition("=") for text in texts]
     for name, equals, _ in pairs:

@@ -13,8 +13,8 @@ from hil.campaign.confirmation import Confirm, Granted, Unconfirmed
 from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
+from hil.core.errors import SpecError
 from hil.engine import Observer
-from hil.errors import SpecError
 from hil.plan.plan import Plan
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.api.arguments import AnyPath, AnyPayload, mapping, path, paths, payload_of, sources_of
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.fitting import FitReport

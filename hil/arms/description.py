@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from hil.arms.content import description_sha256
-from hil.errors import SpecError
-from hil.quick_yaml import look_into
-from hil.typing import FloatArray
+from hil.core.errors import SpecError
+from hil.core.quick_yaml import look_into
+from hil.core.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.judging import judge_run, missing_models
 from hil.campaign.studies import missing_studies, run_studies
 from hil.campaign.trainings import are_kept
+from hil.core.errors import HilError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.errors import HilError, Stopped
 from hil.spec.experiment import StudyEntry
 from hil.study.base import Ended
 

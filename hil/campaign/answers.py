@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import SpecError
+from hil.core.source import Source, refuse, shown
+from hil.core.suggest import did_you_mean
+from hil.core.yaml_source import read_source
 from hil.engine import Reply
-from hil.errors import SpecError
-from hil.spec.source import Source, refuse, shown
-from hil.spec.yaml_source import read_source
-from hil.suggest import did_you_mean
 
 KEYS = ("prompt", "answer", "who")
 WORDS = {"yes": True, "no": False, True: True, False: False}

@@ -7,7 +7,9 @@ from pathlib import Path
 from hil.arms import ArmDescription, is_described, load_arm
 from hil.campaign.experiment import Experiment
 from hil.campaign.needs import unmet
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.source import Mark, Problem, Source, refuse
+from hil.core.yaml_source import read_source
 from hil.excite.waypoint_file import WaypointFile, read_waypoints
 from hil.excite.workspace import beyond_range, outside, ways_out
 from hil.plan.interlocks import declared_space
@@ -16,8 +18,6 @@ from hil.robot import Capabilities
 from hil.spec.experiment import Dwell
 from hil.spec.judgeable import Excess, misjudged
 from hil.spec.overrides import lay_over
-from hil.spec.source import Mark, Problem, Source, refuse
-from hil.spec.yaml_source import read_source
 
 POSES = ("excitation", "file")
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from hil.core.typing import StructArray
 from hil.engine.interlocks import HasMargin, Interlock
 from hil.robot import Capabilities, Status
-from hil.typing import StructArray
 
 FIELDS = {
     "q_rad": "q",

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from hil.campaign.experiment import Experiment
 from hil.campaign.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.campaign.weighed_before import Readings
+from hil.core.errors import HilError, RecordingError, exit_code_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
-from hil.errors import HilError, RecordingError, exit_code_of
 from hil.plan.plan import Plan
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory

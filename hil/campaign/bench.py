@@ -10,9 +10,9 @@ from typing import Any
 from hil.campaign.experiment import find_station
 from hil.campaign.live_state import read_live
 from hil.campaign.robots import opened
-from hil.errors import HilError
-from hil.holder import Holder, plain
-from hil.record.lock import is_live
+from hil.core.errors import HilError
+from hil.core.holder import Holder, plain
+from hil.core.live_lock import is_live
 from hil.robot.lease import held_leases, lease_holder, resource_of
 from hil.spec.station import StationRobot
 

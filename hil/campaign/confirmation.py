@@ -22,10 +22,10 @@ import numpy as np
 from hil.arms import load_arm
 from hil.campaign.console import Console
 from hil.campaign.experiment import Experiment
-from hil.errors import DataError, NotConfirmed
+from hil.core.errors import DataError, NotConfirmed
+from hil.core.files import read_json
 from hil.plan.plan import LoadStep, Plan
 from hil.plan.swept import Swept, aligned, swept
-from hil.record.files import read_json
 from hil.record.provenance import operator as this_user
 from hil.record.provenance import utc_now
 from hil.robot import Address, HasTopics, Robot, address_of

@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Any, Protocol, runtime_checkable
 
 from hil.campaign.control_files import FOLDER, ControlRequest, take, waiting
-from hil.errors import HilError
-from hil.holder import plain
-from hil.record.lock import run_holder
+from hil.core.errors import HilError
+from hil.core.holder import plain
+from hil.core.live_lock import run_holder
 
 EVERY_S = 0.05
 """Time between two looks at the folder of requests [s]."""

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from hil.campaign.live_state import forget_live
-from hil.errors import DataError, RecordingError
-from hil.holder import plain
-from hil.record.files import fsync_directory, json_document
-from hil.record.lock import hold_run
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import fsync_directory, json_document
+from hil.core.holder import plain
+from hil.core.live_lock import hold_run
 
 FOLDER = ".control"
 MOST_BYTES = 64 * 1024
@@ -69,7 +69,7 @@ def hold_attempt(run: Path) -> Iterator[None]:
     that died, its live view and requests to it, is not of this one.
 
     Raises:
-        DataError, RecordingError: See `hil.record.lock.hold_run`.
+        DataError, RecordingError: See `hil.core.live_lock.hold_run`.
     """
     with hold_run(run):
         forget_live(run)

@@ -9,9 +9,9 @@ from hil.campaign.answers import load_answers
 from hil.campaign.confirmation import Confirm, TypedName, Unconfirmed
 from hil.campaign.console import Console
 from hil.campaign.operator import ConsoleOperator
+from hil.core.errors import SpecError
 from hil.engine import Prompt
 from hil.engine.pausing import GoOn
-from hil.errors import SpecError
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.record.provenance import STARTED_ID
 
 LAST_LINES = 10

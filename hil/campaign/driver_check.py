@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from hil.campaign.arm_check import require_within_reach
 from hil.campaign.experiment import Experiment
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.robot import Capabilities
 
 

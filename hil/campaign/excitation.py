@@ -10,7 +10,7 @@ import numpy as np
 from hil.campaign.excitation_report import ExcitationReport
 from hil.campaign.experiment import Experiment
 from hil.campaign.robots import opened
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.excite.appraisal import Appraisal, Limits, appraise
 from hil.excite.cache import user_cache
 from hil.excite.motion import FourierSeries

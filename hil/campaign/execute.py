@@ -20,10 +20,10 @@ from hil.campaign.robots import close_robot
 from hil.campaign.sink import RunSink
 from hil.campaign.weighing import CHECK as WEIGHING
 from hil.campaign.weighing import Weighing
+from hil.core.errors import HilError
 from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
-from hil.errors import HilError
 from hil.excite.setting import Advance
 from hil.plan.plan import Plan
 from hil.plan.swept import swept

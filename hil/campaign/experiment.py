@@ -14,12 +14,12 @@ from hil.campaign.finding_station import (
     mock_bench,
     stations_in,
 )
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.yaml_source import read_source
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, resolve_robot
 from hil.spec.overrides import lay_over, resolved_text
 from hil.spec.station import Station, StationRobot
-from hil.spec.yaml_source import read_source
 
 if TYPE_CHECKING:
     from hil.plan.commissioning import Commissioning
@@ -72,7 +72,7 @@ class Experiment:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import card
+        from hil.core.notebook import card
 
         facts = {
             "robot": self.spec.robot,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.extras import Named, missing, require_installed
+from hil.core.extras import Named, missing, require_installed
 from hil.identify.base import estimator
 from hil.spec.experiment import ExperimentSpec
 from hil.study.base import study

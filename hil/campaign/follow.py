@@ -10,9 +10,9 @@ from typing import Any
 
 from hil.campaign.live_state import read_live
 from hil.campaign.verdict import verdict_word
-from hil.errors import DataError, Rejected
+from hil.core.errors import DataError, Rejected
+from hil.core.live_lock import is_live
 from hil.record.catalogue import list_runs
-from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
 
 LOOK_EVERY_S = 0.2

@@ -11,13 +11,13 @@ from hil.campaign.parts import hold_out
 from hil.campaign.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
 from hil.campaign.under_loads import Row, judge_under_loads
 from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
+from hil.core.errors import DataError, FitError, HilError
+from hil.core.files import read_json
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
 from hil.dynamics import load_model
-from hil.errors import DataError, FitError, HilError
 from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
-from hil.record.files import read_json
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit
 from hil.validation import EVALUATION_FILE

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.payload import Payload
 
 

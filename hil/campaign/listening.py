@@ -10,13 +10,13 @@ from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import write_start
 from hil.campaign.listening_run import ListeningRun
 from hil.campaign.robots import close_robot, open_robot
+from hil.core.errors import PluginError, SpecError
+from hil.core.live_lock import hold_run
+from hil.core.suggest import did_you_mean
 from hil.engine.signals import SignalWatch
-from hil.errors import PluginError, SpecError
-from hil.record.lock import hold_run
 from hil.record.rundir import RunDirectory
 from hil.robot import Listens, Robot
 from hil.spec.station import Station, StationRobot
-from hil.suggest import did_you_mean
 
 
 def listen(

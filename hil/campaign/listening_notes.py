@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.robot import Status
 
 NOT_USABLE = Status.FAULT | Status.MASKED

@@ -13,16 +13,16 @@ from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import open_recorder
 from hil.campaign.listening_notes import NOT_USABLE, fit_notes, unusable_notes
 from hil.campaign.sink import RunSink, counts_of
+from hil.core.errors import HilError, RobotTimeout, exit_code_of
+from hil.core.typing import StructArray
 from hil.data.described import found_plan
 from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
-from hil.errors import HilError, RobotTimeout, exit_code_of
 from hil.payload import Payload
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 from hil.record.topic import STATE_TOPIC
 from hil.robot import HasTopics, Listens, Robot
-from hil.typing import StructArray
 
 STOPPED_FOR_S = 1.0
 """A program that is replaced by another one stops in between, for less than this [s]."""

@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.arm_view import FIELDS, ArmView
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import json_line, read_json, write_replacing
+from hil.core.live_lock import run_holder
+from hil.core.typing import StructArray
 from hil.live.standing import ENDING, Standing
-from hil.record.files import json_line, read_json, write_replacing
-from hil.record.lock import run_holder
 from hil.record.provenance import utc_now
-from hil.typing import StructArray
 
 LIVE_FILE = ".live.json"
 LIVE_VERSION = 1

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from hil.core.errors import HilError
+from hil.core.source import Path
 from hil.dynamics import RobotModel, load_model
-from hil.errors import HilError
 from hil.identify.base import HONEST, estimator, needs_of
 from hil.identify.checks import Needs, gains_fault
 from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec, Fourier
 from hil.spec.judgeable import Excess
-from hil.spec.source import Path
 from hil.spec.station import StationRobot
 from hil.study.base import study
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from hil.campaign.answers import ScriptedOperator
 from hil.campaign.console import Console
+from hil.core.errors import PreflightFailed
 from hil.engine import Prompt, Reply
 from hil.engine.prompt import NOBODY
-from hil.errors import PreflightFailed
 from hil.plan.plan import Plan
 from hil.robot import Robot
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+from hil.core.errors import DataError
 from hil.data.dataset import Conditions, Dataset
 from hil.data.splits import Group, assert_disjoint, group_of, groups, split
-from hil.errors import DataError
 from hil.spec.experiment import HoldOut
 
 Motion: TypeAlias = tuple[str, Group]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from hil import plugins
 from hil.campaign.arm_check import require_within_reach
 from hil.campaign.attempt import Attempt, Recorded
 from hil.campaign.beginning import write_beginning
@@ -17,6 +16,7 @@ from hil.campaign.extras import require_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.robots import held, plan_for
+from hil.core import plugins
 from hil.preflight import require_room_to_begin
 from hil.record.rundir import RunDirectory
 from hil.robot import Robot

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.motion import STANDSTILL_RAD, Line
 from hil.plan.plan import Plan, Step
-from hil.typing import FloatArray
 
 FIRST_APPROACH = -2
 """Index of the first motion back to the plan; the next ones count down. −1 is `no step`."""

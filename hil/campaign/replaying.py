@@ -14,16 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
 from hil.campaign.sink import counts_of, recorded_span
+from hil.core import plugins
+from hil.core.errors import DataError, HilError, PluginError
+from hil.core.files import sha256_of
+from hil.core.live_lock import hold_run
+from hil.core.typing import StructArray
 from hil.data.completeness import Completeness, completeness_of
 from hil.data.load import require_arm_as_recorded
-from hil.errors import DataError, HilError, PluginError
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
-from hil.record.files import sha256_of
-from hil.record.lock import hold_run
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import Outcome, RunDirectory
@@ -32,7 +33,6 @@ from hil.record.writer import Attachment, McapWriter
 from hil.robot.logs import ReadsLogs, RecordedLog
 from hil.spec.load import load_station
 from hil.spec.station import StationRobot
-from hil.typing import StructArray
 
 COPIED_FILES = ("spec.yaml", "station.yaml", "plan.json")
 COPIED_FACTS = (

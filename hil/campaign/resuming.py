@@ -27,14 +27,14 @@ from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
 from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
+from hil.core.errors import DataError, PreflightFailed
+from hil.core.files import read_json
 from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
-from hil.errors import DataError, PreflightFailed
 from hil.plan.approach import Approach
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.continuity import Counts
-from hil.record.files import read_json
 from hil.record.parts import attempt_of, name_of_attempt
 from hil.record.provenance import started_as, utc_now
 from hil.record.reader import read_topic

@@ -8,16 +8,16 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hil import plugins
 from hil.campaign.experiment import Experiment
-from hil.engine.bounded import bounded
+from hil.core import plugins
+from hil.core.bounded import bounded
+from hil.core.typing import FloatArray
 from hil.excite.setting import Watch, unwatched
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot, address_of
 from hil.robot.lease import Lease, leased
 from hil.spec.station import StationRobot
-from hil.typing import FloatArray
 
 AT_SET_POINT_RAD = 0.01
 

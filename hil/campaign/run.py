@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from hil.campaign.desk import Desk, console_desk
 from hil.campaign.experiment import Experiment
 from hil.campaign.verdict import VerdictWord, verdict_word
+from hil.core.errors import HilError
 from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.errors import HilError
 from hil.identify.model_folder import models_below
 from hil.record.rundir import RunDirectory
 
@@ -55,7 +55,7 @@ class RunReport:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import Tone, card
+        from hil.core.notebook import Tone, card
 
         tones: dict[str, Tone] = {"passed": "pass", "rejected": "fail"}
         facts = {

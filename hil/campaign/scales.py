@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, StructArray
 from hil.payload import Payload
 from hil.plan.plan import Step
 from hil.robot import Capabilities, Status
-from hil.typing import FloatArray, StructArray
 
 if TYPE_CHECKING:
     from hil.dynamics import RobotModel

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil import errors
 from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.series_folder import SeriesFolder
-from hil.errors import DataError, HilError, Rejected, SpecError, Stopped, exit_code_of
+from hil.core import errors
+from hil.core.errors import DataError, HilError, Rejected, SpecError, Stopped, exit_code_of
 from hil.spec.series import SeriesSpec, load_series_spec
 
 Document = dict[str, Any]

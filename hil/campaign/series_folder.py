@@ -13,15 +13,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, HilError
-from hil.plan.commissioning import Commissioning
-from hil.record.files import (
+from hil.core.errors import DataError, HilError
+from hil.core.files import (
     json_document,
     new_folder,
     read_json,
     require_known_version,
     write_replacing,
 )
+from hil.plan.commissioning import Commissioning
 from hil.record.numbering import name_for_path
 from hil.spec.series import SeriesSpec
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.errors import HilError
+from hil.core.typing import StructArray
 from hil.record.continuity import Counts
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 from hil.record.topic import STATE_TOPIC
-from hil.typing import StructArray
 
 COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")
 

@@ -18,10 +18,10 @@ from typing import Any
 from hil.campaign.detached import is_ours, last_lines, ticks_of
 from hil.campaign.live_state import read_live
 from hil.campaign.steering import stop_run
-from hil.errors import DataError, HilError
-from hil.record.files import read_json
+from hil.core.errors import DataError, HilError
+from hil.core.files import read_json
+from hil.core.live_lock import run_holder
 from hil.record.known_runs import known_runs
-from hil.record.lock import run_holder
 
 FOLDER = ".started"
 

@@ -21,10 +21,10 @@ from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
 from hil.campaign.resuming import require_resumable
 from hil.campaign.started import FOLDER, Started, started_runs
-from hil.errors import DataError, RecordingError, SpecError
+from hil.core.errors import DataError, RecordingError, SpecError
+from hil.core.files import json_document, write_replacing
+from hil.core.live_lock import is_live
 from hil.plan.commissioning import Commissioning, commissioning_of
-from hil.record.files import json_document, write_replacing
-from hil.record.lock import is_live
 from hil.record.provenance import operator as this_user
 from hil.record.rundir import RunDirectory
 from hil.spec.schedule import is_schedule

@@ -10,9 +10,9 @@ from typing import Any
 
 from hil.campaign.control_files import ControlRequest, What, drop
 from hil.campaign.live_state import read_live, standing_in
-from hil.errors import DataError, RobotTimeout
-from hil.holder import plain
-from hil.record.lock import is_live, run_holder
+from hil.core.errors import DataError, RobotTimeout
+from hil.core.holder import plain
+from hil.core.live_lock import is_live, run_holder
 from hil.record.rundir import RunDirectory
 
 LOOK_EVERY_S = 0.1

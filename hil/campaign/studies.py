@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil import plugins
 from hil.campaign.under_loads import STUDY, as_in_spec, of_other_arms, under_loads
+from hil.core import plugins
+from hil.core.errors import DataError, FitError, HilError, SpecError
+from hil.core.executor import cores
+from hil.core.live_lock import is_live
+from hil.core.throttle import Throttle
 from hil.data.load import load_source
 from hil.dynamics import RobotModel, load_model
-from hil.errors import DataError, FitError, HilError, SpecError
-from hil.executor import cores
 from hil.identify.model_file import plain
-from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, StudyEntry
 from hil.spec.load import load_spec
@@ -29,7 +30,6 @@ from hil.study.store import (
     write_problem,
     write_study,
 )
-from hil.throttle import Throttle
 
 if TYPE_CHECKING:
     from hil.data.dataset import Dataset

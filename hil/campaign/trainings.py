@@ -15,11 +15,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import CheckpointRefused, HilError
+from hil.core.errors import CheckpointRefused, HilError
+from hil.core.throttle import Throttle
 from hil.fitting import DIGEST_LENGTH, Fitted
 from hil.identify.model_file import json_bytes
 from hil.spec.experiment import Fit
-from hil.throttle import Throttle
 
 if TYPE_CHECKING:
     from hil.identify.training_loop.problem import Told

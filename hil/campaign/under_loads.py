@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from hil.campaign.verdict import FailedFit
+from hil.core.errors import FitError, HilError
 from hil.data.load import serial_of
 from hil.dynamics import load_model
-from hil.errors import FitError, HilError
 from hil.identify.base import HONEST
 from hil.identify.model_file import load_model_file
 from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry

@@ -8,16 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.verdict import verdict_word
-from hil.errors import DataError, HilError
+from hil.core.errors import DataError, HilError
+from hil.core.files import read_json
+from hil.core.live_lock import is_live
+from hil.core.text import shell_word
 from hil.identify.model_folder import models_below
 from hil.record.catalogue import RunListing
 from hil.record.catalogue import list_runs as listings_of
-from hil.record.files import read_json
-from hil.record.lock import is_live
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import PRUNED, RunDirectory
 from hil.record.span import recorded_s
-from hil.text import shell_word
 
 _STUDY_FILES = "study/*/study.json"
 

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from hil.campaign.scales import Reading, gains_of, reading_of
+from hil.core.errors import DataError
+from hil.core.typing import StructArray
 from hil.data.completeness import recorded_steps, step_is_complete
-from hil.errors import DataError
 from hil.plan.plan import Plan, Step
 from hil.plan.weighing import why_plan_not_weighed
 from hil.robot import Capabilities
-from hil.typing import StructArray
 
 Readings = dict[int, Reading | str]
 """Weighing dwell → what it says, or why it says nothing."""

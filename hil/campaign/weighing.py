@@ -19,12 +19,12 @@ from hil.campaign.scales import (
     reading_of,
 )
 from hil.campaign.weighing_verdict import Verdict, differs, friction_of
-from hil.errors import DataError, PreflightFailed
+from hil.core.errors import DataError, PreflightFailed
+from hil.core.typing import StructArray
 from hil.plan.plan import Plan, Step
 from hil.plan.weighing import is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.spec.weigh import Weigh
-from hil.typing import StructArray
 
 CHECK = "weighing"
 """Name of the check in preflight and of its waiver, and kind of its events."""

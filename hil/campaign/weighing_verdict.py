@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hil.campaign.scales import Comparison, LoadReading
+from hil.core.typing import FloatArray
 from hil.spec.weigh import Weigh
-from hil.typing import FloatArray
 
 TELLING = 0.5
 """Share of the difference between two loads that a limit must stay below to tell them apart."""

@@ -11,9 +11,9 @@ import socket
 from pathlib import Path
 
 from hil.canbus.paths import private_folder
-from hil.errors import PluginError
-from hil.held_file import HeldFile, hold
-from hil.holder import this_process
+from hil.core.errors import PluginError
+from hil.core.held_file import HeldFile, hold
+from hil.core.holder import this_process
 
 _BACKLOG = 16
 

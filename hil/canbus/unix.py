@@ -26,7 +26,7 @@ from hil.canbus.frame import (
     TX_OVERFLOW,
 )
 from hil.canbus.paths import named_channels, socket_path
-from hil.errors import PluginError
+from hil.core.errors import PluginError
 
 SEND_PATIENCE_S = 1.0
 """How long `send` waits for room unless told: a hub that runs always makes some [s]."""

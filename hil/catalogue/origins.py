@@ -13,8 +13,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, RegistryError
-from hil.record.files import read_json, sha256_of
+from hil.core.errors import DataError, RegistryError
+from hil.core.files import read_json, sha256_of
 from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.registry.registry import Registry

@@ -16,10 +16,10 @@ from datetime import date, datetime, timedelta
 from typing import Any, get_args
 
 from hil.campaign.verdict import VerdictWord
-from hil.errors import SpecError
+from hil.core.durations import duration_of
+from hil.core.errors import SpecError
+from hil.core.suggest import did_you_mean
 from hil.record.catalogue import ListedStatus
-from hil.spec.durations import duration_of
-from hil.suggest import did_you_mean
 
 _TERM = re.compile(r"([A-Za-z_-]+)\s*(<=|>=|!=|==|=|<|>)(.*)", re.DOTALL)
 

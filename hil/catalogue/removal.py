@@ -13,9 +13,9 @@ from typing import Any
 from hil.catalogue.facts import facts_of
 from hil.catalogue.origins import origins
 from hil.catalogue.retention import Decision, Policy, guard, why_link
-from hil.errors import DataError, RecordingError
-from hil.record.files import fsync_directory
-from hil.record.lock import hold_run
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import fsync_directory
+from hil.core.live_lock import hold_run
 from hil.record.numbering import folders_in
 from hil.record.provenance import operator, utc_now
 from hil.record.rundir import PRUNED, RunDirectory

@@ -15,10 +15,10 @@ from hil.catalogue.origins import Lost, Origins, origins
 from hil.catalogue.together import groups
 from hil.catalogue.trained_rows import why_by_rows
 from hil.catalogue.view import find_runs
-from hil.errors import SpecError
+from hil.core.durations import duration_text
+from hil.core.errors import SpecError
 from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
-from hil.spec.durations import duration_text
 
 
 @dataclass(frozen=True, slots=True)

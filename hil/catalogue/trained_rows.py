@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 
 from hil.catalogue.origins import Lost
+from hil.core.errors import HilError, RegistryError
 from hil.data.fingerprints import Sketch
 from hil.data.load import load_source
-from hil.errors import HilError, RegistryError
 from hil.identify.model_file import load_model_file
 
 

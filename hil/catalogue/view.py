@@ -19,9 +19,9 @@ from typing import Any
 from hil.catalogue.facts import facts_of, started_s
 from hil.catalogue.query import Query, parse, plain
 from hil.catalogue.stamp import ALWAYS_READ, stamp_of
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
+from hil.core.files import write_replacing
 from hil.record.catalogue import run_paths
-from hil.record.files import write_replacing
 
 FILE = ".catalogue.sqlite"
 VERSION = 2

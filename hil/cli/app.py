@@ -43,7 +43,7 @@ from hil.cli import (
 )
 from hil.cli.output import fold, width_of
 from hil.cli.streams import Stream, guard_streams
-from hil.errors import (
+from hil.core.errors import (
     HilError,
     PluginError,
     RecordingError,
@@ -51,7 +51,7 @@ from hil.errors import (
     Stopped,
     exit_code_of,
 )
-from hil.text import json_text
+from hil.core.text import json_text
 
 EXIT_CODES = (
     "Exit codes: 0 done · 2 spec or plan · 3 preflight · 4 robot · 5 interlock · 6 stopped "

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.cli.live_view import live_view, recorded_capabilities
-from hil.errors import Rejected, SpecError
+from hil.core.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.arming import Moves, Together

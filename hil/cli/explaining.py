@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, fold, out_width, print_json, print_table
-from hil.errors import HilError, SpecError
+from hil.core.errors import HilError, SpecError
 
 if TYPE_CHECKING:
     from hil.spec.describe import KeyInfo

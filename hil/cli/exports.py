@@ -10,8 +10,8 @@ import typer
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.registry import HERE, RegistryOption
+from hil.core.errors import DataError
 from hil.deploy.export.targets import TARGETS
-from hil.errors import DataError
 
 
 def register(app: typer.Typer) -> None:

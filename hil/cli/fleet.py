@@ -57,7 +57,7 @@ def run(
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.campaign.arming import confirm_together
     from hil.campaign.experiment import find_station
-    from hil.executor import cores
+    from hil.core.executor import cores
     from hil.fleet.folder import FleetFolder
     from hil.fleet.members import named_in, robots_like, spec_for
     from hil.fleet.workers import Manner
@@ -86,7 +86,7 @@ def resume(
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
     from hil.campaign.arming import confirm_together
-    from hil.executor import cores
+    from hil.core.executor import cores
     from hil.fleet.folder import FleetFolder
     from hil.fleet.members import named_in
     from hil.fleet.run import left_of

@@ -59,9 +59,9 @@ def fit(
     """Fit every robot by itself, on processes of this computer or a Dask cluster."""
     from hil import api
     from hil.cli.runs import fail
-    from hil.dask_cluster import checked_address
-    from hil.errors import FitError
-    from hil.executor import cores
+    from hil.core.dask_cluster import checked_address
+    from hil.core.errors import FitError
+    from hil.core.executor import cores
     from hil.fleet.fit_task import How
     from hil.fleet.fitting import fit_runs
     from hil.fleet.robot_fit import kept, registered
@@ -104,7 +104,7 @@ def drift(
 ) -> None:
     """Judge the runs of a fleet as probes, each against its robot's champion."""
     from hil.cli.runs import fail
-    from hil.errors import DataError
+    from hil.core.errors import DataError
     from hil.fleet.probing import probe_fleet
     from hil.registry.registry import Registry
 
@@ -134,7 +134,7 @@ def report(
     json: JsonFlag = False,
 ) -> None:
     """Which robots have drifted or stand out; friction over age and temperature."""
-    from hil.executor import cores
+    from hil.core.executor import cores
     from hil.fleet.folder import PAGE
     from hil.fleet.survey import survey_fleet
     from hil.registry.registry import Registry
@@ -184,7 +184,7 @@ class _Count:
 def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
     from hil.cli.models import found
-    from hil.errors import DataError
+    from hil.core.errors import DataError
     from hil.fleet.folder import MODELS, FleetFolder, completed, is_fleet_folder
     from hil.record.rundir import RunDirectory
 

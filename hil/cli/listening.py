@@ -9,7 +9,7 @@ import typer
 
 from hil.cli.output import JsonFlag, RunsOption, StationOption, duration, print_json
 from hil.cli.runs import fail
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.listened import Listened
@@ -90,7 +90,7 @@ def _until(text: str) -> bool:
 
 def _seconds(text: str) -> float | None:
     """A duration with its unit; None when nothing is said."""
-    from hil.spec.units import UNITS, parse_quantity
+    from hil.core.units import UNITS, parse_quantity
 
     if not text:
         return None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_table
-from hil.text import json_text
+from hil.core.text import json_text
 
 if TYPE_CHECKING:
     from hil.campaign.bench import BenchRobot
@@ -154,7 +154,7 @@ def robots(
 
 
 def _row(robot: BenchRobot) -> tuple[str, ...]:
-    from hil.holder import plain, since_words
+    from hil.core.holder import plain, since_words
 
     resource = robot.resource or ("private" if not robot.problem else "?")
     held = robot.problem or "nobody"
@@ -177,7 +177,7 @@ def _chosen(run: str, runs: Path) -> Path:
 
 
 def _user() -> str:
-    from hil.holder import user_name
+    from hil.core.holder import user_name
 
     return user_name()
 

@@ -72,7 +72,7 @@ def recorded_capabilities(run: Path) -> Capabilities:
     Raises:
         DataError: It is no run directory, or the document lacks the robot.
     """
-    from hil.errors import DataError
+    from hil.core.errors import DataError
     from hil.record.rundir import RunDirectory
     from hil.robot import Capabilities
 

@@ -11,7 +11,7 @@ from hil.cli.models import ModelArgument, Sources, found, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.runs import RunArgument
 from hil.cli.studies import make
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 
 def register(app: typer.Typer) -> None:

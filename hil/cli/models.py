@@ -12,7 +12,7 @@ import typer
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
 from hil.cli.runs import RunArgument
 from hil.cli.under_load import print_under_load
-from hil.errors import DataError
+from hil.core.errors import DataError
 
 Sources = Annotated[
     list[str],

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.experiment import Experiment

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, size
-from hil.errors import RegistryError, SpecError
+from hil.core.errors import RegistryError, SpecError
 
 if TYPE_CHECKING:
     from hil.catalogue.retention import Decision
@@ -106,7 +106,7 @@ def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[P
 
 
 def _age(text: str) -> timedelta | None:
-    from hil.spec.durations import duration_of
+    from hil.core.durations import duration_of
 
     try:
         return duration_of(text) if text else None

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.output import JsonFlag, RunsOption, print_json
-from hil.errors import exit_code_of
+from hil.core.errors import exit_code_of
 
 
 def register(app: typer.Typer) -> None:

@@ -9,8 +9,8 @@ import typer
 
 from hil.cli.models import Sources, found
 from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say
-from hil.errors import RegistryError
-from hil.text import shell_word
+from hil.core.errors import RegistryError
+from hil.core.text import shell_word
 
 if TYPE_CHECKING:
     from hil.registry.log import Aliases
@@ -168,7 +168,7 @@ def promote(
 
     The first one needs none: there is nothing to compare it with.
     """
-    from hil.errors import SpecError
+    from hil.core.errors import SpecError
     from hil.evaluate.verdict import Criterion
     from hil.registry.promotion import challenge, require_promoted
     from hil.registry.registry import Registry

@@ -10,7 +10,7 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fold, out_width, print_json, print_table
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.deploy.rest_pose import RestPose

@@ -17,7 +17,7 @@ from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, r
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.runs import RunArgument, fail, tell_run
 from hil.cli.simulating import SimulateOption, simulate_schedule
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.campaign.run import RunReport
@@ -190,9 +190,9 @@ def resume(
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
     from hil.campaign.series_folder import is_series_folder
+    from hil.core.live_lock import is_live
     from hil.engine.signals import ignore_from_now_on
     from hil.record.catalogue import find_run
-    from hil.record.lock import is_live
 
     path = find_run(run, runs)
     views = (live, live_port, live_host)

@@ -18,8 +18,8 @@ from hil.cli.output import (
     print_table,
     say,
 )
-from hil.errors import DataError, HilError, exit_code_of
-from hil.text import shell_word
+from hil.core.errors import DataError, HilError, exit_code_of
+from hil.core.text import shell_word
 
 RunArgument = Annotated[
     str,

@@ -20,7 +20,7 @@ from hil.cli.output import (
 from hil.cli.registry import HERE, RegistryOption
 from hil.cli.running import OperatorOption
 from hil.cli.schedule_words import SHOWN, held_words, next_words, print_ledger, print_plan, words
-from hil.errors import DataError, HilError, SpecError
+from hil.core.errors import DataError, HilError, SpecError
 
 if TYPE_CHECKING:
     from hil.schedule.ledger import Ledger
@@ -188,7 +188,7 @@ def plan(
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
     from hil.campaign.arming import read_armed
-    from hil.held_file import holder_of
+    from hil.core.held_file import holder_of
     from hil.schedule.holding import ahead
     from hil.schedule.ledger import LOCK
 

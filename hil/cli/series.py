@@ -11,7 +11,7 @@ import typer
 
 from hil.cli.output import duration, print_json, print_table, print_warnings, size
 from hil.cli.runs import fail, tell_run
-from hil.errors import HilError
+from hil.core.errors import HilError
 
 if TYPE_CHECKING:
     from hil.campaign.arming import Moves

@@ -63,7 +63,7 @@ def serve(
     read_only: ReadOnly = False,
 ) -> None:
     """Serve the dashboard: live runs with Stop, prompts, catalogue, models, schedules."""
-    from hil import plugins
+    from hil.core import plugins
 
     if missing := plugins.absent_modules("web"):
         raise plugins.not_installed("the dashboard", missing, "web")
@@ -93,7 +93,7 @@ def _offered(given: Path | None) -> Path:
     Raises:
         SpecError: It is none.
     """
-    from hil.errors import SpecError
+    from hil.core.errors import SpecError
 
     if given is None:
         return EXPERIMENTS if EXPERIMENTS.is_dir() else Path()
@@ -110,7 +110,7 @@ def _token_for_all(given: str) -> str:
     """
     import secrets
 
-    from hil.errors import SpecError
+    from hil.core.errors import SpecError
 
     if given and len(given) < SHORTEST_TOKEN:
         raise SpecError(

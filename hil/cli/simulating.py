@@ -11,7 +11,7 @@ import typer
 
 from hil.cli.output import print_json, print_table
 from hil.cli.runs import fail
-from hil.errors import HilError, SpecError
+from hil.core.errors import HilError, SpecError
 
 WEEK_MIN = 7 * 24 * 60
 
@@ -38,10 +38,10 @@ def simulate_schedule(
         json: Whether to print one document and nothing else.
     """
     from hil.campaign.extras import require_extras
+    from hil.core.files import new_folder
     from hil.engine.signals import ignore_from_now_on
     from hil.pipeline.bound import bind
     from hil.pipeline.simulation import require_mock, simulate
-    from hil.record.files import new_folder
     from hil.record.numbering import name_for_path
     from hil.report.simulation_page import render_simulation
     from hil.spec.schedule import load_schedule_spec
@@ -70,7 +70,7 @@ def simulate_schedule(
 
 
 def _duration(text: str) -> timedelta:
-    from hil.spec.durations import duration_of
+    from hil.core.durations import duration_of
 
     try:
         return duration_of(text)

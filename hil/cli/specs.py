@@ -20,7 +20,7 @@ from hil.cli.output import (
     size,
 )
 from hil.cli.overriding import FirstOption, SetOption, SpeedOption, load_with, refuse_set
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 
 def register(app: typer.Typer) -> None:
@@ -101,9 +101,9 @@ def plan(
     from hil.campaign.driver_check import check_driver
     from hil.campaign.preview import preview_experiment
     from hil.cli.excitation_line import ExcitationLine
+    from hil.core.files import json_document, write_replacing
     from hil.plan.commissioning import commissioning_of
     from hil.plan.picture import plan_picture
-    from hil.record.files import json_document, write_replacing
     from hil.spec.series import is_series
 
     part = commissioning_of(speed, first)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table, say
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.spec.new import Draft
@@ -47,8 +47,8 @@ def new(
     json: JsonFlag = False,
 ) -> None:
     """Begin a spec, a schedule or a station: a valid file with comments; overwrites nothing."""
+    from hil.core.suggest import did_you_mean
     from hil.spec.new import KINDS, drafts
-    from hil.suggest import did_you_mean
 
     if list_ or not kind:
         _list(KINDS, json)
@@ -128,7 +128,7 @@ def _model_of(robot: str) -> tuple[str, list[str]]:
 def _unknown_robot(path: Path, robot: str) -> list[str]:
     """What to say where the station that a spec would run at has no such robot."""
     from hil.campaign.experiment import find_station
-    from hil.suggest import did_you_mean
+    from hil.core.suggest import did_you_mean
 
     station, _, source = find_station(path.resolve().parent)
     if robot in station.robots:
@@ -139,7 +139,7 @@ def _unknown_robot(path: Path, robot: str) -> list[str]:
 
 def _write(made: list[Draft]) -> list[Path]:
     """Write all files or none, and the schemas that they name where there are none yet."""
-    from hil.record.files import write_replacing
+    from hil.core.files import write_replacing
     from hil.spec.new import require_valid, schemas_beside
 
     require_valid(made)

@@ -10,7 +10,7 @@ import typer
 
 from hil.cli.output import JsonFlag, RunsOption, duration, print_json, say
 from hil.cli.runs import RunArgument, fail
-from hil.errors import Stopped
+from hil.core.errors import Stopped
 
 if TYPE_CHECKING:
     from hil.campaign.studies import Studied

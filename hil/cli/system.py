@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hil.cli.output import JsonFlag, print_json, print_table
-from hil.errors import PluginError
+from hil.core.errors import PluginError
 
 USUAL_MODEL = "ur5"
 """Of mocks that do not say which arm they usually stand for (attribute `model`)."""
@@ -44,7 +44,7 @@ def mock(
 
     `hil mock ur --speed 10` runs a UR controller until Ctrl-C; `hil mock ur --help` has the rest.
     """
-    from hil import plugins as found
+    from hil.core import plugins as found
 
     chosen = None if name == "list" else found.load("hil.mocks", name)()
     if help_ and not hasattr(chosen, "serve"):
@@ -74,7 +74,7 @@ def mock(
 
 
 def _list_mocks(json: bool) -> None:
-    from hil import plugins as found
+    from hil.core import plugins as found
 
     entries = [
         {"name": n, "description": found.load("hil.mocks", n).description}
@@ -107,7 +107,7 @@ def doctor(
 
 def plugins(json: JsonFlag = False) -> None:
     """List drivers, estimators, excitations, checks, interlocks and mocks; broken ones and why."""
-    from hil.plugins import describe_all
+    from hil.core.plugins import describe_all
 
     found = describe_all()
     if json:

@@ -6,9 +6,9 @@ import sys
 import time
 
 from hil.cli.output import duration, width_of
+from hil.core.throttle import Throttle
 from hil.identify.training_loop.curves import sparkline
 from hil.identify.training_loop.problem import Told
-from hil.throttle import Throttle
 
 EVERY_S = 0.2
 ALIVE_EVERY_S = 120.0

@@ -10,7 +10,7 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fold, print_json, width_of
-from hil.errors import Rejected
+from hil.core.errors import Rejected
 from hil.trial.settings import FRICTION_SHARE, MOST_SEED
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.campaign.live_state import standing_in
 from hil.cli.output import duration, fold
-from hil.holder import plain
+from hil.core.holder import plain
 from hil.live.log_words import MOST, words_of
 from hil.live.standing import ENDING, Standing
 from hil.live.words import share_words, state_words, step_words

@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray, IntArray
 
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""
@@ -129,7 +129,7 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import card
+        from hil.core.notebook import card
 
         facts = {
             "samples": f"{len(self):,}",

@@ -14,14 +14,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.source import shown
+from hil.core.typing import FloatArray
 from hil.data.dataset import SeriesKind
 from hil.data.dwells import DwellRule as StayRule
 from hil.data.series import Origin, StepNote
-from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import DwellRule
-from hil.spec.source import shown
-from hil.typing import FloatArray
 
 _LISTS = ("joint_names", "drive_gains")
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import derivative
-from hil.typing import BoolArray, FloatArray, IntArray
 
 SAMPLES_PER_DWELL = 10
 

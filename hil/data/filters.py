@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.data.dataset import PREPARED, Conditions, Dataset
 from hil.data.filtering.butterworth import (
     CLOCK,
@@ -33,8 +35,6 @@ from hil.data.filtering.downsampling import (
     stride_of,
 )
 from hil.data.filtering.settings import PRESETS, FilterSettings
-from hil.errors import DataError
-from hil.typing import FloatArray
 
 __all__ = [
     "AT_REST",

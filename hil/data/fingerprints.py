@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
-from hil.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
+from hil.core.errors import DataError
+from hil.core.files import read_json
+from hil.core.typing import StructArray
 from hil.data.completeness import base_record, dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
 from hil.data.described import (
@@ -34,16 +37,13 @@ from hil.data.described import (
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import TARGET, Series, StepNote, assemble, cut
 from hil.data.stays import FOUND_FILE, FoundSteps
-from hil.errors import DataError
 from hil.payload import Payload
 from hil.plan.plan import DwellRule
-from hil.record.files import read_json
 from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.topic import TARGET_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
-from hil.typing import StructArray
 
 WINDOW_PAYLOAD = "payload of window {}"
 """Metadata record of an imported file: the load of one window, where it has its own."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filtering.downsampling import AT_REST
 from hil.data.splits import group_of, groups, split
-from hil.errors import DataError
-from hil.typing import BoolArray, FloatArray
 
 PART = "part"
 """Column (N,) with one of the three numbers below."""

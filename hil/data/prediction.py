@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
-from hil.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,13 +10,13 @@ from typing import Literal
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
 from hil.data.arrival import POINTS, Track, arrival
 from hil.data.dataset import Conditions, Dataset, SeriesKind
 from hil.data.filters import AT_REST, is_pause
-from hil.errors import DataError
 from hil.payload import Payload
 from hil.robot.state import Status
-from hil.typing import BoolArray, FloatArray, IntArray, StructArray
 
 SHORTEST_PIECE = 20
 """Rows; shorter pieces of a cut trajectory are not worth keeping (and too short to filter)."""

@@ -12,9 +12,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from hil.core.errors import DataError
 from hil.data.dataset import Conditions, Dataset, rows_of
 from hil.data.fingerprints import fingerprints
-from hil.errors import DataError
 
 SplitBy = Literal["trajectory", "pose", "load"]
 Group: TypeAlias = tuple[str, int]

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, StructArray
 from hil.data.dwells import DwellRule
-from hil.typing import BoolArray, FloatArray, StructArray
 
 LEAVES_AT = 2.0
 """A stay ends at this many times the speed at which it begins: noise must not end it."""

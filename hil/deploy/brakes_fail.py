@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.resting import RestingArm
-from hil.typing import FloatArray
 
 Outcome = Literal["stays", "held", "tips", "falls"]
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError, PluginError
+from hil.core.typing import FloatArray
 from hil.deploy.export.c_build import built, require_compiler
 from hil.deploy.export.c_program import PARTS, c_source
 from hil.deploy.export.closeness import closeness
@@ -16,10 +18,8 @@ from hil.deploy.export.golden import LOAD, golden_of
 from hil.deploy.export.program import Program
 from hil.deploy.export.reading import program_of
 from hil.deploy.sample import HINT, REFUSED, as_sample
-from hil.errors import DataError, FitError, PluginError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import PARAMETERS
 from hil.identify.base import RobotEstimator
 from hil.identify.standstill import gravity_torque
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]

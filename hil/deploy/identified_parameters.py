@@ -12,16 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.data.prediction import Prediction
 from hil.deploy.asked import motion_of
 from hil.dynamics import base_parameters, friction_terms
 from hil.dynamics.base import BaseParameters
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.consistent import consistent_least_squares
 from hil.identify.inertial_bounds import InertialBounds
-from hil.typing import FloatArray
 
 SAMPLES = 400
 SPEED_RAD_S = 1.0

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import FitError
 from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.identified_parameters import IdentifiedParameters, identified_parameters
 from hil.deploy.urdf_check import Miss, missed, require_near, words
@@ -16,7 +17,6 @@ from hil.deploy.urdf_edit import edited
 from hil.deploy.urdf_text import dynamics, inertial, plain, written
 from hil.dynamics import RobotModel
 from hil.dynamics.robot_model import GRAVITY
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from hil.errors import SpecError
-from hil.typing import FloatArray
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 
 
 class LowPass:

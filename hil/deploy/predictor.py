@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import FloatArray
 from hil.deploy.compiled import CompiledProgram
 from hil.deploy.export.c_build import compiler
 from hil.deploy.export.reading import NotExported
 from hil.deploy.sample import as_sample, require_within
-from hil.errors import FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 
 class Predictor:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.deploy.brakes_fail import BrakesFail, brakes_fail
 from hil.deploy.rest_search import (
     free_joints,
@@ -23,7 +24,6 @@ from hil.deploy.rest_search import (
     turned,
 )
 from hil.deploy.resting import RestingArm
-from hil.typing import BoolArray, FloatArray
 
 APART_RAD = 0.5
 """Poses count as different when some joint differs by as much."""

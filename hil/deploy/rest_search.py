@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import PlanError
+from hil.core.typing import BoolArray, FloatArray
 from hil.deploy.brakes_fail import INDIFFERENT, curvatures
 from hil.deploy.resting import RestingArm
-from hil.errors import PlanError
-from hil.typing import BoolArray, FloatArray
 
 DRAWN = 4096
 """Well-spread poses that are looked at; a power of two."""

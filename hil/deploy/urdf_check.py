@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import FAULT, scale_of
 from hil.deploy.export.golden import RATE_HZ, SAMPLES, motion
 from hil.deploy.identified_parameters import (
@@ -17,9 +19,7 @@ from hil.deploy.identified_parameters import (
     rigid_asked,
 )
 from hil.dynamics import RobotModel
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
 
 EXACT = 1e-9
 """Largest miss where links have the model's parameters, as a share of a joint's largest torque."""

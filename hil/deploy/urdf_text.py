@@ -8,10 +8,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.identified_parameters import IdentifiedParameters
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre
-from hil.typing import FloatArray
 
 UNLIMITED = 1e9
 """Effort and speed of joints whose limits nobody knows: a URDF has no word for infinity."""

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil import plugins
+from hil.core import plugins
 from hil.doctor.finding import Finding
 
 NOT_FOR_USERS = {"all", "dev"}

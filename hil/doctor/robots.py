@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from hil.core.errors import HilError
 from hil.doctor.finding import Finding
-from hil.errors import HilError
 from hil.spec.station import StationRobot
 
 AT_ONCE = 8

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from hil.core.typing import FloatArray
 from hil.drift.chart import Charted
 from hil.drift.features import UNITS, Features
-from hil.typing import FloatArray
 
 LEAST_KG = 0.05
 """Below this a place would be that of noise."""

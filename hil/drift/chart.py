@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.drift.features import Features
-from hil.errors import DataError
-from hil.typing import BoolArray, FloatArray
 
 FALSE_ALARM = 0.01
 """Of one probe, all features together."""

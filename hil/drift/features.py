@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import DataError
 from hil.evaluate.evaluation import filtered_effort
 from hil.identify.base import RobotEstimator
-from hil.typing import BoolArray, FloatArray
 
 JOINT_FEATURES = ("friction", "gain", "offset")
 LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import DataError
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
 
 
 def friction_change(

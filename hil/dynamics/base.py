@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics.robot_model import RobotModel
-from hil.errors import FitError
-from hil.typing import FloatArray, IntArray
 
 TOLERANCE = 1e-9
 """Relative to the largest pivot; dependent columns come out below 1e-14, independent ones above

@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription
+from hil.core.errors import SpecError
+from hil.core.text import utf8_text
+from hil.core.typing import BoolArray, FloatArray
 from hil.dynamics.urdf import read_serial_arm
-from hil.errors import SpecError
-from hil.text import utf8_text
-from hil.typing import BoolArray, FloatArray
 
 UNLIMITED = 1e9
 """Stands for infinity in a URDF, which has no word for it."""

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.dynamics.build import JointGeometry
-from hil.typing import BoolArray, FloatArray
 
 ZERO = 1e-15
 """Sines and metres below this are what is left of an exact zero."""

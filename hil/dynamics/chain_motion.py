@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics.build import JointGeometry
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

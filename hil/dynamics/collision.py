@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
+from hil.core.errors import DataError, SpecError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.dynamics.capsules import CapsuleChain
 from hil.dynamics.distances import box_distance, plane_distance, segment_distance
 from hil.dynamics.environment import Box, Environment, Plane
 from hil.dynamics.path_search import least_along
-from hil.errors import DataError, SpecError
-from hil.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

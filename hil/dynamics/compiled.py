@@ -12,8 +12,8 @@ from typing import TypeVar, cast
 import numpy as np
 from numba import njit
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.dynamics.chain import Chain
-from hil.typing import BoolArray, FloatArray, IntArray
 
 OMEGA, ALPHA, ACCELERATION = 0, 1, 2
 """Rows of what is known of one link's motion, in its own frame."""

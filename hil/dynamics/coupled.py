@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics.inertial import PARAMETERS
 from hil.dynamics.robot_model import GRAVITY, MOTOR_SIDE, RobotModel
-from hil.errors import SpecError
 from hil.payload import Payload
-from hil.typing import FloatArray, IntArray
 
 
 class CoupledModel(RobotModel):

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.dynamics.build import joint_geometry, model_from_urdf
-from hil.errors import SpecError
-from hil.typing import FloatArray
 
 PARALLEL = 1e-6
 """Sine of the angle below which two axes count as parallel."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics.base import BaseParameters, base_parameters
 from hil.dynamics.regressor_gradient import MotionGradient, RegressorSweep
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

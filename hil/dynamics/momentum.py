@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS
-from hil.typing import FloatArray
 
 BODY = len(PARAMETERS)
 TENSOR = [[4, 5, 7], [5, 6, 8], [7, 8, 9]]

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import FitError
-from hil.typing import BoolArray, FloatArray
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 
 COORDINATES = ("alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3")
 """Order of θ: α, the logarithms of the diagonal, the upper triangle, the centre of mass [m]."""

@@ -24,10 +24,10 @@ from importlib.util import find_spec
 import numpy as np
 import pinocchio as pin
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics.chain import Chain
 from hil.dynamics.inertial import PARAMETERS
-from hil.errors import DataError
-from hil.typing import FloatArray, IntArray
 
 BODY = len(PARAMETERS)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.dynamics.chain_motion import (
     ChainMotion,
     chain_motion,
@@ -27,7 +28,6 @@ from hil.dynamics.chain_motion import (
     wrench_cross,
 )
 from hil.dynamics.inertial import PARAMETERS
-from hil.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.dynamics.build import JointGeometry

@@ -13,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription, is_description, load_arm
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.dynamics.build import (
     model_from_arm,
     model_from_urdf,
@@ -24,9 +26,7 @@ from hil.dynamics.inertial import (
     transfer_matrix,
 )
 from hil.dynamics.rigid_bodies import RigidBodies
-from hil.errors import SpecError
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 GRAVITY = (0.0, 0.0, -9.81)
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError, SpecError
+from hil.core.typing import FloatArray
 from hil.dynamics.robot_model import MOTOR_SIDE, RobotModel, load_model
-from hil.errors import DataError, SpecError
-from hil.typing import FloatArray
 
 APART_M, APART_RAD = 0.01, 0.05
 """By as much the axes of one arm may differ between two descriptions: a calibrated one, say."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray, StructArray
 from hil.plan.plan import DwellRule
-from hil.typing import FloatArray, StructArray
 
 
 class DwellWatch:

@@ -13,7 +13,18 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.engine.bounded import bounded, supervised
+from hil.core.bounded import bounded, supervised
+from hil.core.errors import (
+    HilError,
+    InterlockTripped,
+    RobotConnectionError,
+    RobotError,
+    RobotFault,
+    RobotTimeout,
+    StaleState,
+    Stopped,
+)
+from hil.core.typing import StructArray
 from hil.engine.interlocks import Interlock
 from hil.engine.observers import Observers
 from hil.engine.pausing import GoOn, Pausing, nobody_goes_on
@@ -25,19 +36,8 @@ from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling, under_way
 from hil.engine.watchdog import HUNG_AFTER_S, Watchdog
-from hil.errors import (
-    HilError,
-    InterlockTripped,
-    RobotConnectionError,
-    RobotError,
-    RobotFault,
-    RobotTimeout,
-    StaleState,
-    Stopped,
-)
 from hil.plan.plan import Plan, Step
 from hil.robot import Robot
-from hil.typing import StructArray
 
 READ_WITHIN_S = 3.0
 """What a driver may take for the last `read`, beside the time the arm needs to come to rest."""

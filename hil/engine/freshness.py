@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import InterlockTripped, StaleState
-from hil.typing import StructArray
+from hil.core.errors import InterlockTripped, StaleState
+from hil.core.typing import StructArray
 
 STALE_AFTER_S = 0.5
 """Wall time without a newer sample, on robots that live in wall time [s]."""

@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
+from hil.core.errors import HilError, InterlockTripped
+from hil.core.plugins import origin_of
+from hil.core.typing import StructArray
 from hil.engine.interlocks import Interlock, Trip
-from hil.errors import HilError, InterlockTripped
-from hil.plugins import origin_of
-from hil.typing import StructArray
 
 SLOW_S = 0.25
 """An interlock that takes longer for a block keeps the robot waiting [s]."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from hil.core.errors import InterlockTripped
 from hil.engine.reading import Reading, Sink
 from hil.engine.states import RunState
 from hil.engine.steps import Steps
-from hil.errors import InterlockTripped
 
 CLEAR_FOR_S = 5.0
 """Device time an interlock that pauses must be clear before the run goes on by itself [s]."""

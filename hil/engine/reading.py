@@ -9,14 +9,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.engine.bounded import bounded
+from hil.core.bounded import bounded
+from hil.core.errors import HilError, RecordingError, RobotFault
+from hil.core.typing import StructArray
 from hil.engine.freshness import Deadline, Freshness
 from hil.engine.interlocks import Interlock, Trip, is_slowed
 from hil.engine.judging import Judge
 from hil.engine.requests import Requests
-from hil.errors import HilError, RecordingError, RobotFault
 from hil.robot import HasSpeedScaling, HasTopics, Robot, Status
-from hil.typing import StructArray
 
 REST_RAD_S = 0.01
 """All joints slower than this, and no motion commanded, is at rest."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.errors import HilError, Stopped
+from hil.core.errors import HilError, Stopped
 
 
 @dataclass(slots=True)

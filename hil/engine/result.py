@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hil.core.errors import HilError, InterlockTripped, Stopped
 from hil.engine.reading import Progress
 from hil.engine.states import Outcome
-from hil.errors import HilError, InterlockTripped, Stopped
 
 
 @dataclass(frozen=True, slots=True)

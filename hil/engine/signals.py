@@ -19,11 +19,11 @@ from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any
 
-from hil.engine.bounded import bounded
+from hil.core.bounded import bounded
+from hil.core.errors import Stopped
 from hil.engine.engine import Engine
 from hil.engine.reading import STOP_WITHIN_S
 from hil.engine.states import RunState
-from hil.errors import Stopped
 from hil.robot import Robot
 
 WATCHED = tuple(

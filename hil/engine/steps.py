@@ -7,14 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from hil.core.errors import CommandRefused, RobotTimeout, Stopped
+from hil.core.typing import StructArray
 from hil.engine.dwell import DwellWatch
 from hil.engine.prompt import Prompt
 from hil.engine.reading import Reading, Sink
-from hil.errors import CommandRefused, RobotTimeout, Stopped
 from hil.excite.motion import Motion
 from hil.plan.plan import AT_REST, Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
-from hil.typing import StructArray
 
 SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {
     "warmup": "move",

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import AT_REST, sample_rate, shortest_series, zero_phase
 from hil.data.prediction import Model
 from hil.evaluate.metrics import correlation, mep, nrmse, rmse
-from hil.typing import BoolArray, FloatArray
 
 MEASURED_CUTOFF = 0.20
 """Of the Nyquist frequency."""
@@ -105,7 +105,7 @@ class Evaluation:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import card, number
+        from hil.core.notebook import card, number
 
         total = self.total
         facts = {

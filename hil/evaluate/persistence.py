@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import SpecError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import SpecError
 from hil.evaluate.metrics import rmse
-from hil.typing import BoolArray, FloatArray
 
 ROUNDING_S = 1e-6
 """Time stamps that differ by less are the same: 20 steps of 1 ms are 20 ms."""

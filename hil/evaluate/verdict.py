@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.evaluate.evaluation import Errors, Evaluation
 
 Metric = Literal["rmse_raw", "rmse_filtered", "nrmse", "mep"]

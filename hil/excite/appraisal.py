@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.information import Information, Regressor
 from hil.excite.motion import FourierSeries, Samples
 from hil.excite.setting import Setting
 from hil.excite.workspace import Workspace
-from hil.typing import FloatArray
 
 REGRESSOR_ROWS = 1000
 """Samples of a trajectory that its regressor is computed from, at most about."""

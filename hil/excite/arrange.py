@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.motion import STANDSTILL_RAD, Line
 from hil.excite.roadmap import Roadmap
 from hil.excite.visit import Action, Program, Visit
 from hil.excite.workspace import Workspace
-from hil.typing import FloatArray
 
 LOOK_AHEAD = 3
 """How many of the remaining visits are tried in a straight line at once."""

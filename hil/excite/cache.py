@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import HilError, RecordingError
+from hil.core.errors import HilError, RecordingError
+from hil.core.files import json_document, read_json, write_replacing
 from hil.excite.motion import FourierSeries, motion_from_dict
-from hil.record.files import json_document, read_json, write_replacing
 
 FORMAT = 1
 OFF = "off"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import PlanError, SpecError
+from hil.core.errors import PlanError, SpecError
+from hil.core.typing import FloatArray
 from hil.excite.motion import Motion
 from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
@@ -15,7 +16,6 @@ from hil.excite.visit import Program, Visit, pose_visit
 from hil.excite.waypoint_file import WaypointFile, read_waypoints, shortened
 from hil.excite.workspace import Workspace, ways_out
 from hil.spec.experiment import Dwell
-from hil.typing import FloatArray
 
 SPARE_SHARE = 0.05
 """Poses drawn beyond those asked for, to stand in for unreachable ones."""

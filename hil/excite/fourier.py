@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.coefficients import (
     POINTS_PER_HARMONIC,
     SHRINKAGE,
@@ -32,7 +33,6 @@ from hil.excite.setting import Setting
 from hil.excite.visit import Action, Program, Visit
 from hil.excite.workspace import Workspace
 from hil.spec.experiment import Fourier
-from hil.typing import FloatArray
 
 CANDIDATES = 6
 """Feasible draws among which the best conditioned one is kept."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.linalg
 
-from hil.typing import FloatArray
+from hil.core.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.profile import Profile, rest_to_rest
-from hil.typing import FloatArray
 
 STANDSTILL_RAD = 1e-9
 """Shorter ways than this are none: ruckig fails on them, and no encoder sees them."""

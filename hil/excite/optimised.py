@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.errors import PlanError, RecordingError
+from hil.core.errors import PlanError, RecordingError
 from hil.excite.cache import DamagedEntry
 from hil.excite.motion import FourierSeries
 from hil.excite.question import Question

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.workspace import Workspace
-from hil.typing import FloatArray
 
 BLOCK = 1024
 

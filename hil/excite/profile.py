@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.errors import PlanError
-from hil.typing import FloatArray
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 
 LONGEST_S = 7600.0
 """Ruckig warrants its precision up to here."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
 from hil.excite.cache import digest
 from hil.excite.motion import FourierSeries
 from hil.excite.setting import Setting

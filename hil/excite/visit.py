@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from hil.core.typing import FloatArray
 from hil.excite.motion import Hold, Motion
 from hil.excite.roadmap import Roadmap
 from hil.excite.workspace import Workspace
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

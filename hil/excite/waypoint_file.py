@@ -11,9 +11,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hil.errors import SpecError
-from hil.spec.source import shown
-from hil.typing import FloatArray
+from hil.core.errors import SpecError
+from hil.core.source import shown
+from hil.core.typing import FloatArray
 
 AngleUnit: TypeAlias = Literal["deg", "rad"]
 

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.dask_cluster import cluster
+from hil.core.dask_cluster import cluster
+from hil.core.errors import DataError, FitError
+from hil.core.executor import processes
+from hil.core.spreading import TRIES, spread
 from hil.drift.history import identity
-from hil.errors import DataError, FitError
-from hil.executor import processes
 from hil.fleet.fit_task import FitResult, How, Sent, fit_at
-from hil.study.spreading import TRIES, spread
 
 Tell = Callable[[int], object]
 """Told how many are done."""

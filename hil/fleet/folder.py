@@ -15,10 +15,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, RecordingError
-from hil.held_file import hold
-from hil.holder import Holder, this_process
-from hil.record.files import (
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import (
     json_document,
     new_folder,
     read_json,
@@ -26,6 +24,8 @@ from hil.record.files import (
     write_once,
     write_replacing,
 )
+from hil.core.held_file import hold
+from hil.core.holder import Holder, this_process
 from hil.record.numbering import name_for_path, run_folders
 
 DOCUMENT, PAGE, SPECS, MODELS = "fleet.json", "fleet.html", "specs", "models"

@@ -10,12 +10,12 @@ from pathlib import Path
 import yaml
 
 from hil.campaign.experiment import Experiment, find_station
-from hil.errors import SpecError
-from hil.quick_yaml import bounded
+from hil.core.errors import SpecError
+from hil.core.quick_yaml import bounded
+from hil.core.suggest import closest
 from hil.spec.fleet import load_fleet_spec
 from hil.spec.load import resolve_robot, spec_from_text
 from hil.spec.station import Station
-from hil.suggest import closest
 
 FEW = 12
 """Of the names of robots a hint lists."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import HilError
 from hil.drift.history import Probe, assess
-from hil.errors import HilError
 from hil.fleet.folder import FleetFolder, completed
 from hil.fleet.robot_fit import robot_of
 from hil.registry.registry import Registry

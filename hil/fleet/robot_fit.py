@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.verdict import VerdictWord, verdict_word
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.files import read_json
 from hil.fleet.fit_task import FitResult
 from hil.identify.model_file import write_whole
-from hil.record.files import read_json
 from hil.registry.registry import Registry
 
 

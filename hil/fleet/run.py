@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil import errors
 from hil.campaign.series import Ended
 from hil.campaign.verdict import verdict_word
-from hil.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
+from hil.core import errors
+from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
 from hil.fleet.folder import FleetFolder
 from hil.fleet.workers import Manner, Workers
 from hil.identify.model_folder import models_below

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError, HilError
+from hil.core.typing import FloatArray
 from hil.drift.history import probes_of
-from hil.errors import DataError, HilError
 from hil.fleet.fitting import computed
 from hil.fleet.folder import MODELS, FleetFolder, completed
 from hil.fleet.outliers import FAMILY_WISE, Standing, standing
@@ -18,7 +19,6 @@ from hil.fleet.robot_fit import robot_of
 from hil.fleet.surveyed import Surveyed, surveyed
 from hil.identify.model_folder import models_below
 from hil.registry.registry import Registry
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import FitError, HilError
+from hil.core.files import read_json
+from hil.core.typing import FloatArray
 from hil.drift.history import Probe
-from hil.errors import FitError, HilError
 from hil.fleet.robot_fit import robot_of
-from hil.record.files import read_json
-from hil.typing import FloatArray
 
 DAYS_A_YEAR = 365.25
 

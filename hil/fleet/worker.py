@@ -12,8 +12,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import HilError
-from hil.executor import one_thread
+from hil.core.errors import HilError
+from hil.core.executor import one_thread
 
 if TYPE_CHECKING:
     from hil.campaign.arming import Together

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.identify.block_quantile import block_numbers, block_weights
-from hil.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import ValidationError
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import DataError, FitError, SpecError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset, SeriesKind, rows_of
 from hil.data.filters import FilterSettings, downsample, is_prepared, prepare
 from hil.data.parts import rows_to_fit
@@ -18,12 +20,10 @@ from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
 from hil.dynamics.regressor import COMPILED_FROM
 from hil.dynamics.same_robot import may_be
-from hil.errors import DataError, FitError, SpecError
 from hil.identify.checks import Needs
 from hil.identify.parameters import Parametrised, require_known
 from hil.identify.training import Training
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 GROUP = "hil.estimators"
 

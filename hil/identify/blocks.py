@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.correlation import correlated_samples
-from hil.typing import FloatArray, IntArray
 
 TIMES = 4.0
 """A block lasts so many correlation times of the residual: then blocks hardly know of another."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.arms import arm_names
+from hil.core.errors import DataError, FitError
+from hil.core.typing import FloatArray
 from hil.data.dataset import PREPARED, Dataset
 from hil.data.filters import require_finite
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError
-from hil.typing import FloatArray
 
 NO_EFFORT = 1e-12
 """Not even the resolution of a sensor, in any unit."""

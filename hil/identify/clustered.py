@@ -20,8 +20,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.linear import WeightedLeastSquares
-from hil.typing import FloatArray, IntArray
 
 Correction = Literal["CR1", "CR2"]
 

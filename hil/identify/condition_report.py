@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics import conditioning
 from hil.identify.compress import upper_triangle
-from hil.typing import FloatArray
 
 SHOWN = 3
 """Directions that are told, and parameters named of each."""

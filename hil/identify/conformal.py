@@ -17,12 +17,12 @@ from statistics import NormalDist
 
 import numpy as np
 
-from hil.errors import FitError, SpecError
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.identify.band_coverage import BandCoverage
 from hil.identify.block_quantile import conformal_quantile
 from hil.identify.parameters import number, whole
 from hil.identify.speed_ranges import range_numbers, speed_edges, window_of
-from hil.typing import BoolArray, FloatArray, IntArray
 
 STANDSTILL = 0.01
 """Up to this speed [rad/s] a joint counts as standing: the width of the sign of all methods."""

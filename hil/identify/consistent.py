@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.dynamics import BaseParameters
-from hil.errors import FitError
 from hil.identify.compress import upper_triangle
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.reference_coordinates import ReferenceCoordinates
-from hil.typing import FloatArray
 
 LEAST = 1e-3
 """Least eigenvalue of S: no link is thinner, in any direction, than this share of its reference."""

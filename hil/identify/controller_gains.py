@@ -20,13 +20,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import friction_terms
-from hil.errors import FitError
 from hil.identify.blocks import time_blocks
 from hil.identify.clustered import ClusteredLeastSquares
 from hil.identify.gain_lines import gain_lines, listed
-from hil.typing import BoolArray, FloatArray
 
 NEEDED = ("torque_target", "effort_target", "qd")
 

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.clustered import Clustered, ClusterSums, clustered_covariance
 from hil.identify.linear import WeightedLeastSquares
 from hil.identify.motor import has_current, nearest_current, slope_at
-from hil.typing import FloatArray, IntArray
 
 MOST_STEPS = 50
 MOST_HALVINGS = 30

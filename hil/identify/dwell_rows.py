@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.dwells import SAMPLES_PER_DWELL, series_means
 from hil.data.splits import group_of
-from hil.typing import FloatArray, IntArray
 
 
 def one_row_each(dwells: Dataset) -> Dataset:

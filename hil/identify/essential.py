@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.compress import upper_triangle
-from hil.typing import FloatArray, IntArray
 
 LEVEL = 0.05
 """Probability that the test ends the dropping although nothing was lost."""

@@ -21,16 +21,16 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.dwells import dwells_of
 from hil.dynamics import RobotModel
-from hil.errors import FitError
 from hil.identify.checks import require_clean, require_robot
 from hil.identify.gain_lines import gain_lines, listed
 from hil.identify.gain_pairs import GainPairs, paired
 from hil.identify.instruments import instrumental
 from hil.identify.plausible import require_plausible
-from hil.typing import BoolArray, FloatArray
 
 LEAST_POSES = 5
 LEAST_TORQUE = 0.01

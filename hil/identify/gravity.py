@@ -6,9 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.dynamics import RobotModel, base_parameters
-from hil.errors import FitError
-from hil.typing import BoolArray, FloatArray
 
 UR_JOINTS = 6
 

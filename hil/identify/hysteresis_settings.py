@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.errors import DataError, SpecError
+from hil.core.suggest import did_you_mean
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST, FilterSettings, derivative, sample_rate
 from hil.dynamics import RobotModel
-from hil.errors import DataError, SpecError
 from hil.identify.friction.library import CORE, groups
-from hil.suggest import did_you_mean
-from hil.typing import FloatArray
 
 MOTION_HZ, EFFORT_RATIO = 11.0, 1.6
 """Lowest cut-off for velocity and acceleration, and that of the effort over it. An arm's motion has

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.compress import JointwiseQR
-from hil.typing import FloatArray, IntArray
 
 System = tuple[FloatArray, FloatArray, IntArray]
 """X (m, p), y (m,) and the joint (m,) of every row, as `JointwiseQR.system` gives them."""

@@ -12,8 +12,8 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from hil.core.typing import FloatArray
 from hil.identify.compress import upper_triangle
-from hil.typing import FloatArray
 
 
 class WeightedLeastSquares(RegressorMixin, BaseEstimator):  # type: ignore[misc]

@@ -20,10 +20,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.clustered import ClusterSums, clustered_covariance
 from hil.identify.linear import WeightedLeastSquares
 from hil.identify.pose_weights import pose_counts, repeat_weights, residual_weights
-from hil.typing import FloatArray, IntArray
 
 Method = Literal["ls", "ridge", "lasso", "elastic-net", "wls"]
 Weights = Literal["paper", "repeats", "pose"]

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError, FitError, SpecError
+from hil.core.errors import DataError, FitError, SpecError
+from hil.core.text import json_text
+from hil.core.typing import FloatArray
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.model_folder import MODEL_FILE, only_model
 from hil.identify.robot_file import URDF_FILE, restore_robot, store_robot
 from hil.identify.sound import require_sound, text
 from hil.identify.training import ROWS_ARRAY, Training
-from hil.text import json_text
-from hil.typing import FloatArray
 
 MODEL_FORMAT = 1
 ARRAYS_FILE = "model.safetensors"

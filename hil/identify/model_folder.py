@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 
 MODEL_FILE = "model.json"
 

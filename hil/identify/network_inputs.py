@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError, SpecError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import DataError, FitError, SpecError
-from hil.typing import FloatArray
 
 APPROACH = "approach"
 OWN = "own:"

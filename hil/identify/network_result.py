@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.splits import split
-from hil.errors import DataError, FitError
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.trained import History, Trained
-from hil.typing import FloatArray
 
 _SCALING = tuple(each.name for each in fields(Scaling))
 

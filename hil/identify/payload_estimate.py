@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.prediction import Prediction
 from hil.identify.clustered import interval
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))
@@ -109,7 +109,7 @@ class PayloadEstimate:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per parameter that shows."""
-        from hil.notebook import card, number
+        from hil.core.notebook import card, number
 
         rows = [
             (one["name"], number(one["value"]), number(one["std_error"]),

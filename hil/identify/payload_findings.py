@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 Kind = Literal["mass", "centre", "mount", "inertia", "no body"]
 

@@ -18,9 +18,10 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError, SpecError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.dynamics import payload_parameters
-from hil.errors import DataError, FitError, SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.blocks import time_blocks
 from hil.identify.checks import require_clean, require_motion
@@ -30,7 +31,6 @@ from hil.identify.payload_estimate import Correction, PayloadEstimate
 from hil.identify.payload_problem import Friction, Linearised, LoadProblem
 from hil.identify.payload_step import LOAD, Step, best_friction, step
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray, IntArray
 
 MOST_STEPS = 48
 """Weights follow the residuals; where wrong gains leave much of these, that settles slowly."""

@@ -12,15 +12,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings, is_prepared
 from hil.data.prediction import Prediction
 from hil.dynamics import joint_columns
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.load_body import LENGTH_M, payload_of, point_masses
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray
 
 Friction = Literal["model", "offset", "scale"]
 

@@ -15,10 +15,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import stats
 
+from hil.core.errors import FitError, HilError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.dwells import dwells_of
 from hil.dynamics.weighing import GAIN_SHARE
-from hil.errors import FitError, HilError
 from hil.identify.base import HONEST, RobotEstimator
 from hil.identify.checks import require_clean
 from hil.identify.payload_estimate import Correction, PayloadEstimate
@@ -26,7 +27,6 @@ from hil.identify.rest_balance import STATIC, TARED, RestProblem, point_load
 from hil.identify.rest_readings import RestReadings
 from hil.identify.standstill import require_torque
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 LEVEL = 0.95
 

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.compress import upper_triangle
 from hil.identify.load_body import is_body, nearest_body
 from hil.identify.payload_problem import Friction, Linearised
-from hil.typing import FloatArray, IntArray
 
 LOAD = 10
 """Inertial parameters of a load."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.data.dataset import PREPARED, Dataset
 from hil.dynamics import RobotModel
-from hil.errors import FitError
-from hil.typing import FloatArray
 
 TIMES_LIMIT = 10.0
 """Beyond this multiple of a joint's torque limit nothing is measured, not even in a collision."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics.inertial import PARAMETERS
 from hil.dynamics.pseudo_inertia import from_pseudo_inertia, pseudo_inertia
 from hil.identify.inertial_bounds import InertialBounds
-from hil.typing import FloatArray
 
 BODY = len(PARAMETERS)
 _ROWS, _COLUMNS = np.triu_indices(4)

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.arrival import POINTS
 from hil.data.dataset import Dataset
 from hil.data.dwells import series_means
 from hil.data.filters import AT_REST
-from hil.typing import BoolArray, FloatArray, IntArray
 
 LEAST_SPAN_K = 1.0
 """Temperatures that change by less in training say nothing about how friction goes with them."""

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.arrival import POINTS, STEP_S, Track, arrival
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.identify.stream import one_sample
-from hil.typing import FloatArray
 
 KEPT_S = 2.0
 """A joint that came to rest longer ago than this has no known approach any more [s]."""

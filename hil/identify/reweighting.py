@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.identify.jointwise import Solution, at_least_rounding
 from hil.identify.robust_loss import Loss, influence_slope, robust_scale, robust_weights
 from hil.identify.robust_rows import RobustRows
-from hil.typing import FloatArray
 
 MOST, MOST_CONSTRAINED = 100, 10
 """Rounds of least squares, and of least squares under constraints behind them."""

@@ -8,10 +8,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, downsample, filter_columns
 from hil.dynamics import BaseParameters
-from hil.errors import FitError
 from hil.identify.base import prepared
 from hil.identify.clustered import interval
 from hil.identify.condition_report import condition_report
@@ -27,7 +28,6 @@ from hil.identify.robust_covariance import (
     hac_window,
     trajectory_covariance,
 )
-from hil.typing import FloatArray, IntArray
 
 Covariance = Literal["hac", "clustered"]
 COVARIANCES = ("hac", "clustered")

@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.parts import rows_to_fit
@@ -39,7 +40,6 @@ from hil.identify.hysteresis_settings import filters_for, group_names, motor_tur
 from hil.identify.parameters import flag, number, settings
 from hil.identify.plausible import require_plausible
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 

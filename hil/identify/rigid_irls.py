@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, filter_columns
 from hil.identify.checks import require_sizes
@@ -26,7 +27,6 @@ from hil.identify.rigid_linear import TERMS
 from hil.identify.rigid_lmi import PRIOR, feasible
 from hil.identify.robust_loss import LOSSES, Loss, influence_slope, robust_weights
 from hil.identify.robust_rows import RobustRows
-from hil.typing import BoolArray, FloatArray
 
 MOST_OUTER = 8
 """Rounds of the outer loop."""

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction
@@ -32,7 +33,6 @@ from hil.identify.jointwise import Solution
 from hil.identify.parameters import number, settings
 from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
-from hil.typing import FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 TERMS = ("coulomb", "viscous", "offset")

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters
 from hil.identify.checks import require_sizes
@@ -22,7 +23,6 @@ from hil.identify.jointwise import Solution, at_least_rounding, jointwise_least_
 from hil.identify.parameters import flag, number
 from hil.identify.rigid_classical import Covariance, RigidClassical
 from hil.identify.rigid_linear import TERMS
-from hil.typing import FloatArray, IntArray
 
 PRIOR = 100.0
 """Chosen on the UR10e's four training trajectories, each left out in turn; 1 and 1000 do as well to

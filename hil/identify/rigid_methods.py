@@ -12,10 +12,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import FilterSettings
 from hil.data.splits import Group, group_of
-from hil.errors import FitError, SpecError
 from hil.identify.compress import JointwiseQR
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.parameters import choice, number
@@ -23,7 +24,6 @@ from hil.identify.ridge import left_out_ridge, ridge
 from hil.identify.rigid_classical import Covariance, RigidClassical
 from hil.identify.rigid_linear import TERMS
 from hil.identify.total_least_squares import rough, total_least_squares
-from hil.typing import BoolArray, FloatArray
 
 Method = Literal["ols", "wls", "ridge", "tls"]
 METHODS = ("ols", "wls", "ridge", "tls")

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
+from hil.core.errors import DataError, FitError, SpecError
 from hil.dynamics import RobotModel
 from hil.dynamics.robot_model import MOTOR_SIDE
-from hil.errors import DataError, FitError, SpecError
 
 URDF_FILE = "robot.urdf"
 

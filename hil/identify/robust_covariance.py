@@ -16,8 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.clustered import Clustered, ClusterSums, clustered_covariance
-from hil.typing import FloatArray, IntArray
 
 WINDOW_TIMES = 10.0
 """The window of `hac` in correlation times: it then misses about a tenth of the variance."""

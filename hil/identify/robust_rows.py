@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.identify.jointwise import System
-from hil.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(slots=True, eq=False)

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.identify.checks import Needs, require_motion, require_varied
 from hil.identify.dwell_rows import pose_numbers, short_dwells
 from hil.identify.gravity import reach_of
 from hil.identify.static_model import StaticModel
-from hil.typing import FloatArray, IntArray
 
 STD_ERROR_GIVEN = (
     "exact drive gains, declared loads, kinematics and form of the model; poses independent of "

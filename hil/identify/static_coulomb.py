@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from hil.core.typing import FloatArray
 from hil.identify.parameters import number
 from hil.identify.rest_friction import Rest, coulomb_terms
 from hil.identify.static_friction import StaticFriction
-from hil.typing import FloatArray
 
 
 class StaticCoulomb(StaticFriction):

@@ -9,11 +9,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.arrival import directions
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
-from hil.errors import FitError
 from hil.identify.base import payload_torque
 from hil.identify.checks import Needs
 from hil.identify.rest_friction import GAIN, SMOOTHED, Rest
@@ -30,7 +31,6 @@ from hil.identify.rest_stream import RestStream
 from hil.identify.standstill import resting_at
 from hil.identify.static_model import StaticModel
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray
 
 FIRST_TERMS = ("offset", "coulomb")
 """What a first fit knows, before loads are known; gravity from it gives the loads."""

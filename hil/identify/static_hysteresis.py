@@ -15,15 +15,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
-from hil.errors import FitError, SpecError
 from hil.identify.dwell_rows import pose_numbers
 from hil.identify.grouped_ridge import GroupedRidge, pose_folds
 from hil.identify.parameters import flag, number
 from hil.identify.rest_friction import Rest, correction_features, drive_terms, memory_terms
 from hil.identify.static_coulomb import StaticCoulomb
 from hil.identify.static_friction import FIRST_TERMS, StaticFriction
-from hil.typing import BoolArray, FloatArray, IntArray
 
 LENGTHS_RAD = (0.7e-4, 1.4e-4, 2.8e-4, 5.6e-4)
 """From a third of what the finest encoders of arms resolve to what gears give way by."""

@@ -22,10 +22,11 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
-from hil.errors import FitError
 from hil.identify.base import payload_torque
 from hil.identify.checks import Needs, require_rank
 from hil.identify.current_fit import (
@@ -41,7 +42,6 @@ from hil.identify.parameters import choice, number
 from hil.identify.static_clustered import PoseClustered, deviation
 from hil.identify.static_model import Form
 from hil.payload import Payload
-from hil.typing import FloatArray, IntArray
 
 Square = Literal["auto", "free", "zero"]
 

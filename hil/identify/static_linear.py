@@ -13,9 +13,10 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hil.core.errors import SpecError
+from hil.core.typing import IntArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import SpecError
 from hil.identify.checks import require_rank
 from hil.identify.dwell_rows import one_row_each, pose_numbers, scatter
 from hil.identify.linear_methods import (
@@ -31,7 +32,6 @@ from hil.identify.linear_methods import (
 from hil.identify.parameters import choice, flag, number
 from hil.identify.static_clustered import PoseClustered, deviation
 from hil.identify.static_model import Form
-from hil.typing import IntArray
 
 Rows = Literal["dwells", "samples"]
 

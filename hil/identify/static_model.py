@@ -7,18 +7,18 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.dwells import DwellRule, dwells_of
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel, joint_columns
-from hil.errors import FitError, SpecError
 from hil.identify.base import HONEST, load_of, payload_torque
 from hil.identify.checks import Needs, require_clean, require_robot, torque_scale
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
 from hil.payload import Payload
-from hil.typing import BoolArray, FloatArray
 
 Form = Literal["shared", "paper"]
 

@@ -17,10 +17,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
-from hil.errors import FitError, SpecError
 from hil.identify.dwell_rows import one_row_each
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.network import Mlp
@@ -44,7 +45,6 @@ from hil.identify.parameters import choice, flag, number, whole
 from hil.identify.static_model import Form, StaticModel
 from hil.identify.stream import MemorylessStream
 from hil.payload import Payload
-from hil.typing import FloatArray, IntArray
 
 FRICTION = "friction"
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.compress import upper_triangle
-from hil.typing import BoolArray, FloatArray
 
 LEAST_GAP = 1.02
 """σ'/σ below which the solution says nothing."""

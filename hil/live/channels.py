@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.live.standing import Standing
 from hil.record.cdr import CDR_HEADER
 from hil.record.joint_state import (
@@ -22,7 +23,6 @@ from hil.record.joint_state import (
 from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC
 from hil.record.topic import Topic, state_topic
 from hil.robot import Capabilities
-from hil.typing import StructArray
 
 TRACKING_TOPIC = "/robot/tracking_error"
 PROGRESS_TOPIC = "/hil/progress"

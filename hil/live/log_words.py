@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.holder import plain
+from hil.core.holder import plain
 from hil.live.words import answer_words
 
 MOST = 2000

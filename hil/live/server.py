@@ -19,16 +19,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from hil import plugins
-from hil.engine.bounded import bounded
-from hil.errors import HilError, PluginError
+from hil.core import plugins
+from hil.core.bounded import bounded
+from hil.core.errors import HilError, PluginError
+from hil.core.typing import StructArray
 from hil.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.live.decimate import Decimation
 from hil.live.standing import Standing
 from hil.live.words import words_of
 from hil.record.log_message import EVENT_TOPIC, encode_log
 from hil.robot import Capabilities
-from hil.typing import StructArray
 
 if TYPE_CHECKING:
     from foxglove import Channel, Context

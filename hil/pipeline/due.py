@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.campaign.experiment import Experiment
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.files import read_json
 from hil.identify.base import HONEST
 from hil.identify.model_folder import models_below
 from hil.pipeline.bound import Bound
@@ -22,7 +23,6 @@ from hil.pipeline.fitting_together import not_honest
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage
-from hil.record.files import read_json
 from hil.record.provenance import utc_now
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion

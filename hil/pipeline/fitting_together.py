@@ -7,14 +7,14 @@ from math import gcd
 
 from hil.campaign.driver_check import check_driver
 from hil.campaign.experiment import Experiment
+from hil.core.errors import PluginError, SpecError
+from hil.core.source import Path as SourcePath
 from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
-from hil.errors import PluginError, SpecError
 from hil.identify.base import HONEST, estimator
 from hil.registry.blocks import BLOCK_S as COMPARED_S
 from hil.registry.compare import FEWEST_BLOCKS as FEWEST_COMPARED
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
-from hil.spec.source import Path as SourcePath
 
 Finding = tuple[SourcePath, str]
 """Where in the schedule, and what is wrong there."""

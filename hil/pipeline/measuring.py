@@ -22,9 +22,9 @@ from hil.campaign.operator import ConsoleOperator
 from hil.campaign.resuming import require_same_robot
 from hil.campaign.robots import held, opened
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
+from hil.core.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
-from hil.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.record.numbering import run_folders
 from hil.record.rundir import RunDirectory
 from hil.robot import address_of

@@ -21,15 +21,16 @@ import numpy as np
 
 from hil.campaign.experiment import Experiment
 from hil.campaign.robots import opened
+from hil.core.errors import SpecError
+from hil.core.files import json_document, write_replacing
+from hil.core.typing import FloatArray
 from hil.data.load import load_source
 from hil.drift.warmth import friction_change
-from hil.errors import SpecError
 from hil.fitting import usable_part
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind
 from hil.pipeline.measuring import run_of
 from hil.pipeline.reidentify import reidentification
-from hil.record.files import json_document, write_replacing
 from hil.registry.registry import Registry
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import kept, occasion_of
@@ -38,7 +39,6 @@ from hil.schedule.motions import Motions, motions, require_room
 from hil.schedule.occasion import Occasion, Work
 from hil.schedule.times import begin_of
 from hil.spec.schedule import ScheduleSpec
-from hil.typing import FloatArray
 
 DOCUMENT, PAGE = "simulation.json", "report.html"
 FORMAT = 1

@@ -16,9 +16,9 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
+from hil.core.files import json_document, json_line, sha256_of
 from hil.identify.model_file import write_whole
-from hil.record.files import json_document, json_line, sha256_of
 
 Document = dict[str, Any]
 Do = Callable[[Mapping[str, Document]], Mapping[str, Any]]

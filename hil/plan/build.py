@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.errors import HilError, PlanError, SpecError
+from hil.core.errors import HilError, PlanError, SpecError
+from hil.core.typing import FloatArray
 from hil.excite.arrange import Arrangement
 from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Watch, unwatched
@@ -32,7 +33,6 @@ from hil.plan.quality import condition_number
 from hil.plan.weighing import weigh_dwell, weigh_visits
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.station import StationRobot
-from hil.typing import FloatArray
 
 REFERENCE_DELTA_DEG = 3.0
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from hil.errors import PlanError, SpecError
+from hil.core.errors import PlanError, SpecError
 from hil.excite.motion import FourierSeries, Line, Motion
 from hil.plan.plan import Plan, Step
 

@@ -15,11 +15,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from pydantic_core import ErrorDetails
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.files import require_known_version
+from hil.core.source import shown
 from hil.excite.profile import LONGEST_S
 from hil.plan.plan import PLAN_FORMAT, StepKind
-from hil.record.files import require_known_version
-from hil.spec.source import shown
 
 MOST_STEPS = 5_000_000
 """100 000 poses from two sides, with the lines that lead there, have fewer."""

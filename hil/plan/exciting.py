@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
 from hil.arms import ArmDescription
+from hil.core import plugins
 from hil.excite.cache import ExcitationCache, user_cache
 from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Computes, Setting, Watch, unwatched

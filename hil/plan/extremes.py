@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.motion import Motion
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
-from hil.errors import PlanError
+from hil.core.errors import PlanError
 from hil.plan.plan import Step
 from hil.plan.surroundings import BodySize
 from hil.spec.interlocks import ClearanceInterlock, Interlock, WorkspaceInterlock

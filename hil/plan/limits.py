@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.core.source import Path
+from hil.core.typing import FloatArray
 from hil.excite.workspace import Space, outside
 from hil.plan.interlocks import declared_space
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.interlocks import Interlock, WorkspaceInterlock
 from hil.spec.judgeable import Excess
-from hil.spec.source import Path
-from hil.typing import FloatArray
 
 TOLERANCE = 1e-9
 

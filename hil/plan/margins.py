@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.errors import PlanError
+from hil.core.errors import PlanError
 from hil.excite.workspace import Workspace
 from hil.plan.extremes import Extremes, extremes_of
 from hil.plan.plan import LoadStep, Step

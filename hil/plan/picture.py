@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.files import write_replacing
+from hil.core.typing import FloatArray
 from hil.excite.motion import Line
 from hil.plan import svg
 from hil.plan.picture_style import STYLE
 from hil.plan.plan import Plan
 from hil.plan.preview import preview
 from hil.plan.timeline import Span, Timeline, timeline_of
-from hil.record.files import write_replacing
-from hil.typing import FloatArray
 
 WIDTH, LEFT, RIGHT = 1200.0, 170.0, 1170.0
 STRIP = 62.0

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms import ArmDescription, arm_names, is_described, load_arm
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.motion import STANDSTILL_RAD
 from hil.excite.poses import roomy_poses
 from hil.excite.roadmap import Roadmap
@@ -19,7 +20,6 @@ from hil.plan.quality import condition_score
 from hil.plan.surroundings import collision_model
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.station import StationRobot
-from hil.typing import FloatArray
 
 ROADMAP_POSES = 48
 CONFINED_ROADMAP_POSES = 96

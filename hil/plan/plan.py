@@ -15,11 +15,11 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
+from hil.core.notebook import CARDS, card
+from hil.core.typing import FloatArray
 from hil.excite.motion import Motion, motion_from_dict
-from hil.notebook import CARDS, card
 from hil.payload import Payload
 from hil.plan.extremes import Extremes, extremes_of
-from hil.typing import FloatArray
 
 PLAN_FORMAT = 1
 

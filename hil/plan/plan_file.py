@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hil.core.files import read_json
 from hil.plan.document import require_plan
 from hil.plan.plan import Plan
-from hil.record.files import read_json
 
 
 def read_plan(path: Path) -> Plan:

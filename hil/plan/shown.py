@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.notebook import CARDS, card, number
+from hil.core.notebook import CARDS, card, number
 from hil.plan.picture import picture_of
 from hil.plan.plan import Plan
 from hil.plan.preview import preview

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
+from hil.core.typing import FloatArray
 from hil.payload import Payload
 from hil.spec.station import Surroundings
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.collision import CollisionModel

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
+from hil.core.typing import FloatArray
 from hil.plan.plan import Plan
-from hil.typing import FloatArray
 
 BLOCK = 16_384
 """Joint positions per forward kinematics: enough to amortise it, few enough for the cache."""

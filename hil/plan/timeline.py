@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.plan.plan import Plan, Step
-from hil.typing import FloatArray
 
 PLACES = 2000
 """Flange positions that are drawn at most."""

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.motion import Motion
 from hil.excite.poses import draw_poses
 from hil.excite.roadmap import Roadmap
@@ -20,7 +21,6 @@ from hil.payload import Payload
 from hil.plan.plan import DwellRule, Plan
 from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec
-from hil.typing import FloatArray
 
 APPROACH_DEG = 3.0
 

@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.plan.preview import recording_bytes
 from hil.plan.weighing import why_plan_not_weighed
 from hil.preflight.check import CheckResult, Situation
-from hil.typing import FloatArray
 
 LIMIT_TOLERANCE = 1e-9
 CLOCK_TOLERANCE_S = 5.0

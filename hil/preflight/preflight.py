@@ -8,9 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hil import plugins
 from hil.arms import is_described, load_arm
-from hil.errors import HilError, PreflightFailed, SpecError
+from hil.core import plugins
+from hil.core.errors import HilError, PreflightFailed, SpecError
+from hil.core.suggest import did_you_mean
 from hil.excite.workspace import Clearance
 from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
@@ -19,7 +20,6 @@ from hil.preflight.check import Check, CheckResult, Context, Situation
 from hil.record.reserve import BYTES as RESERVE_BYTES
 from hil.robot import Robot
 from hil.spec.station import StationRobot
-from hil.suggest import did_you_mean
 
 BUILT_IN: dict[str, Check] = {
     "identity": robot_checks.identity,

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from hil.errors import DataError
-from hil.record.lock import is_live
+from hil.core.errors import DataError
+from hil.core.live_lock import is_live
+from hil.core.suggest import closest
 from hil.record.numbering import name_for_path, number_of, run_folders
 from hil.record.rundir import RunDirectory, RunStatus
 from hil.record.writer import PARTIAL_SUFFIX
-from hil.suggest import closest
 
 LAST = "last"
 """Names the newest run."""

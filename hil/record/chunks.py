@@ -13,9 +13,9 @@ from lz4.frame import LZ4FrameDecompressor
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
+from hil.core.typing import BoolArray, IntArray, StructArray
 from hil.record.cdr import CDR_HEADER
 from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, parse
-from hil.typing import BoolArray, IntArray, StructArray
 
 _LARGEST_CHUNK_BYTES = 1 << 28
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from mcap.records import Channel
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, IntArray, StructArray
 from hil.record.chunks import rows_at
 from hil.record.recording import Recording
 from hil.record.scan import Torn
-from hil.typing import BoolArray, IntArray, StructArray
 
 _BATCH_BYTES = 1 << 20
 _HINT = "hil recover {} makes a whole file of what is left; read_topic(…, salvage=True) reads it"

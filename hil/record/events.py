@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hil.errors import DataError, RecordingError
-from hil.record.files import fsync_directory, json_line
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import fsync_directory, json_line
 
 _CLOSE = None
 _BEGINNING = b'{"t": '

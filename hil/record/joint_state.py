@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.record.cdr import CDR_HEADER, cdr_string
 from hil.robot.state import n_joints_of
-from hil.typing import StructArray
 
 JOINT_STATE_TOPIC = "/joint_states"
 JOINT_STATE_SCHEMA = "sensor_msgs/msg/JointState"

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from hil.errors import DataError
-from hil.record.files import read_json
-from hil.record.lock import LOCK, is_live
+from hil.core.errors import DataError
+from hil.core.files import read_json
+from hil.core.live_lock import LOCK, is_live
 from hil.record.numbering import folders_in
 
 SETTLED_NS = 2 * 10**9

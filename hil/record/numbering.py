@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.held_file import HeldFile, hold, holder_of
-from hil.holder import this_process
-from hil.record.files import fsync_directory
+from hil.core.files import fsync_directory
+from hil.core.held_file import HeldFile, hold, holder_of
+from hil.core.holder import this_process
 
 _CLAIM, _DRAFT = ".claim-", ".draft-"
 _NUMBERED = re.compile(r"(\d{4,})-.+", re.DOTALL)

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import StructArray
 from hil.record.columns import read_rows
 from hil.record.recording import Recording
 from hil.record.topic import STATE_TOPIC
 from hil.record.writer import Attachment
-from hil.typing import StructArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,11 +21,11 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
+from hil.core.typing import StructArray
 from hil.record.continuity import Counts
 from hil.record.disk import DiskThread, NextPart
 from hil.record.writer import McapWriter, require_rows_of
-from hil.typing import StructArray
 
 
 class _Block(NamedTuple):

@@ -10,16 +10,16 @@ import numpy as np
 import zstandard
 from mcap.records import Channel
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.files import require_known_version
+from hil.core.typing import BoolArray, IntArray
 from hil.record.cdr import dtype_of_schema
 from hil.record.chunks import indexed_offsets, read_chunk, walk
-from hil.record.files import require_known_version
 from hil.record.lost import hint_of_lost
 from hil.record.scan import RECORD_HEADER, Torn, scan
 from hil.record.topic import STATE_TOPIC
 from hil.record.writer import FILE_FORMAT_VERSION, FILE_METADATA
 from hil.robot.state import STATE_SCHEMA_VERSION
-from hil.typing import BoolArray, IntArray
 
 _KNOWN_VERSIONS = {STATE_TOPIC: STATE_SCHEMA_VERSION}
 _LOOSE = -1

@@ -16,9 +16,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import fsync_directory, sha256_of
 from hil.record.empty_part import never_got_a_message
-from hil.record.files import fsync_directory, sha256_of
 from hil.record.lost import hint_of_lost
 from hil.record.rebuild import Salvage, rebuild, survey
 from hil.record.recovery import Did, Recovery

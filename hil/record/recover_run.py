@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, HilError, RecordingError
-from hil.record.lock import hold_run, run_holder
+from hil.core.errors import DataError, HilError, RecordingError
+from hil.core.live_lock import hold_run, run_holder
 from hil.record.parts import recordings_in
 from hil.record.recover import recover_file
 from hil.record.recovery import Recovery

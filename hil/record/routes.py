@@ -12,7 +12,7 @@ from typing import NamedTuple
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.record.scan import Layout
 from hil.record.tally import Definition, Kept, Tally
 

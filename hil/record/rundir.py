@@ -27,15 +27,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.errors import DataError, RecordingError
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import json_document, read_json, require_known_version, sha256_of, write_once
 from hil.record.events import EventLog, foreign_lines, read_events
-from hil.record.files import (
-    json_document,
-    read_json,
-    require_known_version,
-    sha256_of,
-    write_once,
-)
 from hil.record.numbering import claimed, name_for_path, number_of
 from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
 from hil.record.provenance import utc_now

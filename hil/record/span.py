@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.record.chunks import rows_at
 from hil.record.parts import attempt_of
 from hil.record.recording import Recording
 from hil.record.scan import Torn
 from hil.record.topic import STATE_TOPIC
-from hil.typing import FloatArray
 
 
 def recorded_s(recordings: Iterable[Path]) -> float:

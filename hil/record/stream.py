@@ -34,8 +34,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from hil.text import utf8_text
-from hil.typing import IntArray, StructArray
+from hil.core.text import utf8_text
+from hil.core.typing import IntArray, StructArray
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 1 << 20

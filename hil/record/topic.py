@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
+from hil.core.typing import StructArray
 from hil.record.cdr import ROS_OF_NUMPY, cdr_problem
 from hil.robot.state import STATE_SCHEMA_VERSION, state_dtype
-from hil.typing import StructArray
 
 STATE_TOPIC = "/robot/state"
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from hil.errors import DataError, RecordingError
-from hil.record.files import fsync_directory, sha256_of
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import fsync_directory, sha256_of
 from hil.record.reader import read_info
 from hil.record.tally import RECOVERED_METADATA
 from hil.record.writer import PARTIAL_SUFFIX

@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from hil.core.errors import RegistryError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.load import load_source
 from hil.data.splits import SAME_SHARE
-from hil.errors import RegistryError
 from hil.evaluate.evaluation import filtered_effort
 from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
 from hil.registry.blocks import BLOCK_S, blocks, by_place
-from hil.typing import BoolArray, FloatArray
 from hil.validation import require_unseen, seen_share
 
 SURE = 0.95
@@ -105,7 +105,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook."""
-        from hil.notebook import Tone, card, number
+        from hil.core.notebook import Tone, card, number
 
         badge: tuple[str, Tone] = ("not better for sure", "warn")
         if self.better or self.worse:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from hil.core.typing import FloatArray
 from hil.evaluate import evaluate
 from hil.identify.base import RobotEstimator
 from hil.registry.compare import SURE, unseen_parts
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

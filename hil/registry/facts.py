@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, RegistryError
+from hil.core.errors import DataError, RegistryError
+from hil.core.files import read_json, sha256_of
 from hil.identify.model_folder import MODEL_FILE
-from hil.record.files import read_json, sha256_of
 from hil.record.provenance import package_versions, source_revision
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.validation import EVALUATION_FILE

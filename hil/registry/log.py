@@ -18,12 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hil.errors import RegistryError
+from hil.core.errors import RegistryError
+from hil.core.files import fsync_directory
+from hil.core.text import json_text, shell_word
 from hil.identify.model_file import json_bytes, write_whole
-from hil.record.files import fsync_directory
 from hil.record.provenance import operator, utc_now
 from hil.registry.version import folder_of, numbers_in, read_version
-from hil.text import json_text, shell_word
 
 LOG_FILE = "log.jsonl"
 HEAD_FILE = "head.json"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import Rejected
+from hil.core.errors import Rejected
 from hil.evaluate import evaluate
 from hil.evaluate.verdict import Criterion, Verdict, judge
 from hil.registry.compare import Comparison, compare_sources, unseen_parts

@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RegistryError, SpecError
+from hil.core.errors import RegistryError, SpecError
+from hil.core.suggest import closest
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.record.provenance import operator, utc_now
@@ -46,7 +47,6 @@ from hil.registry.version import (
     read_version,
     write_version,
 )
-from hil.suggest import closest
 
 FEW = 5
 """Names that a hint lists."""
@@ -69,7 +69,7 @@ class Registry:
 
     def _repr_html_(self) -> str:
         """Itself in a notebook: a row per name."""
-        from hil.notebook import card
+        from hil.core.notebook import card
 
         rows = []
         for name in self.names():

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report.blocks import Column, Table, cells
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import Dwells
 from hil.report.words import joint_title, number
-from hil.typing import FloatArray
 
 
 def approach_table(fit: FitFacts, dwells: Dwells) -> Table | None:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from hil.errors import DataError, SpecError
-from hil.record.files import read_json
-from hil.spec.yaml_source import read_source
+from hil.core.errors import DataError, SpecError
+from hil.core.files import read_json
+from hil.core.yaml_source import read_source
 
 Document: TypeAlias = Mapping[str, Any]
 

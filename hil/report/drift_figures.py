@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.drift.bands import Banded
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.traces import Trace, axes, line, markers
 from hil.report.words import joint_title, number, when
-from hil.typing import FloatArray
 
 SHARES = ("friction", "gain")
 """Features that are shares: shown in percent."""

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError
 from hil.drift.bands import Banded, banded
 from hil.drift.chart import REFERENCE
 from hil.drift.features import JOINT_FEATURES
-from hil.errors import DataError
 from hil.registry.log import CHAMPION_EVENTS, Entry
 from hil.registry.registry import Registry
 from hil.report import colours

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.report import figures
 from hil.report.blocks import Block, Facts, Panel, Plots, Section, items
@@ -13,7 +14,6 @@ from hil.report.documents import as_float, as_index, as_object
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording, dwell_poses, rows_of_steps
 from hil.report.words import joint_title, number, with_unit_apart
-from hil.typing import FloatArray, IntArray
 
 DEGREES = 180 / np.pi
 COVERAGE_ROWS = 60_000

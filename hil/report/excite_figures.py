@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.appraisal import Appraisal, Limits, Trajectory
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.decimate import decimated
 from hil.report.figures import Figure
 from hil.report.traces import Trace, axes, line, markers
-from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 POINTS = 240

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import DataError, HilError
-from hil.record.lock import is_live
+from hil.core.errors import DataError, HilError
+from hil.core.live_lock import is_live
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import RunDirectory
 from hil.report.documents import (

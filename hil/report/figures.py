@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.report import colours
 from hil.report.decimate import Shown, binned, decimated, in_parts, summarised, thinned
 from hil.report.study_curves import look
 from hil.report.traces import Trace, attempts, axes, band, corner, line, markers, span
-from hil.typing import FloatArray, IntArray
 
 Figure: TypeAlias = dict[str, Any]
 

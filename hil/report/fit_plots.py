@@ -7,6 +7,7 @@ from pathlib import PurePath
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions
 from hil.report import colours, figures
 from hil.report.blocks import Panel, Plots
@@ -14,7 +15,6 @@ from hil.report.figures import Figure
 from hil.report.fit_facts import FitFacts
 from hil.report.predictions import Dwells, Motions
 from hil.report.words import joint_title, number, quantity
-from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.fleet.outliers import Standing
 from hil.fleet.survey import Survey
 from hil.report import colours
@@ -11,7 +12,6 @@ from hil.report.blocks import Panel, Plots
 from hil.report.figures import Figure
 from hil.report.traces import axes, line, markers
 from hil.report.words import joint_title
-from hil.typing import BoolArray, FloatArray
 
 AXES = {"age": "time in service [years]", "temperature": "joint temperature [°C]"}
 

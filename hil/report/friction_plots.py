@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report import colours
 from hil.report.blocks import Panel, Plots
 from hil.report.decimate import binned, thinned
@@ -13,7 +14,6 @@ from hil.report.friction_seen import AtRest, Friction, InMotion, Law
 from hil.report.friction_words import SIDES, lead, sides
 from hil.report.traces import Trace, axes, line, markers
 from hil.report.words import joint_title, number
-from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 BINS = 30

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.dwells import series_means
 from hil.data.prediction import Model, Prediction
 from hil.report.fit_facts import HONEST
-from hil.typing import BoolArray, FloatArray, IntArray
 
 PART, LEARNED = "friction", "residual"
 """Of a prediction. What a network adds to the physics is friction that the physics misses, or what

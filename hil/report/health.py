@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report import colours, figures
 from hil.report.blocks import Block, Column, Facts, Panel, Plots, Section, Table, cells, items
 from hil.report.decimate import Shown
@@ -14,7 +15,6 @@ from hil.report.facts import RunFacts
 from hil.report.recording import Drift, Recording
 from hil.report.weighing import weighings
 from hil.report.words import LATE, count, duration, joint_title, number
-from hil.typing import FloatArray
 
 DEGREES = 180 / np.pi
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from hil.core.errors import DataError
 from hil.data.completeness import completeness_of, rows_of
-from hil.errors import DataError
 from hil.plan.plan import Plan
 from hil.record.continuity import Counts
 from hil.record.parts import attempt_of

@@ -7,10 +7,10 @@ the rest of the report.
 
 from __future__ import annotations
 
+from hil.core.errors import DataError
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.described import dwell_rule_of, origin_of_run, steps_of_plan
 from hil.data.series import Origin, Series, assemble, cut
-from hil.errors import DataError
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording
 

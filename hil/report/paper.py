@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
-from hil import plugins
-from hil.errors import DataError, PluginError, RecordingError, SpecError
-from hil.record.files import write_replacing
+from hil.core import plugins
+from hil.core.errors import DataError, PluginError, RecordingError, SpecError
+from hil.core.files import write_replacing
 from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_tables import csv_text, latex_text
 from hil.report.study_words import distinct_titles

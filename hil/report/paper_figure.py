@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report.paper_style import (
     HATCHES,
     LEAST_PANEL,
@@ -33,7 +34,6 @@ from hil.report.study_curves import (
     y_of,
 )
 from hil.study.result import Curve, Figure, Panel
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

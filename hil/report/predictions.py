@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import series_means
 from hil.data.filters import FilterSettings, derivative, is_prepared, prepare
 from hil.data.prediction import Model, Prediction
-from hil.errors import DataError
 from hil.report.documents import as_names
 from hil.report.fit_facts import FitFacts
 from hil.report.friction_seen import Friction, at_rest, in_motion, scale_of
-from hil.typing import FloatArray, IntArray
 
 MOST_ROWS = 60_000
 """More rows than this are not predicted for a plot; whole series are left out."""

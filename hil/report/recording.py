@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, IntArray, StructArray
 from hil.record.continuity import Counts
 from hil.record.parts import attempt_of
 from hil.record.reader import read_topic
@@ -17,7 +18,6 @@ from hil.record.rundir import RunDirectory
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.report.documents import as_index
 from hil.report.facts import RunFacts
-from hil.typing import FloatArray, IntArray, StructArray
 
 REFERENCE_SAMPLES = 10
 """Rows of a visit that are averaged: the last ones, when the arm has settled."""

@@ -7,11 +7,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.record.files import write_replacing
+from hil.core.files import write_replacing
+from hil.core.text import utf8_text
 from hil.report import colours
 from hil.report.blocks import Page, Section
 from hil.report.encode import figure_json
-from hil.text import utf8_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report.words import UNKNOWN, listed, number
-from hil.typing import FloatArray
 
 Document = Mapping[str, Any]
 

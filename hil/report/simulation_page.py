@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.files import read_json, require_known_version
 from hil.drift.bands import Banded, banded
 from hil.drift.chart import REFERENCE
-from hil.record.files import read_json, require_known_version
 from hil.registry.log import Entry
 from hil.registry.registry import Registry
 from hil.report import colours

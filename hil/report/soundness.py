@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hil.core.errors import DataError
 from hil.data.stays import FOUND_FILE
-from hil.errors import DataError
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
 from hil.record.ending import has_its_beginning, torn_although_finished

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.report.documents import Document, document
 from hil.study.result import StudyResult
 from hil.study.store import problem_files, read_study, study_files

@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.report import colours
-from hil.typing import FloatArray
 
 Trace: TypeAlias = dict[str, Any]
 

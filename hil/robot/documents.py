@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from hil import errors
-from hil.errors import HilError, RobotError, SpecError
+from hil.core import errors
+from hil.core.errors import HilError, RobotError, SpecError
+from hil.core.typing import FloatArray, StructArray
 from hil.payload import Payload
 from hil.robot.frames import garbage
 from hil.robot.protocol import (
     Segment,
 )
-from hil.typing import FloatArray, StructArray
 
 _TRACEBACK_LINES = 6
 _MOST = 4000
@@ -82,7 +82,7 @@ def segment_from(document: Mapping[str, Any], arrays: Sequence[StructArray]) -> 
 
 
 def error_document(error: BaseException, doing: str) -> dict[str, str]:
-    """An error as it crosses the line: the closest class of `hil.errors`, message and hint.
+    """An error as it crosses the line: the closest class of `hil.core.errors`, message and hint.
 
     Args:
         error: What a driver raised.

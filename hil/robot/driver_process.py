@@ -14,13 +14,13 @@ import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.errors import PluginError, RobotConnectionError, RobotTimeout
+from hil.core.errors import PluginError, RobotConnectionError, RobotTimeout
+from hil.core.typing import StructArray
 from hil.robot.documents import error_from, understood
 from hil.robot.frames import Message, pack
 from hil.robot.spawn import end_of, is_suspended, last_words, new_log, printed_to, spawn
 from hil.robot.stop_line import StopLine
 from hil.robot.wire import EndOfLine, Line
-from hil.typing import StructArray
 
 STOP_WITHIN_S = 1.0
 """A driver that has not answered a stop by then is killed: its controller has to notice [s]."""

@@ -19,8 +19,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hil.errors import RobotConnectionError
-from hil.typing import StructArray
+from hil.core.errors import RobotConnectionError
+from hil.core.typing import StructArray
 
 PREFIX = struct.Struct("<4sII")
 MAGIC = b"hil1"

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import RobotConnectionError, RobotError
+from hil.core.errors import RobotConnectionError, RobotError
+from hil.core.typing import StructArray
 from hil.robot.documents import error_document, payload_from, segment_from
 from hil.robot.facts import facts_document
 from hil.robot.findings import HasChecks
@@ -19,7 +20,6 @@ from hil.robot.frames import Message
 from hil.robot.opening import open_driver
 from hil.robot.protocol import HasSpeedScaling, HasTopics, Robot
 from hil.robot.state import Status
-from hil.typing import StructArray
 
 UNREAD_S = 2.0
 """An arm that moves and is not read for this long is stopped: `hil` was suspended, or hangs [s]."""

@@ -8,7 +8,8 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
+from hil.core.typing import StructArray
 from hil.robot.address import Address
 from hil.robot.documents import plain_options, understood
 from hil.robot.driver_process import DriverProcess
@@ -16,7 +17,6 @@ from hil.robot.facts import Facts, facts_from
 from hil.robot.findings import Finding
 from hil.robot.frames import Message
 from hil.robot.protocol import Identity
-from hil.typing import StructArray
 
 if TYPE_CHECKING:
     from hil.record.topic import Topic

@@ -2,7 +2,7 @@
 
 A lease is a file per robot in `$HIL_LEASES`, by default in a folder of this user's in `/tmp`, which
 unlike `$XDG_RUNTIME_DIR` is the same one in a session, under cron and after logging out. It is
-locked while held, says who holds it, and is touched every second (`hil.held_file`).
+locked while held, says who holds it, and is touched every second (`hil.core.held_file`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from hil.errors import RobotConnectionError, SpecError
-from hil.held_file import HeldFile, hold, holder_of
-from hil.holder import Holder, this_process
+from hil.core.errors import RobotConnectionError, SpecError
+from hil.core.held_file import HeldFile, hold, holder_of
+from hil.core.holder import Holder, this_process
 from hil.robot.protocol import HasResource, Robot
 
 SUFFIX = ".lease"

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from hil import plugins
+from hil.core import plugins
 from hil.robot.protocol import Robot
 
 _GROUP = "hil.drivers"

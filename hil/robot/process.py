@@ -10,13 +10,13 @@ from dataclasses import asdict
 
 import numpy as np
 
-from hil.errors import CommandRefused, HilError, RobotConnectionError
+from hil.core.errors import CommandRefused, HilError, RobotConnectionError
+from hil.core.typing import StructArray
 from hil.payload import Payload
 from hil.robot.documents import payload_from, segment_document, understood
 from hil.robot.frames import garbage
 from hil.robot.hosting_process import COMMAND_S, HostingProcess
 from hil.robot.protocol import Capabilities, Identity, Limits, Segment
-from hil.typing import StructArray
 
 CONNECT_S = 120.0
 CLOSE_S = 3.0

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from itertools import takewhile
 
+from hil.core.durations import duration_text
 from hil.schedule.ledger import Standing
 from hil.schedule.occasion import Occasion
 from hil.schedule.times import occasions
-from hil.spec.durations import duration_text
 from hil.spec.schedule import ScheduleSpec
 
 PUNCTUAL = timedelta(minutes=10)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
+from hil.core.durations import duration_text
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.holding import ahead, release
 from hil.schedule.ledger import Ledger, Line, occasion_of
@@ -16,7 +17,6 @@ from hil.schedule.loop import Scheduler
 from hil.schedule.motions import Motions
 from hil.schedule.occasion import Occasion
 from hil.schedule.times import begin_of, dues
-from hil.spec.durations import duration_text
 from hil.spec.schedule import ScheduleSpec
 
 

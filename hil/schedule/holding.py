@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from hil.errors import DataError, InterlockTripped, RobotConnectionError, RobotError, Stopped
+from hil.core.errors import DataError, InterlockTripped, RobotConnectionError, RobotError, Stopped
 from hil.record.provenance import operator
 from hil.schedule.ledger import Ledger, Line, Standing, time_text
 

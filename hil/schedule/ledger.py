@@ -25,13 +25,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
-from hil.errors import DataError, RecordingError, RegistryError
-from hil.held_file import hold
-from hil.holder import Holder, this_process
-from hil.record.files import json_line
+from hil.core.errors import DataError, RecordingError, RegistryError
+from hil.core.files import json_line
+from hil.core.held_file import hold
+from hil.core.holder import Holder, this_process
+from hil.core.text import json_text
 from hil.registry.log import append_line, read_lines
 from hil.schedule.occasion import Job, Occasion
-from hil.text import json_text
 
 LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
 

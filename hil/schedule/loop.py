@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any, Protocol
 
-from hil.errors import HilError, RobotConnectionError, Stopped
+from hil.core.errors import HilError, RobotConnectionError, Stopped
 from hil.schedule.choosing import choose, late_words, lateness
 from hil.schedule.holding import ahead, needs_a_look
 from hil.schedule.ledger import Ledger, time_text

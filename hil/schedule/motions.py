@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from hil.campaign.experiment import Experiment
-from hil.errors import SpecError
+from hil.core.durations import duration_text
+from hil.core.errors import SpecError
 from hil.schedule.occasion import Job
 from hil.schedule.times import next_free
-from hil.spec.durations import duration_text
 from hil.spec.schedule import ScheduleSpec
 
 ALLOWANCE = 1.1

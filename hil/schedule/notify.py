@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hil.holder import plain
-from hil.text import json_text
+from hil.core.holder import plain
+from hil.core.text import json_text
 
 WITHIN_S = 60.0
 

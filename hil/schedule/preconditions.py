@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hil.campaign.experiment import Experiment
-from hil.errors import HilError
+from hil.core.errors import HilError
 
 if TYPE_CHECKING:
     from hil.robot import Robot

@@ -14,13 +14,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hil import plugins
 from hil.arms import arm_names
-from hil.errors import HilError, PluginError
-from hil.neighbours import no_file_but
+from hil.core import plugins
+from hil.core.errors import HilError, PluginError
+from hil.core.neighbours import no_file_but
+from hil.core.source import Path, Source, shown
+from hil.core.suggest import closest, did_you_mean
 from hil.spec.interlocks import KINDS
-from hil.spec.source import Path, Source, shown
-from hil.suggest import closest, did_you_mean
 
 RECORDED = {"dwell": ("dwell", "dwells"), "fourier": ("trajectory", "trajectories")}
 """Kind of excitation → the series it is run for, singular as in the data and plural for people."""

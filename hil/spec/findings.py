@@ -7,10 +7,10 @@ from typing import Any, NamedTuple, get_args
 
 from pydantic_core import ErrorDetails
 
+from hil.core.source import MOST_PROBLEMS, Path, Source
+from hil.core.suggest import closest
+from hil.core.units import same_quantity
 from hil.spec.model_tree import Model, is_model, keys_of, locate, plain
-from hil.spec.source import MOST_PROBLEMS, Path, Source
-from hil.spec.units import same_quantity
-from hil.suggest import closest
 
 
 class Finding(NamedTuple):

@@ -6,9 +6,9 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
+from hil.core.yaml_source import read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.quantities import FormatVersion, Name, Strict
-from hil.spec.yaml_source import read_source
 
 KEY = "hil_fleet"
 

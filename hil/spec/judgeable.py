@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.source import Path, dotted
 from hil.spec.experiment import ExperimentSpec
-from hil.spec.source import Path, dotted
 
 UNITS = {"current": "A", "torque": "N·m"}
 """Unit of each kind of effort."""

@@ -9,7 +9,10 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.source import MOST_PROBLEMS, Problem, Source, dotted, refuse, shown
+from hil.core.suggest import did_you_mean
+from hil.core.yaml_source import parse, read_source
 from hil.spec.checks import (
     check_estimators,
     check_interlocks,
@@ -25,10 +28,7 @@ from hil.spec.messages import explain
 from hil.spec.model_tree import key_above
 from hil.spec.overrides import lay_over
 from hil.spec.quantities import Strict
-from hil.spec.source import MOST_PROBLEMS, Problem, Source, dotted, refuse, shown
 from hil.spec.station import Station, StationRobot
-from hil.spec.yaml_source import parse, read_source
-from hil.suggest import did_you_mean
 
 __all__ = ["load_spec", "load_station", "resolve_robot", "spec_from_text", "spec_hash"]
 

@@ -6,12 +6,12 @@ import re
 from collections.abc import Callable
 from typing import Any
 
+from hil.core.source import Path, Problem, Source, dotted, shown
+from hil.core.suggest import closest, did_you_mean
+from hil.core.units import converted, parse_quantity, same_quantity, split_unit, symbol_of
+from hil.core.yaml_nodes import CORE_SCALARS
 from hil.spec.findings import Finding
 from hil.spec.model_tree import Model, choices_of, is_model, keys_of, kinds_of, plain, tree
-from hil.spec.source import Path, Problem, Source, dotted, shown
-from hil.spec.units import converted, parse_quantity, same_quantity, split_unit, symbol_of
-from hil.spec.yaml_nodes import CORE_SCALARS
-from hil.suggest import closest, did_you_mean
 
 
 def explain(finding: Finding, model: Model, source: Source) -> Problem:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from hil.neighbours import no_file_but
+from hil.core.neighbours import no_file_but
+from hil.core.source import Path, Source
 from hil.spec.checks import is_file
 from hil.spec.load import no_such_kind
-from hil.spec.source import Path, Source
 
 
 def make_absolute(source: Source, place: Path, folder: FilePath) -> None:

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import yaml
 
-from hil.errors import SpecError
-from hil.quick_yaml import look_into
+from hil.core.errors import SpecError
+from hil.core.quick_yaml import look_into
+from hil.core.source import shown
+from hil.core.yaml_source import parse
 from hil.spec.commented import commented
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import validated
 from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.schema import schema_files
-from hil.spec.source import shown
 from hil.spec.station import Station
-from hil.spec.yaml_source import parse
 
 SCHEMA_FOLDER = "schema"
 """Beside what is written: a relative path works with every editor, in every checkout, without a

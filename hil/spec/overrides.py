@@ -9,10 +9,10 @@ from typing import Any
 
 import yaml
 
-from hil.errors import SpecError
-from hil.spec.source import Mark, Path, Source, shown
-from hil.spec.yaml_source import read_source
-from hil.spec.yaml_values import parse_text
+from hil.core.errors import SpecError
+from hil.core.source import Mark, Path, Source, shown
+from hil.core.yaml_source import read_source
+from hil.core.yaml_values import parse_text
 
 
 def lay_over(source: Source, overrides: Mapping[str, str]) -> None:

@@ -12,13 +12,13 @@ from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema
 
+from hil.core.units import split_unit, symbol_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.fleet import FleetSpec
 from hil.spec.quantities import Strict
 from hil.spec.schedule import ScheduleSpec
 from hil.spec.series import SeriesSpec
 from hil.spec.station import Station
-from hil.spec.units import split_unit, symbol_of
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

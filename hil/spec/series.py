@@ -6,11 +6,11 @@ from pathlib import Path as FilePath
 
 from pydantic import Field
 
+from hil.core.source import Path, Source
+from hil.core.yaml_source import read_source
 from hil.spec.load import refuse_other_kind, validated
 from hil.spec.named_files import make_absolute
 from hil.spec.quantities import FormatVersion, Name, Strict
-from hil.spec.source import Path, Source
-from hil.spec.yaml_source import read_source
 
 KEY = "hil_series"
 
@@ -47,7 +47,7 @@ class SeriesSpec(Strict):
 
 def is_series(path: str | FilePath) -> bool:
     """Whether a file says that it is a series; one that cannot be read says nothing."""
-    from hil.errors import SpecError
+    from hil.core.errors import SpecError
 
     try:
         data = read_source(path).data

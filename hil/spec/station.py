@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
+from hil.core.text import json_text, name_text
 from hil.spec.quantities import (
     Finite,
     FormatVersion,
@@ -17,7 +18,6 @@ from hil.spec.quantities import (
     Vector3,
     mistake,
 )
-from hil.text import json_text, name_text
 
 
 def _has_a_direction(vector: tuple[float, float, float]) -> tuple[float, float, float]:

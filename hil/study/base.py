@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeAlias
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import SpecError
 from hil.identify.checks import Needs
 from hil.identify.parameters import Parametrised, require_known
 from hil.study.result import StudyResult

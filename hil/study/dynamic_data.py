@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import (
     CLOCK,
@@ -19,9 +21,7 @@ from hil.data.filters import (
 )
 from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
-from hil.errors import DataError
 from hil.identify.checks import Needs, require_robot, torque_scale
-from hil.typing import BoolArray, FloatArray
 
 NEEDS = Needs({"trajectories": 3}, gains=True)
 """Trajectories to fit on, for methods that choose something, and to judge on."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
+from hil.core.errors import FitError
+from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.errors import FitError
-from hil.executor import cores
 from hil.identify.checks import Needs
 from hil.identify.parameters import flag, number, whole
 from hil.study import dynamic_tables as tables

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import HilError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import RobotModel
-from hil.errors import HilError
 from hil.evaluate.metrics import mep, rmse
 from hil.identify.base import GROUP, RobotEstimator, estimator
 from hil.study.dynamic_data import MOVING, REVERSAL, Parts
-from hil.typing import BoolArray, FloatArray, IntArray
 
 SHOWN = 250
 """Samples a figure shows of the first test trajectory, spread evenly over it."""

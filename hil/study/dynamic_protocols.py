@@ -8,12 +8,12 @@ from functools import partial
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.study.dynamic_data import Parts, Trajectories, honest_parts, paper_parts
 from hil.study.dynamic_methods import Method, Score, fit_and_score, shown_rows
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray
 
 PROTOCOLS: Mapping[str, Callable[[Trajectories, int], Parts]] = {
     "paper": paper_parts,

@@ -6,12 +6,12 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.inverse_found import Found
 from hil.study.inverse_score import Shown, evenly
 from hil.study.inverse_tables import carried, under
 from hil.study.result import Curve, Figure, Panel
 from hil.study.separation_text import joint_titles
-from hil.typing import FloatArray
 
 OVER_TIME = ("irls", "proposed", "rc-motion", "ours", "ours-residual")
 """Rows drawn beside the measured torque, as far as they are there; more hide each other."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import ClassVar
 
-from hil.dask_cluster import checked_address, cluster
+from hil.core.dask_cluster import checked_address, cluster
+from hil.core.errors import FitError
+from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.errors import FitError
-from hil.executor import cores
 from hil.identify.checks import Needs
 from hil.identify.parameters import MOST_SEED, flag, number, whole
 from hil.study import inverse_drawn as drawn

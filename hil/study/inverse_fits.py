@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import HilError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import HilError
 from hil.identify.base import GROUP, RobotEstimator, estimator
 from hil.study.inverse_cases import Case
 from hil.study.inverse_methods import ROWS, Row, unfitted

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.filters import motion_rates
 from hil.study.inverse_cases import Case
 from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.study.inverse_noise import Held, persistence_of, white_noise_left
 from hil.study.inverse_score import Judged, cloud_rows, shown_rows
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, freqz
 
+from hil.core.typing import FloatArray
 from hil.data.filters import nyquist_fraction, sample_rate
 from hil.evaluate.persistence import persistence, persistence_rmse
 from hil.study.inverse_cases import Case
-from hil.typing import FloatArray
 
 FREQUENCIES = 1 << 14
 

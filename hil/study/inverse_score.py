@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import nyquist_fraction, sample_rate, zero_phase
 from hil.data.prediction import Prediction
@@ -14,7 +15,6 @@ from hil.identify.training_loop.curves import Curves
 from hil.study.dynamic_data import MOVING
 from hil.study.dynamic_methods import SHOWN, percent_where, rmse_where
 from hil.study.inverse_cases import Case, forgotten
-from hil.typing import BoolArray, FloatArray, IntArray
 
 CLOUD = 400
 """Judged samples whose friction a figure shows, spread evenly over all of them."""

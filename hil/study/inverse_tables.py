@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import LATENCY_S, PREVIOUS_S, ROWS
 from hil.study.inverse_noise import Held
 from hil.study.inverse_printed import PRINTED, PRINTED_AVERAGES
 from hil.study.result import Table, Value
 from hil.study.separation_text import joint_titles, value, with_mean
-from hil.typing import FloatArray
 
 ANOTHER = "as printed, another robot: "
 

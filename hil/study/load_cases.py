@@ -7,10 +7,10 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, downsample
 from hil.data.splits import SAME_SHARE, Group, group_of, groups
-from hil.errors import DataError, FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.payload import Payload

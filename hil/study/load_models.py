@@ -12,10 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.data.splits import Group, assert_disjoint, group_of, groups
 from hil.dynamics import RobotModel
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.training_loop.attached import keeps_checkpoints
 from hil.study.inverse_cases import Recorded

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.payload_declared import Declaration, check_declarations
 from hil.identify.payload_estimate import PayloadEstimate
@@ -19,7 +20,6 @@ from hil.payload import Payload
 from hil.study.dynamic_methods import rmse_where
 from hil.study.load_cases import LoadCase
 from hil.study.separation_text import mean_of
-from hil.typing import FloatArray
 
 TOLD = ("unaware", "declared", "calibrated", "identified")
 """What the model is told of the load: nothing; what the spec says; the same, and how far the drive

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from hil.core.errors import HilError, SpecError
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.errors import HilError, SpecError
 from hil.identify.base import HONEST
 from hil.identify.checks import Needs
 from hil.identify.parameters import choice, flag, number, whole

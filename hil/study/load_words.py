@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.identify.payload_declared import Declaration
 from hil.study.load_score import TOLD, Scored, UnderLoads
 from hil.study.load_tables import average

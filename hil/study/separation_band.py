@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.evaluate.metrics import correlation, rmse
 from hil.study.result import Table, Value
 from hil.study.separation_data import pairs
 from hil.study.separation_honest import HonestRun
 from hil.study.separation_text import joint_titles, mean_of, value
-from hil.typing import BoolArray, FloatArray
 
 GRAVITY = ("gravity", "gravity-paper", "wls", "ls", "ridge")
 """What stands for a model without friction: the first of them that was fitted."""

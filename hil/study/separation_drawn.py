@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray
 from hil.identify.linear_methods import Weights
 from hil.identify.static_linear import StaticLinear
 from hil.study.result import Figure
@@ -15,7 +16,6 @@ from hil.study.separation_honest import HonestRun
 from hil.study.separation_paper import METHODS
 from hil.study.separation_paper_run import PaperRun
 from hil.study.separation_printed import WORDS
-from hil.typing import FloatArray
 
 OURS = ("hysteresis", "network-approach", "coulomb", "network", "gravity", "wls")
 """What is shown as the model in the honest figures: the first of them that was fitted."""

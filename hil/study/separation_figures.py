@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.evaluate.metrics import correlation
 from hil.identify.static_linear import StaticLinear
 from hil.study.result import Curve, Figure, Panel, Style
 from hil.study.separation_text import joint_titles
-from hil.typing import FloatArray, IntArray
 
 MOST = 700
 """Points of a panel, all curves together."""

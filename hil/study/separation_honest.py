@@ -10,14 +10,14 @@ from typing import TypeAlias
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.splits import Split, kfold, split
-from hil.errors import DataError, FitError
 from hil.evaluate.metrics import correlation, rmse
 from hil.study.separation_data import Recording, bare, dwell_means, dwells_in, mean_noise
 from hil.study.separation_methods import Method, Outcome, best_of, fit_tasks
 from hil.study.separation_tasks import Task
-from hil.typing import BoolArray, FloatArray, IntArray
 
 Measure: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 

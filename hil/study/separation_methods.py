@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import HilError
 from hil.identify.base import estimator
 from hil.identify.lm.scaling import ConstantInputWarning
 from hil.study.separation_data import dwell_means
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray
 
 WEIGHT_DECAYS = (0.0, 1e-4, 1e-3)
 """Candidates for the networks."""

@@ -10,11 +10,11 @@ from functools import partial
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.scaling import ConstantInputWarning
 from hil.identify.lm.train import train
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray, IntArray
 
 S_PER_PRODUCT = 3e-11
 """Seconds per number multiplied in a training, about: the longest trainings begin first."""

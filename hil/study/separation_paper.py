@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.errors import DataError, FitError
+from hil.core.errors import DataError, FitError
+from hil.core.typing import FloatArray
 from hil.identify.linear_methods import Method, Weights
 from hil.identify.static_linear import StaticLinear
 from hil.study.separation_data import Recording, dwell_means, one_per_pose
@@ -25,7 +26,6 @@ from hil.study.separation_networks import (
 from hil.study.separation_paper_run import Layout, LinearFit, PaperRun, Separated
 from hil.study.separation_split import Partition, by_pose, by_sample
 from hil.study.separation_tasks import Task
-from hil.typing import FloatArray
 
 METHODS: tuple[Method, ...] = ("ls", "ridge", "lasso", "elastic-net", "wls")
 INPUTS = slice(1, 5)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.evaluate.metrics import rmse
 from hil.identify.linear_methods import Method
@@ -14,7 +15,6 @@ from hil.identify.static_linear import StaticLinear
 from hil.study.separation_data import sample_noise
 from hil.study.separation_networks import Networks
 from hil.study.separation_split import Partition
-from hil.typing import FloatArray, IntArray
 
 Layout = tuple[int, ...]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.lm.network import Mlp
 from hil.identify.parameters import choice, number, whole
 

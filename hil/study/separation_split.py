@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hil.core.typing import IntArray
 from hil.data.dataset import Dataset
 from hil.data.splits import paper_sample_split, split
 from hil.study.separation_data import rows_in
-from hil.typing import IntArray
 
 SHARES = (0.75, 0.20, 0.05)
 """To train, test and validate on."""

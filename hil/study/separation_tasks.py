@@ -10,10 +10,10 @@ from functools import partial
 from itertools import islice
 from typing import Any
 
-from hil.errors import FitError
-from hil.executor import chosen, one_thread, processes
+from hil.core.errors import FitError
+from hil.core.executor import chosen, one_thread, processes
+from hil.core.spreading import spread
 from hil.study.base import Ended, Progress, tell_ended
-from hil.study.spreading import spread
 
 
 def never(result: Any) -> str:
@@ -53,7 +53,7 @@ def run_tasks(
         what: Is being done, for whoever watches.
         progress: Told after every task.
         executor: Takes their place whatever `jobs` is, and stays open; by default that of
-            `hil.executor.spread_over`, if there is one around.
+            `hil.core.executor.spread_over`, if there is one around.
 
     Raises:
         FitError: A process died.

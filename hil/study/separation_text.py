@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.result import Value
-from hil.typing import FloatArray
 
 
 def joint_titles(n: int) -> tuple[str, ...]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
+from hil.core.errors import FitError
+from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.errors import FitError
-from hil.executor import cores
 from hil.identify.checks import Needs
 from hil.identify.linear_methods import Weights
 from hil.identify.parameters import choice, flag, number, whole

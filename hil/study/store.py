@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, FitError
+from hil.core.errors import DataError, FitError
 from hil.study.result import StudyResult
 from hil.study.soundness import faults_of
 

@@ -6,10 +6,10 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.typing import FloatArray
 from hil.robot import Robot
 from hil.testing.starting import require_extras
-from hil.typing import FloatArray
 
 
 class MockRobot(Robot, Protocol):

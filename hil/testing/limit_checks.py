@@ -6,11 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from hil.errors import HilError, RobotError
+from hil.core.errors import HilError, RobotError
+from hil.core.typing import FloatArray
 from hil.robot import Robot, Segment, Status
 from hil.testing.asserts import raises
 from hil.testing.moves import AT_SET_POINT_RAD, line, room, rows_for, standing_at
-from hil.typing import FloatArray
 
 TOO_FAR_RAD = 0.2
 TOO_MUCH = 1.5

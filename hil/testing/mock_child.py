@@ -11,8 +11,8 @@ import sys
 import threading
 from collections.abc import Sequence
 
-from hil import plugins
-from hil.errors import HilError
+from hil.core import plugins
+from hil.core.errors import HilError
 
 STANDARD_INPUT = 0
 

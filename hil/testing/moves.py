@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from hil.core.typing import FloatArray, StructArray
 from hil.excite.motion import Hold, Line, Motion
 from hil.robot import Robot, Segment, Status
-from hil.typing import FloatArray, StructArray
 
 SPEED_RAD_S = 0.3
 ACCELERATION_RAD_S2 = 1.0

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hil.errors import RobotConnectionError, RobotError, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import HasResource, Robot, Status
 from hil.testing.asserts import raises, stop_in_time

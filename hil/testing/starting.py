@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil import plugins
-from hil.errors import PluginError
+from hil.core import plugins
+from hil.core.errors import PluginError
 
 READY_WITHIN_S = 60.0
 _LAST_WORDS_S = 5.0

@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
+from hil.core.typing import FloatArray, StructArray
 from hil.robot import Robot, state_dtype
 from hil.testing.moves import LONG_WAY_RAD, follow, move
-from hil.typing import FloatArray, StructArray
 
 OUTSIDE_RAD = 0.1
 BESIDE_RAD = 0.02

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
 from hil.campaign.robots import connected
-from hil.errors import PluginError, RobotFault, SpecError
+from hil.core import plugins
+from hil.core.errors import PluginError, RobotFault, SpecError
+from hil.core.typing import FloatArray
 from hil.payload import Payload
 from hil.robot import Robot, TorqueControlled, is_simulated
 from hil.spec.station import StationRobot
-from hil.typing import FloatArray
 
 RATE_HZ = 1000.0
 """Of the controller."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.result import Curve, Figure, Panel
 from hil.study.separation_text import joint_titles
 from hil.trial import laws, leading
@@ -14,7 +15,6 @@ from hil.trial.judged import relief
 from hil.trial.leading import Led
 from hil.trial.result import Trial
 from hil.trial.tracking import Tracked
-from hil.typing import FloatArray
 
 DRAWN_HZ = 50.0
 """Points of a curve, per second of the motion."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.result import Part, StudyResult, Table
 from hil.study.separation_text import joint_titles, listed, mean_of, value, values
 from hil.trial import curves, laws, leading
@@ -15,7 +16,6 @@ from hil.trial.leading import Led
 from hil.trial.result import Trial
 from hil.trial.settings import SEEDS_APART, SPEED_HZ
 from hil.trial.tracking import Tracked
-from hil.typing import FloatArray
 
 NAME = "try-out"
 

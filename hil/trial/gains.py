@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.typing import FloatArray
 
 BANDWIDTH_RAD_S = 20.0
 DAMPING = 0.7

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.study.separation_text import listed, mean_of
 from hil.trial import laws, leading
 from hil.trial.settings import HALF
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.trial.result import Trial

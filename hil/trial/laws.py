@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.predictor import Predictor
 from hil.dynamics import RobotModel
@@ -14,7 +15,6 @@ from hil.identify.residual.fitted import CorrectedModel
 from hil.payload import Payload
 from hil.trial.arm import RATE_HZ
 from hil.trial.reference import Reference
-from hil.typing import FloatArray
 
 NOTHING, GRAVITY, NOMINAL, MODEL = "no model", "gravity", "datasheet arm", "model"
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.workspace import Workspace
 from hil.payload import Payload
 from hil.plan.build import build_plan
@@ -17,7 +18,6 @@ from hil.plan.place import plannable_arm, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.trial.arm import RATE_HZ, Bench
 from hil.trial.settings import SEEDS_APART
-from hil.typing import FloatArray
 
 SETTLE_S = 1.0
 """At rest before the motion begins; not counted."""

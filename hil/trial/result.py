@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.payload import Payload
 from hil.trial.arm import RATE_HZ
 from hil.trial.gains import Spring
@@ -15,7 +16,6 @@ from hil.trial.leading import HAND_FIRMNESS, Led
 from hil.trial.reference import Leading
 from hil.trial.settings import SPEED_HZ
 from hil.trial.tracking import Tracked
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

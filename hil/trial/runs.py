@@ -6,9 +6,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.low_pass import LowPass
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.trial import laws, leading
 from hil.trial.arm import RATE_HZ, Arm, Bench
@@ -17,7 +18,6 @@ from hil.trial.leading import Drives, Led, lead
 from hil.trial.reference import Leading, Reference
 from hil.trial.settings import SPEED_HZ
 from hil.trial.tracking import Tracked, track
-from hil.typing import FloatArray
 
 Progress = Callable[[str], object]
 """Told what is being run."""

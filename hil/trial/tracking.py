@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.trial.arm import Arm
 from hil.trial.gains import Spring
 from hil.trial.reference import Reference
-from hil.typing import FloatArray
 
 MOST_ERROR_RAD = 0.35
 """Further from the trajectory the arm is braked."""

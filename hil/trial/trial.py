@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.standstill import require_torque

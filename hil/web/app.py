@@ -15,7 +15,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.web.listeners import Listeners
 from hil.web.rendering import WHO, back, refused
 from hil.web.security import HEADERS, Forbidden, Guard, form_of

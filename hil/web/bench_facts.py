@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.experiment import find_station
-from hil.errors import HilError
-from hil.holder import Holder, plain, since_words
+from hil.core.errors import HilError
+from hil.core.holder import Holder, plain, since_words
 from hil.report.words import counted
 from hil.robot.lease import held_leases
 from hil.spec.station import Station

@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from hil.catalogue.facts import started_s
 from hil.catalogue.view import find_runs
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
 from hil.report.judgement import ENDINGS
 from hil.report.measures import measure
 from hil.report.words import duration, when

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hil.arms import arm_names
 from hil.campaign.experiment import Experiment
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.spec.hashing import spec_hash
 
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.errors import SpecError
-from hil.spec.source import shown
-from hil.spec.yaml_values import scalar
+from hil.core.errors import SpecError
+from hil.core.source import shown
+from hil.core.yaml_values import scalar
 from hil.web.settings import Settings
 
 FILE_KEYS = ("file",)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.starting import Started, started_runs
-from hil.errors import HilError
-from hil.record.lock import is_live
+from hil.core.errors import HilError
+from hil.core.live_lock import is_live
+from hil.core.text import name_text
 from hil.spec.series import load_series_spec
-from hil.text import name_text
 from hil.web.live_facts import header_of
 from hil.web.places import address_of, live_runs, name_of
 from hil.web.settings import Settings

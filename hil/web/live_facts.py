@@ -15,12 +15,12 @@ from typing import Any
 
 from hil.campaign.follow import EventTail, how_it_ended
 from hil.campaign.live_state import read_live, standing_in
-from hil.errors import HilError
-from hil.holder import plain
+from hil.core.errors import HilError
+from hil.core.holder import plain
+from hil.core.live_lock import is_live
 from hil.live.log_words import words_of
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import share_words, state_words, step_words
-from hil.record.lock import is_live
 from hil.record.rundir import RunDirectory
 from hil.report.measures import measures
 from hil.report.words import duration

@@ -18,8 +18,8 @@ from hil.campaign.steering import (
     resume_live_run,
     stop_run,
 )
-from hil.errors import DataError
-from hil.record.lock import is_live
+from hil.core.errors import DataError
+from hil.core.live_lock import is_live
 from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
 from hil.web.places import address_of, run_at
 from hil.web.rendering import as_json, page, settings_of, who_of

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.errors import HilError, RegistryError
+from hil.core.errors import HilError, RegistryError
 from hil.registry.log import Aliases, Entry, read_log
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion

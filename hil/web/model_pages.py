@@ -8,11 +8,11 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from hil.core.text import shell_word
 from hil.registry.log import CHAMPION_EVENTS, Aliases
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 from hil.report.words import when
-from hil.text import shell_word
 from hil.web.drawing import timeline
 from hil.web.model_facts import (
     deed,

@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from hil.campaign.confirmation import digest_of, together
-from hil.errors import HilError, NotConfirmed, SpecError
+from hil.core.errors import HilError, NotConfirmed, SpecError
 from hil.web.planning import plan_apart
 from hil.web.threads import PLANS
 

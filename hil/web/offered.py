@@ -8,8 +8,8 @@ from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
-from hil.errors import SpecError
-from hil.text import name_read, name_text
+from hil.core.errors import SpecError
+from hil.core.text import name_read, name_text
 from hil.web.settings import Settings
 
 LOOKED_AT = 2000
@@ -23,7 +23,7 @@ _WORDS = {b"hil": "experiment", b"hil_series": "series", b"hil_station": "statio
 def offered(settings: Settings, *kinds: str) -> list[str]:
     """Return the names of the files of some kinds (`experiment`, `series`, `station`).
 
-    From the folder on, as text that a form can hold (`hil.text.name_text`).
+    From the folder on, as text that a form can hold (`hil.core.text.name_text`).
     """
     if settings.specs is None:
         return []

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from starlette.convertors import PathConvertor, register_url_convertor
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.text import name_text, quoted
 from hil.record.known_runs import known_runs
-from hil.text import name_text, quoted
 from hil.web.settings import Settings
 
 
@@ -24,7 +24,7 @@ register_url_convertor("place", Place())
 def name_of(run: Path, settings: Settings) -> str:
     """Return where a run is below the folder of runs, such as `2026-11-22/ur5/0042-dwell`.
 
-    As text that a page can show; `hil.text.name_read` gives the name on the disk.
+    As text that a page can show; `hil.core.text.name_read` gives the name on the disk.
 
     Raises:
         ValueError: It is elsewhere, such as behind a link.

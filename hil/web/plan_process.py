@@ -36,7 +36,7 @@ def _end_with_the_asker() -> None:
 
 
 def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.errors import HilError
+    from hil.core.errors import HilError
 
     try:
         return _planned(asked)

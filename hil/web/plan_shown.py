@@ -14,7 +14,7 @@ from hil.campaign.operator import prompts_of
 from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
 from hil.campaign.resuming import Unfinished, remaining_motion
 from hil.campaign.robots import moves_for_real, opened
-from hil.errors import RobotError
+from hil.core.errors import RobotError
 from hil.plan.commissioning import Commissioning
 from hil.plan.picture import picture_of
 from hil.plan.plan import Plan

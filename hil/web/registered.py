@@ -6,12 +6,12 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.errors import HilError
+from hil.core.files import read_json
+from hil.core.text import quoted
 from hil.identify.model_folder import MODEL_FILE
-from hil.record.files import read_json
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, read_version
-from hil.text import quoted
 from hil.web.places import address_of
 from hil.web.settings import Settings
 

@@ -15,8 +15,8 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 
 from hil import __version__
-from hil.errors import HilError
-from hil.text import json_text, shell_word, utf8_text
+from hil.core.errors import HilError
+from hil.core.text import json_text, shell_word, utf8_text
 from hil.web.going import being_planned, going_on
 from hil.web.security import Forbidden
 from hil.web.settings import Settings

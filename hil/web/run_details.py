@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil.record.rundir import RunDirectory
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import PLURALS, RunFacts

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.catalogue.stamp import ALWAYS_READ, stamp_of
+from hil.core.files import sha256_of
+from hil.core.text import shell_word
 from hil.identify.model_folder import MODEL_FILE, models_below
-from hil.record.files import sha256_of
 from hil.report.blocks import Badge
 from hil.report.documents import Document, as_objects
 from hil.report.facts import RunFacts, read_facts
@@ -27,7 +28,6 @@ from hil.report.words import (
     joint_title,
     number,
 )
-from hil.text import shell_word
 from hil.web.registered import registered_models
 from hil.web.run_details import completeness_of, details_of, virtual_clock
 from hil.web.run_files import listed_files, report_address, require_run

@@ -15,11 +15,11 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import Route
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.text import name_read, name_text, quoted
 from hil.record.numbering import number_of
 from hil.report.measures import size
 from hil.report.report import REPORT_FILE
-from hil.text import name_read, name_text, quoted
 from hil.web.places import address_of, run_at
 from hil.web.rendering import settings_of
 from hil.web.settings import Settings

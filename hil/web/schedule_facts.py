@@ -6,14 +6,14 @@ from datetime import UTC, datetime, timedelta
 from itertools import islice, takewhile
 from typing import Any
 
-from hil.errors import HilError
+from hil.core.durations import duration_text
+from hil.core.errors import HilError
+from hil.core.text import shell_word
 from hil.schedule.forecast import Expected, forecast
 from hil.schedule.ledger import Line, occasion_of
 from hil.schedule.motions import Motions
 from hil.schedule.times import occasions
-from hil.spec.durations import duration_text
 from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
-from hil.text import shell_word
 from hil.web.registered import run_link
 from hil.web.schedules_known import Known, moment_words
 from hil.web.settings import Settings

@@ -11,10 +11,10 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.errors import DataError, SpecError
+from hil.core.errors import DataError, SpecError
+from hil.core.suggest import did_you_mean
 from hil.schedule.holding import hold, release
 from hil.schedule.ledger import Ledger, Line
-from hil.suggest import did_you_mean
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.schedule_facts import (
     blackouts_of,

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.errors import HilError
-from hil.held_file import holder_of
+from hil.core.errors import HilError
+from hil.core.held_file import holder_of
+from hil.core.text import quoted
+from hil.core.yaml_nodes import MOST_BYTES
+from hil.core.yaml_source import read_source
 from hil.record.numbering import folders_in
 from hil.schedule.holding import ahead
 from hil.schedule.ledger import LEDGER_FILE, LOCK, Ledger
 from hil.schedule.times import occasions
 from hil.spec.schedule import KEY, ScheduleSpec, load_schedule_spec
-from hil.spec.yaml_nodes import MOST_BYTES
-from hil.spec.yaml_source import read_source
-from hil.text import quoted
 from hil.web.settings import Settings
 
 LOOKED_AT = 2000

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import FrameType
 
-from hil.errors import RobotConnectionError
-from hil.throttle import OncePerMinute
+from hil.core.errors import RobotConnectionError
+from hil.core.throttle import OncePerMinute
 from hil.web.app import create_app
 from hil.web.settings import DEFAULT_PORT, Settings, is_wildcard
 

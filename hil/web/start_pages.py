@@ -15,8 +15,8 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
 from hil.campaign.starting import Started, start_run, started_runs
-from hil.errors import DataError, HilError
-from hil.text import name_text
+from hil.core.errors import DataError, HilError
+from hil.core.text import name_text
 from hil.web.going import words_of
 from hil.web.held_by import held_by
 from hil.web.motions import MOTIONS, plans_to_show, refusal_of

@@ -19,8 +19,8 @@ from typing import Any
 from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 
-from hil.errors import HilError
-from hil.text import name_read
+from hil.core.errors import HilError
+from hil.core.text import name_read
 from hil.web.going import being_planned, going_on
 from hil.web.live_facts import LiveRun
 from hil.web.rendering import settings_of

@@ -9,14 +9,14 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from hil.core.errors import HilError
+from hil.core.text import shell_word
 from hil.deploy.export.targets import TARGETS
-from hil.errors import HilError
 from hil.registry.log import Aliases
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, read_version
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, in_words, joint_title, number, when
-from hil.text import shell_word
 from hil.web.model_facts import deed, log_of, readable_versions, role_of, run_of, unit_of
 from hil.web.registered import model_address
 from hil.web.rendering import page, settings_of

@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.campaign.robots import moves_for_real
 from hil.campaign.starting import check_start
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.plan.commissioning import commissioning_of
 from hil.web.checked import digest_of
 from hil.web.given_files import require_files_offered

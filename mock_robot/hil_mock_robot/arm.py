@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.errors import CommandRefused
-from hil.robot import Limits, Payload
-from hil.typing import FloatArray
+from hil.core.errors import CommandRefused
+from hil.core.typing import FloatArray
+from hil.payload import Payload
+from hil.robot import Limits
 from hil_mock_robot.draw import published
 from hil_mock_robot.motion import BRAKING_SHARE, Motion
 from hil_mock_robot.mounting import mount_of, mounted_of, require_same_mount

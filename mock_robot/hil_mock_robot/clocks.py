@@ -6,8 +6,8 @@ import math
 import threading
 from typing import Protocol
 
-from hil.errors import RobotTimeout
-from hil.typing import StructArray
+from hil.core.errors import RobotTimeout
+from hil.core.typing import StructArray
 from hil_mock_robot.controller import Controller
 
 

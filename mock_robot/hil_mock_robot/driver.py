@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from hil import plugins
-from hil.errors import HilError
-from hil.robot import Address, Capabilities, Identity, Limits, Payload, Segment
-from hil.typing import FloatArray, StructArray
+from hil.core import plugins
+from hil.core.errors import HilError
+from hil.core.typing import FloatArray, StructArray
+from hil.payload import Payload
+from hil.robot import Address, Capabilities, Identity, Limits, Segment
 from hil_mock_robot.arm import Arm
 from hil_mock_robot.clocks import Clock, VirtualClock
 from hil_mock_robot.controller import Controller

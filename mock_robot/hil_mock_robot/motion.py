@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
+from hil.core.typing import FloatArray, IntArray
 from hil.robot import Limits, Segment, Status
-from hil.typing import FloatArray, IntArray
 
 START_TOLERANCE_RAD = 1e-4
 REST_TOLERANCE_RAD_S = 1e-3

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.payload import Payload
 from hil_mock_robot.options import Options, numbers_of, wrong_option
 

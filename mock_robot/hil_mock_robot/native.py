@@ -13,8 +13,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hil import plugins
-from hil.errors import PluginError
+from hil.core import plugins
+from hil.core.errors import PluginError
 
 HINT = 'pip install "hil[mock]"'
 

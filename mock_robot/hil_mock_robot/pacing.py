@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import RobotFault
-from hil.typing import StructArray
+from hil.core.errors import RobotFault
+from hil.core.typing import StructArray
 from hil_mock_robot.arm import WATCHDOG
 from hil_mock_robot.clocks import timed_out
 from hil_mock_robot.controller import Controller

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.errors import SpecError
-from hil.typing import FloatArray, StructArray
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray, StructArray
 
 SERVO_S = 1e-3
 """The servo's own cycle: the same whatever the substep, so that substeps can be compared."""

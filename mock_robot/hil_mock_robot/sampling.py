@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.core.typing import FloatArray, StructArray
 from hil.robot import Status, state_dtype
-from hil.typing import FloatArray, StructArray
 from hil_mock_robot.arm import Arm
 from hil_mock_robot.sensors import Sensors
 

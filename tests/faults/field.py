@@ -17,7 +17,7 @@ from faults.cases import SPECS, SPEED, STEPS, Case
 
 import hil
 from hil.campaign.robots import open_robot, plan_for
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.plan.plan import Plan
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory

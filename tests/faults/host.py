@@ -23,8 +23,8 @@ import hil
 from hil.campaign import recording, run
 from hil.campaign.desk import Desk
 from hil.cli.app import _end_like_ctrl_c
+from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
-from hil.errors import HilError, exit_code_of
 from hil.plan.plan_file import read_plan
 from hil.record import recorder as recorder_module
 from hil.record.writer import McapWriter
@@ -92,7 +92,7 @@ def _disk_full(happened: Happened) -> None:
         try:
             write(self, *arguments)
             self.flush(durable=False)
-        except hil.errors.RecordingError:  # type: ignore[attr-defined]
+        except hil.core.errors.RecordingError:  # type: ignore[attr-defined]
             happened()
             raise
 

@@ -21,7 +21,7 @@ from faults.field import HOST, REST_RAD_S
 
 import hil
 from hil.campaign.robots import open_robot, plan_for
-from hil.errors import DataError
+from hil.core.errors import DataError
 from hil.plan.plan import Plan
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hil.arms import load_arm
-from hil.errors import HilError, SpecError
+from hil.core.errors import HilError, SpecError
 from hil.robot.lease import leased
 from hil.spec.load import load_station
 from hil.spec.station import StationRobot

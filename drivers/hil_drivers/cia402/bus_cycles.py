@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.canbus.frame import Frame
-from hil.typing import StructArray
+from hil.core.typing import StructArray
 from hil_drivers.cia402.can_cyclic import MARKER
 from hil_drivers.cia402.mapping import (
     MOST_BYTES,

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hil.canbus.bits import BusLoad, bits_of, bus_load
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil_drivers.cia402.mapping import MAPPINGS, Mapping
 
 MOST_CYCLIC = 0.80

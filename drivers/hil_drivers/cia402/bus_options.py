@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.canbus.paths import runtime_folder, socket_path
-from hil.errors import PluginError, SpecError
+from hil.core.errors import PluginError, SpecError
 from hil_drivers.cia402 import option_checks as must
 
 BITRATES = (10_000, 1_000_000)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import closing
 
 from hil.canbus.frame import pack_frame
-from hil.errors import HilError
+from hil.core.errors import HilError
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.mapping import MAPPINGS, SYNC_COB_ID
 from hil_drivers.cia402.objects import MODE_NAMES

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 
 from hil.canbus.frame import pack_frame
-from hil.errors import HilError, RobotConnectionError
+from hil.core.errors import HilError, RobotConnectionError
 from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.can_cyclic import CanCyclic, LoggedPort
 from hil_drivers.cia402.canopen_acyclic import CanopenAcyclic

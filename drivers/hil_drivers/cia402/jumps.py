@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
+from hil.core.typing import FloatArray
 from hil.robot import Limits, Segment
-from hil.typing import FloatArray
 from hil_drivers.checks import SPEED_SLACK, refused
 
 ACCELERATION_SLACK = 1.10

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 from hil.canbus.frame import FRAME
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.mapping import RPDO_COB_IDS, SYNC_COB_ID, rpdo_cob_id
 from hil_drivers.cia402.ports import FramePort
 from hil_drivers.cia402.states import QUICK_STOP

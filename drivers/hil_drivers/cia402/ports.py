@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from hil.canbus.bursts import FULL
 from hil.canbus.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
 
 AGAIN_S = 1e-4
 """From one try to the next where the transmit queue is full [s]."""

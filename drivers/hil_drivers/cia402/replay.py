@@ -8,9 +8,9 @@ from typing import Any
 
 from hil.arms import load_arm
 from hil.canbus.candump import read_candump
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import StructArray
 from hil.record.topic import Topic
-from hil.typing import StructArray
 from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.inspection import profile_of, said_by
 from hil_drivers.cia402.mapping import MAPPINGS

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RobotConnectionError, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotTimeout
 from hil.robot import Finding
 from hil.robot.facts import Facts
 from hil.robot.logs import RecordedLog

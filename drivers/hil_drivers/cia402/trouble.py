@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from hil.errors import RobotFault, RobotTimeout
+from hil.core.errors import RobotFault, RobotTimeout
+from hil.core.typing import StructArray
 from hil.robot import Status
-from hil.typing import StructArray
 from hil_drivers.cia402 import objects as od
 from hil_drivers.cia402.emergencies import error_text
 from hil_drivers.cia402.judging import FAULTY

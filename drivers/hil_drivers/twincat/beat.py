@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from hil.errors import HilError
+from hil.core.errors import HilError
 
 EVERY_S = 0.04
 

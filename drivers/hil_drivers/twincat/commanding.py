@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from hil.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
+from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Limits, Segment
 from hil_drivers.checks import require_executable

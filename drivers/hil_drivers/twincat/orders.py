@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, RobotFault, RobotTimeout
+from hil.core.errors import CommandRefused, RobotFault, RobotTimeout
 from hil.payload import Payload
 from hil_drivers.twincat.symbols import REASONS, Layout, Order, Result
 

@@ -8,9 +8,9 @@ from contextlib import suppress
 
 import numpy as np
 
-from hil.errors import RobotConnectionError, RobotFault, RobotTimeout
+from hil.core.errors import RobotConnectionError, RobotFault, RobotTimeout
+from hil.core.typing import StructArray
 from hil.record.topic import Topic
-from hil.typing import StructArray
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.rows import TOPIC, HostClock, reading_rows, state_rows

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.robot import Segment
-from hil.typing import StructArray
 
 Write = Callable[[bytes, int], None]
 """Puts bytes into the PLC's array of set-points, from this byte on."""

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.errors import HilError, RobotFault, RobotTimeout
+from hil.core.errors import HilError, RobotFault, RobotTimeout
+from hil.core.typing import StructArray
 from hil.robot import Status
-from hil.typing import StructArray
 from hil_drivers.twincat.symbols import Phase
 
 

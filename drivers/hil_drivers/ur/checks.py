@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from hil.core.typing import FloatArray
 from hil.robot import Limits, Segment
-from hil.typing import FloatArray
 from hil_drivers import checks
 from hil_drivers.ur.options import MOST_ACCELERATION, MOST_SPEED
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.errors import RobotConnectionError
+from hil.core.errors import RobotConnectionError
+from hil.core.typing import FloatArray
 from hil.robot import Limits
-from hil.typing import FloatArray
 
 PRIMARY_PORT = 30001
 WITHIN_S = 2.0

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from hil.errors import CommandRefused, PluginError, RobotConnectionError
+from hil.core.errors import CommandRefused, PluginError, RobotConnectionError
 from hil.payload import Payload
 from hil_drivers.ur.own_line import OwnLine
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError, RobotConnectionError, RobotTimeout
+from hil.core.errors import HilError, RobotConnectionError, RobotTimeout
 from hil.payload import Payload
 from hil.robot import Identity, Limits
 from hil_drivers.patience import once_listening

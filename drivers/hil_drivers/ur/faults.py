@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from hil.errors import RobotFault
-from hil.typing import StructArray
+from hil.core.errors import RobotFault
+from hil.core.typing import StructArray
 from hil_drivers.ur.rows import (
     HARMLESS,
     PAUSED,

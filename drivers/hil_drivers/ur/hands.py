@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
+from hil.core.typing import FloatArray
 from hil.robot import Segment
-from hil.typing import FloatArray
 from hil_drivers.ur.control import Control
 from hil_drivers.ur.course import Course
 from hil_drivers.ur.leading import Leading

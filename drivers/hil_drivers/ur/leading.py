@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import RobotFault
+from hil.core.errors import RobotFault
+from hil.core.typing import FloatArray
 from hil.robot import Segment
-from hil.typing import FloatArray
 from hil_drivers.ur.feed import Feed
 from hil_drivers.ur.lag import LagWatch
 from hil_drivers.ur.options import Options

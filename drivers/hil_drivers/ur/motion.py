@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from hil.errors import HilError, RobotConnectionError, StaleState
+from hil.core.errors import HilError, RobotConnectionError, StaleState
+from hil.core.typing import StructArray
 from hil.payload import Payload
 from hil.robot import Segment
 from hil.robot.documents import plain_options, segment_document
 from hil.robot.driver_process import DriverProcess
 from hil.robot.frames import garbage
-from hil.typing import StructArray
 from hil_drivers.ur.lookout import LOST_EXIT, SILENCE_HINT, STALE_EXIT
 
 CHILD = "hil_drivers.ur.motion_child:UrMotion"

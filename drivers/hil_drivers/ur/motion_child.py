@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import CommandRefused, HilError, RobotConnectionError
+from hil.core.errors import CommandRefused, HilError, RobotConnectionError
+from hil.core.typing import StructArray
 from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status
-from hil.typing import StructArray
 from hil_drivers.ur.control import LIBRARY, Control
 from hil_drivers.ur.direct_stop import end_program, stop_directly
 from hil_drivers.ur.facts import capabilities_of, limits_of

@@ -9,17 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import (
-    CommandRefused,
-    HilError,
-    RobotConnectionError,
-    RobotFault,
-    RobotTimeout,
-)
+from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
+from hil.core.typing import StructArray
 from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, is_loopback
-from hil.typing import StructArray
 from hil_drivers.checks import require_liftable
 from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.typing import StructArray
 from hil.robot import Status
-from hil.typing import StructArray
 
 STILL_RAD_S = 1e-3
 """A commanded speed below this is none [rad/s]; the controller's own ramps end at 0."""

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import HilError, StaleState
+from hil.core.errors import HilError, StaleState
+from hil.core.typing import StructArray
 from hil.robot import Status
-from hil.typing import StructArray
 from hil_drivers.ur.faults import complaints, first_fault
 from hil_drivers.ur.options import Options
 from hil_drivers.ur.phases import still

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import json_document, write_once
+from hil.core.suggest import did_you_mean
 from hil.data.exporting.files import csv_file, npz_file, parquet_file
 from hil.data.exporting.import_map import import_map, why_no_map
 from hil.data.exporting.table import Table, table_of
 from hil.data.load import load_source
-from hil.errors import DataError, RecordingError
-from hil.record.files import json_document, write_once
-from hil.suggest import did_you_mean
 
 __all__ = ["Exported", "export_data"]
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.errors import RecordingError
+from hil.core.files import fsync_directory, json_line
 from hil.data.exporting.table import Table
-from hil.errors import RecordingError
-from hil.record.files import fsync_directory, json_line
 
 _ROWS = 20_000
 """Rows that are text at a time."""

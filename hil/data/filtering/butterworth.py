@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import DataError
-from hil.typing import BoolArray, FloatArray
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 
 MAX_NYQUIST_FRACTION = 0.8
 """Above this the bilinear transform squeezes the stop band to nothing."""

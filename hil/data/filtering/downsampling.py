@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Conditions, Dataset, rows_of
 from hil.data.filtering.butterworth import CLOCK, MAX_NYQUIST_FRACTION, sample_rate
 from hil.data.filtering.settings import FilterSettings
-from hil.errors import DataError
-from hil.typing import BoolArray, FloatArray
 
 AT_REST = ("dwell", "reference")
 """Series kinds that stand still: too short to filter, and with nothing to differentiate."""

@@ -6,8 +6,8 @@ from bisect import bisect_left
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.importing.raw import Raw
-from hil.typing import BoolArray, FloatArray, IntArray
 
 ABSURD = 1e6
 """No joint quantity in SI units is larger."""

@@ -16,14 +16,14 @@ from pydantic import (
     model_validator,
 )
 
+from hil.core.source import Problem, refuse, shown
+from hil.core.yaml_source import read_source
 from hil.data.importing.units import QUANTITY_DIMENSIONS, unit_named, units_of
 from hil.payload import Payload
 from hil.spec.findings import findings_of
 from hil.spec.loads import Load
 from hil.spec.messages import explain
 from hil.spec.quantities import Finite, FormatVersion, Positive, Strict, mistake
-from hil.spec.source import Problem, refuse, shown
-from hil.spec.yaml_source import read_source
 
 FileFormat = Literal["csv", "ur_rtde", "interleaved", "mat", "ros2bag"]
 Address: TypeAlias = int | str

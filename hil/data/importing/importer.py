@@ -11,6 +11,9 @@ from typing import Any, get_args
 
 import numpy as np
 
+from hil.core.errors import DataError, RecordingError, SpecError
+from hil.core.neighbours import neighbour_of, no_file
+from hil.core.suggest import did_you_mean
 from hil.data.importing.bag import read_bag
 from hil.data.importing.convert import convert
 from hil.data.importing.import_map import FileFormat, ImportMap, Window, load_map
@@ -19,10 +22,7 @@ from hil.data.importing.mat import read_mat
 from hil.data.importing.raw import Raw
 from hil.data.importing.recording import segments_of, write_recording
 from hil.data.importing.text import read_text
-from hil.errors import DataError, RecordingError, SpecError
-from hil.neighbours import neighbour_of, no_file
 from hil.payload import Payload
-from hil.suggest import did_you_mean
 
 READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
     "csv": read_text,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.data.importing.import_map import ImportMap
 from hil.data.importing.raw import Raw
-from hil.errors import DataError
-from hil.typing import FloatArray
 
 
 def read_interleaved(path: Path, layout: ImportMap) -> Raw:

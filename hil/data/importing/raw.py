@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.errors import DataError
-from hil.typing import BoolArray, FloatArray, IntArray
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 
 SHOWN = 10
 """Bad rows that are listed in a message; their number is always given."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.typing import IntArray, StructArray
 from hil.data.filters import sample_rate
 from hil.data.importing.import_map import ImportMap, Window
 from hil.data.importing.raw import Raw
@@ -16,7 +17,6 @@ from hil.data.series import TARGET
 from hil.record.topic import Topic, state_topic, torque_target_topic
 from hil.record.writer import McapWriter
 from hil.spec.loads import Load
-from hil.typing import IntArray, StructArray
 
 ROBOT_METADATA = "robot"
 PAYLOAD_METADATA = "payload"

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.suggest import did_you_mean
+from hil.core.typing import FloatArray, IntArray
 from hil.data.importing.import_map import Address, ImportMap
 from hil.data.importing.raw import Raw
-from hil.errors import DataError
-from hil.suggest import did_you_mean
-from hil.typing import FloatArray, IntArray
 
 RTDE_NAMES = {
     "q": "actual_q_{}",

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export import c_dense_text as text
 from hil.deploy.export.c_activations import NAMES, TIMES, typed
 from hil.deploy.export.c_text import Kind, array
 from hil.deploy.export.lagrangian_terms import Layers
-from hil.typing import FloatArray
 
 BLOCK = 8
 """Widths are filled up to a multiple with zeros."""

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.c_columns import GROUPS, LAWS, PEAKS, SUMS
 from hil.deploy.export.c_text import Piece, number
 from hil.deploy.export.program import terms_of
 from hil.identify.friction.law import PARTS, FrictionLaw
 from hil.identify.friction.library import ORDERS
 from hil.identify.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
-from hil.typing import FloatArray
 
 SLOWEST = 1e-12
 """Below this speed [rad/s] a power of it is 0: no logarithm of 0."""

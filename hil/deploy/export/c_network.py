@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.core.errors import FitError
 from hil.deploy.export import c_network_text as text
 from hil.deploy.export.c_network_weights import BLOCK, CellWeights, cell_weights
 from hil.deploy.export.c_text import Kind, Piece, array, number
-from hil.errors import FitError
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.settings import ResidualSettings
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.core.typing import FloatArray
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.trained import TrainedTcn
-from hil.typing import FloatArray
 
 BLOCK = 4
 """Channels and inputs are filled up to a multiple with zeros: loops go by so many at once."""

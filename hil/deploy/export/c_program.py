@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from hil.core.errors import SpecError
 from hil.deploy.export.c_friction import friction_piece
 from hil.deploy.export.c_lagrangian import lagrangian_piece
 from hil.deploy.export.c_memory import knows_warmth
@@ -25,7 +26,6 @@ from hil.deploy.export.c_program_text import (
 from hil.deploy.export.c_rigid import bodies_of_gears, rigid_piece
 from hil.deploy.export.c_text import Piece, array, comment
 from hil.deploy.export.program import Program
-from hil.errors import SpecError
 
 PARTS = ("gravity", "inertia", "load", "friction", "ripple", "drive", "residual")
 """Of the effort, in this order in `hil_parts`; they add up to it."""

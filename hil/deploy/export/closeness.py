@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import scale_of
 from hil.deploy.export.golden import Golden
 from hil.deploy.export.lagrangian_terms import NetworkFriction
 from hil.deploy.export.program import Program
-from hil.typing import FloatArray
 
 DOUBLE, SINGLE = 1e-9, 1e-5
 """Largest difference as a share of each joint's largest effort."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.errors import RecordingError
+from hil.core.errors import RecordingError
 from hil.identify.model_file import write_whole
 
 

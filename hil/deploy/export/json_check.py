@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.deploy.asked import motion_of
 from hil.deploy.export.golden import LOAD, RATE_HZ, golden_of
 from hil.deploy.export.json_columns import Document, friction_torque
@@ -14,14 +16,12 @@ from hil.deploy.export.json_read import combined, links_of, rigid_torque, torque
 from hil.deploy.export.json_rest import at_rest
 from hil.deploy.export.program import bodies
 from hil.dynamics import base_parameters
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_linear import RigidLinear
 from hil.identify.static_model import StaticModel
-from hil.typing import FloatArray
 
 EXACT = 1e-9
 """Largest difference as a share of each joint's largest value: numbers are written in full."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.json_terms import Term
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.base import RobotEstimator
@@ -18,7 +19,6 @@ from hil.identify.rigid_classical import RigidClassical
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
 from hil.identify.wls import WlsEstimator
-from hil.typing import FloatArray
 
 Entry = dict[str, Any]
 

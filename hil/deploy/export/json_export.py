@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import FitError
 from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.export.json_check import checked
 from hil.deploy.export.json_entries import conditions_of
@@ -18,7 +19,6 @@ from hil.deploy.export.json_robot import (
     robot_part,
     sigma_part,
 )
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes
 from hil.identify.residual.fitted import CorrectedModel

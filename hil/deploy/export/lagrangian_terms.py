@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.program import PlainFriction
 from hil.deploy.export.shaped import ShapedFriction
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.lagrangian.friction_settings import FrictionKind
 from hil.identify.lagrangian.settings import Activation
-from hil.typing import FloatArray
 
 LEAST_REST_SPEED = 1e-4
 LEAST_SPEED = 1e-6

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.deploy.export.exported import effort_unit
 from hil.deploy.export.lagrangian_terms import LagrangianTerms, lagrangian_terms
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.network_inputs import position_inputs, positions_only
 from hil.identify.static_network import StaticMlpLm
-from hil.typing import BoolArray, FloatArray
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
 """Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""

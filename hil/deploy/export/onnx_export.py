@@ -10,13 +10,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil import plugins
+from hil.core import plugins
+from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import Step, require_agreement
 from hil.deploy.export.exported import Exported, require_new, write_file
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.torch_export import example_inputs, told_of
 from hil.identify.base import RobotEstimator
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.deploy.export.torch_model import TorchModel

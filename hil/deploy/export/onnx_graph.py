@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import onnx
 
+from hil.core.errors import FitError
 from hil.deploy.export.agreement import FAULT
-from hil.errors import FitError
 
 ROWS = "rows"
 """Name of the leading dimension, the only one that is not fixed."""

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics.build import JointGeometry
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.residual.correction import Correction
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.deploy.export.lagrangian_terms import LagrangianTerms, NetworkFriction

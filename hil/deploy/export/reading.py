@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.deploy.export.lagrangian_terms import (
     NetworkFriction,
     lagrangian_friction,
@@ -14,7 +16,6 @@ from hil.deploy.export.lagrangian_terms import (
 from hil.deploy.export.program import BODY, PlainFriction, Program, bodies
 from hil.deploy.export.shaped import ShapedFriction, shaped_of
 from hil.dynamics import RobotModel, base_parameters
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.lagrangian.fitted import LagrangianModel
@@ -24,7 +25,6 @@ from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST
 from hil.identify.rigid_linear import TERMS, RigidLinear
 from hil.identify.static_model import StaticModel
-from hil.typing import FloatArray
 
 
 class NotExported(FitError):

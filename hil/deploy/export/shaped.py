@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.program import PlainFriction
 from hil.identify.diffnea.forms import FORMS, LEAST_SPEED
 from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from hil.errors import DataError, SpecError
-from hil.suggest import did_you_mean
+from hil.core.errors import DataError, SpecError
+from hil.core.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from hil.identify.base import RobotEstimator

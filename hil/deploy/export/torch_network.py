@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.c_network_weights import CellWeights, cell_weights
 from hil.deploy.export.torch_constants import hold
 from hil.deploy.export.torch_friction import Carried
 from hil.identify.residual.correction import Correction
-from hil.typing import FloatArray
 
 
 class StreamingTcn(nn.Module):

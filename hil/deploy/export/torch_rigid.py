@@ -15,10 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hil.core.typing import FloatArray
 from hil.deploy.export.program import Program
 from hil.deploy.export.torch_constants import hold
 from hil.dynamics.inertial import skew
-from hil.typing import FloatArray
 
 
 class RigidTorque(nn.Module):

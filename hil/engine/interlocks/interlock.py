@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
-from hil.errors import InterlockTripped
-from hil.typing import StructArray
+from hil.core.errors import InterlockTripped
+from hil.core.typing import StructArray
 
 Action = Literal["stop", "pause"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray, StructArray
 from hil.engine.interlocks.context import Distances
 from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.engine.interlocks.moving import moving
-from hil.typing import FloatArray, StructArray
 
 CLEAR_BY_M = 0.005
 """Distances so much above the least are well inside again [m]."""

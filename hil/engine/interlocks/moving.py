@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import BoolArray, StructArray
 from hil.robot import Status
-from hil.typing import BoolArray, StructArray
 
 
 def moving(block: StructArray, before: StructArray | None) -> BoolArray:

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from hil.core.typing import StructArray
 from hil.engine.interlocks.interlock import Action, Margin, Trip
-from hil.typing import StructArray
 
 POLL_S = 1.0
 """Between two looks at the disk [s]."""

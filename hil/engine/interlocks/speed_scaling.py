@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from hil.core.typing import StructArray
 from hil.engine.interlocks.interlock import Action, Trip
-from hil.typing import StructArray
 
 LEAST_SHARE = 0.99
 """Of the planned speed; a controller that reports less executes other motions than planned."""

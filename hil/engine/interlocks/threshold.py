@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, StructArray
 from hil.engine.interlocks.interlock import Action, Margin, Trip
 from hil.engine.interlocks.moving import moving
-from hil.typing import BoolArray, FloatArray, StructArray
 
 CLEAR_SHARE = 0.9
 """A quantity below this share of its limit is well inside again."""

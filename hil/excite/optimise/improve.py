@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.optimise.linear_limits import LinearLimits
 from hil.excite.optimise.motion_limits import TOLERATED, MotionLimits
 from hil.excite.optimise.program import ALLOWED, Point, Proposal, StepProgram
 from hil.excite.optimise.value import ValueOf
-from hil.typing import FloatArray
 
 ARMIJO = 1e-4
 SHORTEST = 1e-3

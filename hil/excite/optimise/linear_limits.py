@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.typing import FloatArray, IntArray
+from hil.core.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.excite.optimise.problem import ExcitationProblem

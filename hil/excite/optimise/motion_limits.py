@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.excite.optimise.linear_limits import POINTS_PER_HARMONIC
-from hil.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import BoolArray, FloatArray
 from hil.excite.optimise.series_basis import SeriesBasis
-from hil.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from hil.dynamics.base import BaseParameters

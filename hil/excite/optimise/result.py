@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.excite.motion import FourierSeries
-from hil.typing import FloatArray
 
 ROUNDING = 1e-9
 """Excess that counts as none."""

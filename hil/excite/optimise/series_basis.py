@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 
+from hil.core.typing import FloatArray
 from hil.excite.motion import FourierSeries
-from hil.typing import FloatArray
 
 
 class Grid(NamedTuple):

@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 
-from hil.errors import PlanError
+from hil.core.errors import PlanError
+from hil.core.typing import FloatArray
 from hil.excite.optimise.draw import draw
 from hil.excite.optimise.improve import Search
 from hil.excite.optimise.linear_limits import LinearLimits
@@ -15,7 +16,6 @@ from hil.excite.optimise.motion_limits import RESERVE, MotionLimits
 from hil.excite.optimise.problem import ExcitationProblem
 from hil.excite.optimise.result import Optimised, Progress, ProgressCallback, Start
 from hil.excite.optimise.value import ValueOf
-from hil.typing import FloatArray
 
 ROUNDS = 5
 """More of the last stage, while what it finds exceeds limits between the points."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.typing import FloatArray
+from hil.core.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.excite.optimise.problem import ExcitationProblem

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import BaseParameters, RobotModel
 from hil.identify.base import chunks, payload_torque
 from hil.identify.diffnea.forms import Form, spread
 from hil.identify.diffnea.motion import ArmMotion, sign_of
 from hil.identify.diffnea.rows import BendingRows
-from hil.typing import FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import body_parameters
 from hil.dynamics.pseudo_inertia import (
@@ -25,7 +26,6 @@ from hil.dynamics.pseudo_inertia import (
     triangle_jacobian,
 )
 from hil.identify.diffnea.minimise import Local
-from hil.typing import FloatArray
 
 LEAST_SHARE = 1e-6
 """A nominal link is thickened until its pseudo-inertia's eigenvalues reach this share."""

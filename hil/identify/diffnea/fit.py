@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.compress import JointwiseQR
 from hil.identify.diffnea.problem import Problem
 from hil.identify.diffnea.rows import BendingRows
 from hil.identify.diffnea.unknowns import Unknowns
 from hil.identify.jointwise import Solution, jointwise_least_squares
-from hil.typing import FloatArray
 
 ROUNDS = 2
 """How often shapes are fitted, with the joints' weights renewed in between."""

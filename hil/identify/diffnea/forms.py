@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.diffnea.motion import ArmMotion, JointMotion
-from hil.typing import BoolArray, FloatArray
 
 LEAST_SPEED = 1e-9
 """Added to |q̇| before a power or a logarithm of it [rad/s]."""

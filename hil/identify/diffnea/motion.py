@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.identify.diffnea.path import Pieces
 from hil.identify.friction.memory import path_steps
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

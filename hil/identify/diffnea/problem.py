@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.compress import JointwiseQR, upper_triangle
 from hil.identify.diffnea.minimise import Cost, Local, Minimum, minimise
 from hil.identify.diffnea.unknowns import Unknowns
 from hil.identify.jointwise import Solution, System
-from hil.typing import FloatArray
 
 Observed = Callable[[FloatArray], System]
 """Values → an equivalent small system whose columns are those of the values, slopes included."""

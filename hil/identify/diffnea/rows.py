@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.identify.diffnea.forms import Form
 from hil.identify.diffnea.motion import ArmMotion
 from hil.identify.jointwise import System
-from hil.typing import FloatArray, IntArray
 
 JITTER = 1e-13
 """Of a Gram matrix's diagonal: columns may coincide, such as those of shapes without effect."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
+from hil.core.typing import FloatArray
 from hil.dynamics import BaseParameters
 from hil.identify.diffnea.bodies import Bodies
 from hil.identify.diffnea.forms import Form
 from hil.identify.diffnea.minimise import Local
-from hil.typing import FloatArray
 
 SHAPE_EDGE = 0.01
 """A shape this share of its (logarithmic) range from a bound sits at the bound."""

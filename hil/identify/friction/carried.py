@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.friction.motion import FrictionMotion
 from hil.identify.stream import one_sample
-from hil.typing import FloatArray
 
 Torque = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Motion (1, n) → rigid body with load, and the torque through the gears, each (1, n) [N·m]."""

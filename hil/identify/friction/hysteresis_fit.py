@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import BaseParameters, RobotModel
@@ -20,7 +21,6 @@ from hil.identify.friction.series import temperatures_vary, usual_temperatures
 from hil.identify.friction.shapes import first_shapes, fitted_shapes
 from hil.identify.friction.solve import Solved, consistent, friction_ends, solve
 from hil.identify.inertial_bounds import InertialBounds
-from hil.typing import FloatArray
 
 NO_TRAJECTORIES = (
     "one trajectory only: friction columns were chosen on parts of it left out, which is less "

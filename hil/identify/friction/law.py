@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.library import Columns, column_names, groups
 from hil.identify.friction.motion import MULTIPLES, FrictionMotion, Shapes
-from hil.typing import FloatArray
 
 PARTS = {"ripple": "ripple", "drive": "drive"}
 """First word of a group → the part of the effort it belongs to; all others are friction."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import FilterSettings, kept_rows
 from hil.data.parts import rows_to_fit
@@ -26,7 +27,6 @@ from hil.identify.friction.observed import Block, Observed, folds_of, observe
 from hil.identify.friction.series import motions, smoothed
 from hil.identify.friction.shapes import Part, Through
 from hil.identify.friction.solve import solve
-from hil.typing import BoolArray, FloatArray, IntArray
 
 ROWS_PER_CUTOFF = 8.0
 """A fit keeps so many rows per period of the effort's cut-off: more say nothing new."""

@@ -20,8 +20,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.motion import MULTIPLES, FrictionMotion
-from hil.typing import FloatArray
 
 Columns = Callable[[FrictionMotion], Sequence[FloatArray]]
 

@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST
-from hil.typing import FloatArray
 
 
 def dahl_states(steps: FloatArray, length: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.memory import dahl_slopes, dahl_states
-from hil.typing import FloatArray
 
 MULTIPLES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Lengths of the friction states as multiples of the shortest: from microslip in the contacts to

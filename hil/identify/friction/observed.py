@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.identify.compress import upper_triangle
-from hil.typing import FloatArray, IntArray
 
 MOST_FOLDS = 6
 BLOCKS = 5

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.memory import path_steps
 from hil.identify.friction.series import motions, smoothed
-from hil.typing import FloatArray
 
 
 def predicted_friction(

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.library import CORE
 from hil.identify.friction.observed import Observed
-from hil.typing import FloatArray
 
 PENALTIES = (1e-5, 1e-4, 1e-3, 1e-2)
 """Share of a column's own sum of squares that is added to it: what a column explains only here and

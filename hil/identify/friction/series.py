@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import AT_REST, FilterSettings, nyquist_fraction, sample_rate, zero_phase
 from hil.identify.friction.motion import FrictionMotion, Shapes
-from hil.typing import FloatArray
 
 
 def motions(

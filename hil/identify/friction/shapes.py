@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.motion import FrictionMotion, Shapes
 from hil.identify.friction.varpro import variable_projection
-from hil.typing import FloatArray
 
 FIRST_LENGTH, FIRST_STRIBECK, FIRST_POWER = 2e-4, 0.1, 0.35
 LOWEST = np.array([np.log(3e-5), np.log(0.02), 0.15])

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.dynamics import BaseParameters
 from hil.identify.compress import JointwiseQR
 from hil.identify.consistent import consistent_least_squares
@@ -15,7 +16,6 @@ from hil.identify.friction.observed import Observed
 from hil.identify.friction.selection import penalised
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.jointwise import Solution, jointwise_least_squares
-from hil.typing import FloatArray
 
 PRIOR = 1000.0
 """A link that is off its nominal body by 100 % counts like so many samples in standard deviations:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hil.core.errors import SpecError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, motion_rates
-from hil.errors import SpecError
 from hil.identify.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.identify.lagrangian.settings import NetworkSettings
 from hil.identify.parameters import settings

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, base_parameters
 from hil.identify.base import CHUNK
 from hil.identify.friction.memory import dahl_states, path_steps
-from hil.typing import FloatArray, IntArray
 
 DIRECTION = "direction"
 """Column (N, n) of a dataset: the smooth sign of the motion, or Dahl's state."""

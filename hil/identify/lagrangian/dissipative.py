@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hil.core.typing import FloatArray
 from hil.identify.lagrangian.friction_settings import FrictionSettings
-from hil.typing import FloatArray
 
 LEAST_REST_SPEED = 1e-4
 """Where a hard sign is asked for [rad/s]: at rest 1/|q̇| is no number."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hil.errors import FitError
+from hil.core.errors import FitError
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.model import NetworkModel
 from hil.identify.lagrangian.stored import weights_of

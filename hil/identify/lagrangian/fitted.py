@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
-from hil.errors import DataError
 from hil.identify.base import RobotEstimator, payload_torque, prepared
 from hil.identify.checks import require_sizes
 from hil.identify.friction_curve import COULOMB, OFFSET, STATIC, VISCOUS, FrictionCurve
@@ -20,7 +21,6 @@ from hil.identify.lagrangian.task import MOTION, directions
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.extra import require_torch
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 if TYPE_CHECKING:
     from hil.identify.lagrangian.model import NetworkModel

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from hil.core.typing import FloatArray
 from hil.identify.lagrangian.dissipative import Dissipative, NoFriction, Unconstrained
 from hil.identify.lagrangian.friction_settings import (
     FRICTIONS,
@@ -22,7 +23,6 @@ from hil.identify.lagrangian.friction_settings import (
 )
 from hil.identify.lagrangian.intrinsic import Between, Free, NotNegative
 from hil.identify.parameters import choice
-from hil.typing import FloatArray
 
 LEAST_SPEED = 1e-6
 """Slower than this [rad/s] counts as this: d|v|^α/dα = |v|^α·ln|v| is no number at rest."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.parameters import choice, flag, number, require_known, whole
 
 FrictionKind: TypeAlias = Literal["none", "coulomb", "stribeck", "dissipative", "unconstrained"]

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from torch import Tensor, nn
 
+from hil.core.typing import FloatArray
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.friction import friction_network
 from hil.identify.lagrangian.network import LagrangianNetwork
-from hil.typing import FloatArray
 
 
 class Torques(NamedTuple):

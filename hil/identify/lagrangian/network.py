@@ -18,11 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.identify.lagrangian.mass import Factor, times
 from hil.identify.lagrangian.settings import NetworkSettings
 from hil.identify.lagrangian.trunk import Tape, Trunk
-from hil.typing import FloatArray
 
 
 class Parts(NamedTuple):

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from hil.core.typing import FloatArray
 from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.lagrangian.direction import smooth_sign
 from hil.identify.lagrangian.model import NetworkModel, Torques
 from hil.identify.stream import one_sample
 from hil.identify.training_loop.device import reproducible
-from hil.typing import FloatArray
 
 AT_ONCE = 2048
 """Rows in one pass; bounds memory, and more are not faster."""

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from hil.core.typing import FloatArray
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.lagrangian.choices import Design
 from hil.identify.lagrangian.model import NetworkModel
-from hil.typing import FloatArray
 
 PREFIX = "network."
 """Before the name of every weight in a model file."""

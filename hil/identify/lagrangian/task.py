@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings, downsample
 from hil.data.parts import learn_and_validate, rows_to_fit
@@ -17,7 +18,6 @@ from hil.identify.lagrangian.direction import (
     fitted_lengths,
     smooth_sign,
 )
-from hil.typing import BoolArray, FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 

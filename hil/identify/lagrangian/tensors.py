@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.identify.lagrangian.direction import DIRECTION
-from hil.typing import BoolArray, FloatArray
 
 MOTION = ("q_f", "qd_f", "qdd_f", DIRECTION)
 """Columns that a network sees, in the order of its arguments."""

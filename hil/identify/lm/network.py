@@ -16,10 +16,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.typing import FloatArray
 from hil.identify.lm.arrays import Array, Arrays, numpy_arrays
 from hil.identify.lm.linearised import Linearised
-from hil.typing import FloatArray
 
 ACTIVATIONS = ("tanh", "linear")
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hil.core.typing import FloatArray
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.rows import Rows
 from hil.identify.lm.scaling import Scaling
@@ -24,7 +25,6 @@ from hil.identify.lm.settings import Settings
 from hil.identify.lm.trained import Callback, Epoch, History
 from hil.identify.lm.training import Training
 from hil.identify.parameters import whole
-from hil.typing import FloatArray
 
 POLL_S = 0.05
 """How often the epochs that workers report are passed on."""

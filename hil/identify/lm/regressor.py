@@ -9,10 +9,10 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from hil.core.typing import FloatArray
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.rows import equal_inputs
 from hil.identify.lm.train import train
-from hil.typing import FloatArray
 
 
 class LevenbergMarquardtRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import FitError
-from hil.typing import FloatArray, IntArray
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
 
 MOST_SPREAD = 0.05
 """Within groups an input may vary by this share of its deviation: noise, a step of a thermometer.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.identify.lm.rows import Rows
-from hil.typing import FloatArray
 
 CONSTANT = 1e-12
 """A column whose deviation is below this share of its size does not vary."""

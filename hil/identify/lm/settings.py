@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, get_args
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.lm.arrays import Precision
 from hil.identify.lm.steps import Solver
 from hil.identify.parameters import choice, number, require_known, whole

@@ -14,10 +14,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.lm.arrays import Array, Arrays
 from hil.identify.lm.linearised import Linearised
 from hil.identify.lm.network import Mlp
-from hil.typing import BoolArray, FloatArray
 
 Solver = Literal["auto", "primal", "dual"]
 

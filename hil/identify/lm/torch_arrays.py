@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.lm.arrays import Array, Precision, rows_last
-from hil.typing import BoolArray, FloatArray
 
 
 class TorchArrays:

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import FitError, SpecError
+from hil.core.errors import FitError, SpecError
+from hil.core.typing import FloatArray
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.parallel import Task, run_all
 from hil.identify.lm.rows import checked_rows, require_alike
 from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.settings import Settings
 from hil.identify.lm.trained import Callback, Trained
-from hil.typing import FloatArray
 
 
 def train(

@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.identify.lm.network import Mlp
 from hil.identify.lm.scaling import Scaling
-from hil.typing import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.errors import FitError
+from hil.core.errors import FitError
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.lm.arrays import Arrays, arrays_on
 from hil.identify.lm.network import Mlp, Pass
 from hil.identify.lm.rows import Rows
@@ -12,7 +13,6 @@ from hil.identify.lm.scaling import Scaling
 from hil.identify.lm.settings import Settings
 from hil.identify.lm.steps import Dual, Primal, System, dual_is_faster
 from hil.identify.lm.trained import Callback, Epoch, History
-from hil.typing import BoolArray, FloatArray
 
 LEAST_GAIN = 1e-6
 """By this share a validation error must fall to be a better one; rounding makes it fall as well."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.residual.fit import in_motion
@@ -16,7 +17,6 @@ from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
 from hil.identify.residual.stored import require_finite_arrays
 from hil.identify.residual.trained import TrainedTcn
-from hil.typing import BoolArray, FloatArray
 
 NETWORK = "network{}."
 """Arrays of the network with that number, from 1, begin with it."""

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import AT_REST
 from hil.data.parts import learn_and_validate
 from hil.data.splits import group_of
-from hil.errors import DataError, FitError
 from hil.identify.residual.motions import Motions, one_rate
 from hil.identify.residual.out_of_fold import Physics
 from hil.identify.residual.settings import ResidualSettings
@@ -26,7 +27,6 @@ from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.problem import Watch, unwatched
 from hil.identify.training_loop.settings import TrainingSettings
 from hil.identify.training_loop.stages import joint_stages
-from hil.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
-from hil.errors import FitError
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.conformal import SpeedBands
 from hil.identify.friction_curve import FrictionCurve, HasFrictionCurve
@@ -22,7 +23,6 @@ from hil.identify.residual.streaming import CorrectedStream
 from hil.identify.residual.words import protocol_of
 from hil.identify.training_loop.curves import Curves
 from hil.payload import Payload
-from hil.typing import FloatArray
 
 RESIDUAL = "residual"
 """Component of a prediction that the network adds."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
-from hil.typing import BoolArray, FloatArray
 
 TINY = 1e-9
 """Added to scales: a joint that never moved is divided by something."""

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.identify.conformal import SpeedBands
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.fit import Learnt, trajectory_numbers
 from hil.identify.residual.out_of_fold import Physics
 from hil.identify.residual.selection import Selection, select
-from hil.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import motion_rates
-from hil.errors import DataError
 from hil.identify.residual.settings import ResidualSettings
-from hil.typing import FloatArray, IntArray
 
 RATE_TOLERANCE = 0.05
 """Difference of sample rates, as a share, beyond which a network's memory means another time."""

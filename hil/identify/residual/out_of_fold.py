@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.parts import rows_to_fit, told_by_sample
 from hil.data.splits import group_of, groups
 from hil.identify.base import RobotEstimator
-from hil.typing import BoolArray, FloatArray, IntArray
 
 NO_FOLD = -1
 

@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.identify.residual.inputs import NetworkInputs
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.segments import Segments, sizes
@@ -18,7 +19,6 @@ from hil.identify.residual.tcn import CausalTcn
 from hil.identify.residual.trained import TrainedTcn
 from hil.identify.training_loop.loss import Loss
 from hil.identify.training_loop.settings import LossKind
-from hil.typing import BoolArray, FloatArray, IntArray
 
 TOGETHER = 64
 """Crops validated at once; bounds memory."""

@@ -10,10 +10,10 @@ from collections import deque
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.identify.residual.trained import TrainedTcn
 from hil.identify.residual.weights import Single, TcnWeights, activated
-from hil.typing import FloatArray
 
 
 class RingTcn:

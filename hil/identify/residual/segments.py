@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.identify.residual.motions import Motions
 from hil.identify.residual.settings import ResidualSettings
-from hil.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from math import gcd
 from typing import Any, Literal, get_args
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.parameters import choice, flag, number, require_known, whole
 
 Heard = Literal["motion", "history", "measured"]

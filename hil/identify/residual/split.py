@@ -12,9 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
 from hil.identify.residual.motions import Motions
-from hil.typing import BoolArray, FloatArray
 
 POWER_SHARE = 0.99
 """Of the joints' velocities that lies below the motion's highest frequency."""

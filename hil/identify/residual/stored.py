@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError, FitError, SpecError
+from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.errors import DataError, FitError, SpecError
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.base import RobotEstimator, estimator
 from hil.identify.sound import require_sound
-from hil.typing import FloatArray
 
 BASE = "base."
 """Arrays of the base model begin with it."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.typing import FloatArray
 from hil.data.prediction import Stream
 from hil.identify.residual.correction import Correction
 from hil.identify.residual.ring import RingTcn
-from hil.typing import FloatArray
 
 
 class CorrectedStream:

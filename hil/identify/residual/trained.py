@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.identify.array_names import with_prefix, without_prefix
 from hil.identify.residual.inputs import InputScales, NetworkInputs
 from hil.identify.residual.motions import RATE_TOLERANCE, Motions
 from hil.identify.residual.settings import ResidualSettings
 from hil.identify.residual.weights import TcnWeights
-from hil.typing import FloatArray
 
 SCALES, WEIGHTS = "scales.", "weights."
 """What the names of arrays begin with."""

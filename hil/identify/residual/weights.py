@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import DataError
+from hil.core.errors import DataError
+from hil.core.typing import FloatArray
 from hil.identify.residual.settings import Activation, ResidualSettings
-from hil.typing import FloatArray
 
 Single = NDArray[np.float32]
 

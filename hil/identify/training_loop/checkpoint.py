@@ -18,7 +18,7 @@ from typing import Any
 
 import torch
 
-from hil.errors import CheckpointRefused, DataError
+from hil.core.errors import CheckpointRefused, DataError
 from hil.identify.model_file import json_bytes, plain, write_whole
 
 FORMAT = 2

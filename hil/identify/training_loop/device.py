@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import torch
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 from hil.identify.training_loop.settings import Precision
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from hil import plugins
+from hil.core import plugins
 from hil.identify.checks import Needs
 
 LEARN = {"learn": "to train its network"}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from hil.errors import DataError, FitError
+from hil.core.errors import DataError, FitError
 from hil.identify.training_loop.checkpoint import Checkpoints
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.device import device_of, reproducible

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch.nn.functional import smooth_l1_loss
 
+from hil.core.typing import FloatArray
 from hil.identify.parameters import choice
 from hil.identify.training_loop.settings import LossKind
-from hil.typing import FloatArray
 
 KINDS: tuple[str, ...] = get_args(LossKind)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
+from hil.core.suggest import did_you_mean
 from hil.identify.training_loop.settings import TrainingSettings
-from hil.suggest import did_you_mean
 
 DYNAMICS, FRICTION = "dynamics", "friction"
 """Groups of parameters of a Lagrangian network with friction."""

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from hil.canbus.frame import ERROR, EXTENDED, REMOTE, Frame
 from hil.canbus.hub import Hub
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 Heard = Callable[[int, bytes, float], None]
 """COB-ID, data, wall time (monotonic)."""

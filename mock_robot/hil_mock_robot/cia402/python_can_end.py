@@ -11,7 +11,7 @@ from typing import Any
 import can
 
 from hil.canbus.frame import ERROR_BUS_OFF
-from hil.errors import PluginError, RobotConnectionError
+from hil.core.errors import PluginError, RobotConnectionError
 from hil_mock_robot.cia402.ends import Heard, Readable, ignored
 
 BURST = 64

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.canbus.paths import private_folder
-from hil.errors import HilError, PluginError, SpecError
+from hil.core.errors import HilError, PluginError, SpecError
 from hil_mock_robot.cia402.side_client import SideClient
 from hil_mock_robot.cia402.station import Station
 from hil_mock_robot.cia402.troubles import Troubles

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 
 Value = bool | int | float | str | list[Any] | None
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.errors import CommandRefused
+from hil.core.errors import CommandRefused
 from hil.payload import Payload
 from hil_mock_robot.ur.machine import Machine, Watchdog
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import yaml
 
-from hil.spec.source import Mark, Problem, Source, refuse, shown
-from hil.spec.yaml_nodes import CORE_SCALARS, TAG, Reading, mark_of
-from hil.yaml_extent import Extent
+from hil.core.source import Mark, Problem, Source, refuse, shown
+from hil.core.yaml_extent import Extent
+from hil.core.yaml_nodes import CORE_SCALARS, TAG, Reading, mark_of
 
 DEEPEST = 40
 """Levels of nesting; a spec has seven."""

@@ -16,7 +16,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Who holds a file (see `hil.held_file`).
+    """Who holds a file (see `hil.core.held_file`).
 
     Attributes:
         content: What the holder wrote into it; empty while it is being written.

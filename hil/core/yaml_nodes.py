@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from hil.spec.source import Mark, Path, Problem, Source, shown
+from hil.core.source import Mark, Path, Problem, Source, shown
 
 MOST_BYTES = 256 * 1024
 """Larger files are no specs; poses belong into a CSV beside the spec."""
@@ -125,7 +125,7 @@ _CONSTRUCT: dict[str, Any] = {
 
 
 def _has_surrogate(text: str) -> bool:
-    """Whether UTF-8 cannot hold it; U+DC80 to U+DCFF stand for bytes of names (`hil.text`)."""
+    """Whether UTF-8 cannot hold it; U+DC80 to U+DCFF stand for bytes of names (`hil.core.text`)."""
     return any("\ud800" <= c <= "\udfff" and not "\udc80" <= c <= "\udcff" for c in text)
 
 

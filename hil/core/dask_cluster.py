@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from hil import plugins
-from hil.errors import FitError, SpecError
+from hil.core import plugins
+from hil.core.errors import FitError, SpecError
 
 ADDRESS = re.compile(r"(tcp|tls|ucx|ws|wss)://[^\s:/]+:\d{1,5}")
 """Of a scheduler, as `dask scheduler` prints it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeAlias
 
-from hil.errors import SpecError
+from hil.core.errors import SpecError
 
 Path: TypeAlias = tuple[str | int, ...]
 """Keys and list indices from the top of the file to a value."""

@@ -36,7 +36,7 @@ def bounded(text: str | bytes) -> None:
     """
     import yaml
 
-    from hil.yaml_extent import Extent
+    from hil.core.yaml_extent import Extent
 
     extent, loader = Extent(len(text), DEEPEST), getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:

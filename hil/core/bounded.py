@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from hil.errors import RobotTimeout
+from hil.core.errors import RobotTimeout
 
 _T = TypeVar("_T")
 

@@ -12,8 +12,8 @@ from importlib.metadata import EntryPoint, entry_points, packages_distributions
 from importlib.util import find_spec
 from typing import Any
 
-from hil.errors import PluginError
-from hil.suggest import did_you_mean
+from hil.core.errors import PluginError
+from hil.core.suggest import did_you_mean
 
 GROUPS = {
     "hil.drivers": "robot driver",

@@ -21,8 +21,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hil.holder import Holder
-from hil.text import json_text
+from hil.core.holder import Holder
+from hil.core.text import json_text
 
 HEARTBEAT_S = 1.0
 FRESH_S = 15.0
@@ -118,7 +118,7 @@ def hold(path: Path, content: Mapping[str, Any], *, shared: bool = False) -> Hel
 
     Args:
         path: Made when missing; its folder must exist.
-        content: What it shall say; see `hil.holder.this_process`.
+        content: What it shall say; see `hil.core.holder.this_process`.
         shared: Let other users take it over when this process has died.
 
     Raises:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from hil import plugins
-from hil.errors import PluginError
+from hil.core import plugins
+from hil.core.errors import PluginError
 
 Named = tuple[str, Any]
 """What somebody asked for in words, and the estimator or study that was made of it."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path as FilePath
 
-from hil.errors import SpecError
-from hil.neighbours import neighbour_of
-from hil.spec.source import Problem, Source, refuse, shown
-from hil.spec.yaml_nodes import MOST_BYTES
-from hil.spec.yaml_values import parse_text, place_after
+from hil.core.errors import SpecError
+from hil.core.neighbours import neighbour_of
+from hil.core.source import Problem, Source, refuse, shown
+from hil.core.yaml_nodes import MOST_BYTES
+from hil.core.yaml_values import parse_text, place_after
 
 
 def read_source(path: str | FilePath, kind: str = "") -> Source:

@@ -6,9 +6,9 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.errors import DataError, RecordingError
-from hil.held_file import hold, holder_of
-from hil.holder import Holder, this_process
+from hil.core.errors import DataError, RecordingError
+from hil.core.held_file import hold, holder_of
+from hil.core.holder import Holder, this_process
 
 LOCK = ".lock"
 

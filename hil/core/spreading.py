@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from typing import Any
 
-from hil.dask_cluster import is_lost
-from hil.errors import FitError
-from hil.executor import one_thread
+from hil.core.dask_cluster import is_lost
+from hil.core.errors import FitError
+from hil.core.executor import one_thread
 
 TRIES = 3
 """A worker may die of something else than the task it computes."""

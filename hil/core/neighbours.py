@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from hil.suggest import closest
+from hil.core.suggest import closest
 
 MOST_NAMED = 8
 """Files of a folder that a hint names."""

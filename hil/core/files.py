@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError, RecordingError
-from hil.text import json_text
+from hil.core.errors import DataError, RecordingError
+from hil.core.text import json_text
 
 
 def write_once(path: Path, content: bytes) -> None:

@@ -1,0 +1,1 @@
+"""What every package stands on: errors, plug-ins, files, locks, YAML with positions, units."""
