@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, RecordingError, SpecError
 from hil.core.extras import require_installed
 from hil.core.typing import FloatArray
@@ -31,7 +32,6 @@ from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
 from hil.identify.training_loop.attached import attach, keeps_checkpoints
 from hil.identify.training_loop.problem import HearsBeginning, Watch
-from hil.payload import Payload
 from hil.validation import (
     EVALUATION_FILE,
     Validation,

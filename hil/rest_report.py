@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.arms.payload import Payload
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.rest_pose import RestPose, described, rest_poses
@@ -21,7 +22,6 @@ from hil.deploy.resting import RestingArm
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.standstill import gravity_torque, holding_friction, require_torque
-from hil.payload import Payload
 from hil.plan.surroundings import collision_model
 from hil.rest_place import place_of
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
@@ -23,7 +24,6 @@ from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.payload_halves import halves, payload_halves
 from hil.identify.payload_problem import with_identified
-from hil.payload import Payload
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
-from hil.payload import Payload
+from hil.arms.payload import Payload
 
 UR_ARMS = ("ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e")
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from plan_parts import JointSpace, toy_workspace
 
+from hil.arms.payload import Payload
 from hil.dynamics import RobotModel
 from hil.excite.cache import ExcitationCache
 from hil.excite.coefficients import fitting_frequency
@@ -19,7 +20,6 @@ from hil.excite.poses import roomy_poses
 from hil.excite.question import Question
 from hil.excite.roadmap import Roadmap
 from hil.excite.setting import Advance, Setting
-from hil.payload import Payload
 from hil.spec.experiment import Fourier
 
 WORKSPACE = toy_workspace(n=6)

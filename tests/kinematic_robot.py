@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError
 from hil.core.typing import FloatArray, StructArray
-from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
 
 N = 6

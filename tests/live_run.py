@@ -52,13 +52,13 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from engine_parts import ListSink, line
     from kinematic_robot import KinematicRobot
 
+    from hil.arms.payload import Payload
     from hil.campaign.control import Control
     from hil.campaign.live_state import LiveState
     from hil.campaign.operator import ConsoleOperator
     from hil.core.live_lock import hold_run
     from hil.engine import Engine, Observers
     from hil.excite.motion import Hold
-    from hil.payload import Payload
     from hil.plan.plan import DwellRule, LoadStep, Plan, Step
     from hil.record.rundir import RunDirectory
 

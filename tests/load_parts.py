@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 from synthetic_motion import moving, nominal, raw
 
+from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
 from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 
 NOISE_A = 0.03
 GAIN_SHARE = 0.03

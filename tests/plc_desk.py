@@ -19,7 +19,7 @@ import pytest
 from pyads import constants, structs
 
 from hil.arms import load_arm
-from hil.payload import Payload
+from hil.arms.payload import Payload
 from hil.robot import Segment
 from hil_drivers.twincat import controller as controllers
 from hil_drivers.twincat import line as lines

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from kinematic_robot import KinematicRobot, require_within
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.core.typing import FloatArray, StructArray
-from hil.payload import Payload
 from hil.robot import Capabilities, Identity, Limits, Segment, Status, state_dtype
 
 N = 3

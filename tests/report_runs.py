@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.excite.motion import FourierSeries, Hold, Line
-from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.record import STATE_TOPIC, McapWriter, RunDirectory, collect_provenance, state_topic
 from hil.robot import Status, state_dtype

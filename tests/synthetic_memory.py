@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from synthetic_motion import COULOMB, GAINS, OFFSET, VISCOUS, dataset, fourier, plant
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data import Conditions, Dataset
-from hil.payload import Payload
 
 SHORT, LONG = 1e-3, 3e-2
 """Lengths of the two friction states [rad]."""

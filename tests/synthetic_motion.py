@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data import Conditions, Dataset
 from hil.data.arrival import POINTS, STEP_S
 from hil.dynamics import RobotModel, load_model
-from hil.payload import Payload
 
 GAINS = np.array([10.0, 11.0, 9.0, 8.0, 7.0, 6.0])
 COULOMB = np.array([6.0, 7.0, 5.0, 1.5, 1.2, 1.0])

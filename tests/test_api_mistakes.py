@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import hil
+from hil.arms.payload import Payload
 from hil.core.errors import HilError
-from hil.payload import Payload
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 FEWER = {"fit": "[{estimator: static-wls}]", "loads": "[{mass_kg: 1}]"}

@@ -13,8 +13,8 @@ import pytest
 from synthetic_motion import moving, nominal
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.dynamics import base_parameters, load_model
-from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.plant import build_plant
 from hil_mock_robot.simulation import Setting, Simulation

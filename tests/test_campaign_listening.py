@@ -16,6 +16,7 @@ import pytest
 from test_data_stays import motion
 from typer.testing import CliRunner
 
+from hil.arms.payload import Payload
 from hil.campaign import listening
 from hil.campaign.listened import Wanted
 from hil.campaign.listening import listen
@@ -24,7 +25,6 @@ from hil.cli.app import app
 from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
 from hil.data.load import load_source
-from hil.payload import Payload
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
 from hil.record.topic import Topic

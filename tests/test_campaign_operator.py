@@ -20,6 +20,7 @@ from engine_parts import small_plan
 from kinematic_robot import KinematicRobot
 from live_run import until
 
+from hil.arms.payload import Payload
 from hil.campaign.answers import ScriptedOperator, load_answers
 from hil.campaign.console import Console
 from hil.campaign.desk import console_desk
@@ -33,7 +34,6 @@ from hil.campaign.operator import (
 from hil.core.errors import PreflightFailed, SpecError, Stopped
 from hil.engine import Reply
 from hil.engine.prompt import NOBODY
-from hil.payload import Payload
 from hil.plan.plan import LoadStep, Step
 from hil.robot import Capabilities
 

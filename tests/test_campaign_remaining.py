@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.arms.payload import Payload
 from hil.campaign.remaining import connected_steps, legs_of, remaining_steps
 from hil.core.typing import FloatArray
 from hil.excite.motion import Hold, Line
-from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from weighing_parts import CYLINDER, Mounted, Scales, bodies, sweep
 
+from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
-from hil.payload import Payload
 from hil.plan.plan import Plan
 from hil.plan.preview import preview
 from hil.robot import Status

@@ -12,6 +12,7 @@ from load_parts import OFF_AXIS, sweep
 from report_runs import fourier_plan, write_run
 from synthetic_motion import nominal, raw
 
+from hil.arms.payload import Payload
 from hil.campaign import judging, studies, under_loads
 from hil.campaign.judging import judge_run
 from hil.campaign.studies import entries_for, run_studies
@@ -20,7 +21,6 @@ from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.identify.model_file import load_model_file
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 from hil.record.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

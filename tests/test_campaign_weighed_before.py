@@ -12,10 +12,10 @@ import pytest
 from test_campaign_resume import Noted, Told, measured, plan_of, plan_of_spec, stopped_run
 
 import hil
+from hil.arms.payload import Payload
 from hil.campaign.run import RunReport
 from hil.campaign.weighed_before import is_whole, weighed_before
 from hil.core.errors import PreflightFailed
-from hil.payload import Payload
 from hil.plan.plan import Plan, Step
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory

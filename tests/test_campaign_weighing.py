@@ -8,9 +8,9 @@ from functools import cache
 import pytest
 from weighing_parts import CYLINDER, OFF_AXIS, bodies, sweep, weigh
 
+from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
 from hil.engine import Outcome
-from hil.payload import Payload
 from hil.plan.plan import Plan
 from hil.spec.weigh import Weigh
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from can_drive_parts import ARM, CSP, CST, STEPS, SixDrives
 
-from hil.payload import Payload
+from hil.arms.payload import Payload
 from hil_mock_robot.cia402 import keys
 from hil_mock_robot.cia402.contracts import STEP_S
 from hil_mock_robot.cia402.states import State

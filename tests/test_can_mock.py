@@ -16,8 +16,8 @@ import pytest
 from can_master import RPDO1, Master
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.payload import Payload
 from hil_mock_robot.cia402.hosted import HostedMock, mock_on_virtual_bus
 from hil_mock_robot.journal import read_journal
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
 from hil.dynamics.robot_model import RobotModel
-from hil.payload import Payload
 from hil.robot import HasChecks, HasResource, HasTopics, Segment
 from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
 from hil_drivers.cia402.drives import Commissioned, Drive

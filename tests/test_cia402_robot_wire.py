@@ -24,9 +24,9 @@ from can_mock import MockCan, mock_can
 from cia402_robot import options
 from in_time import InTime, Took, measured_again
 
+from hil.arms.payload import Payload
 from hil.core.errors import HilError, RobotConnectionError, RobotFault
 from hil.core.typing import StructArray
-from hil.payload import Payload
 from hil.record.reader import read_topic
 from hil.robot import Robot, Status
 from hil.testing.moves import begin, follow, move, settle

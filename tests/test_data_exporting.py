@@ -15,13 +15,13 @@ from report_runs import dwell_plan, fourier_plan, robot_facts, rows_of_plan, wri
 from typer.testing import CliRunner
 
 from hil import api
+from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
 from hil.data.exporting import export_data
 from hil.data.importing import import_file
 from hil.data.load import load_source
-from hil.payload import Payload
 from hil.plan.plan import LoadStep
 
 

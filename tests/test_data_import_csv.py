@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source, serial_of
-from hil.payload import Payload
 from hil.record import read_info
 
 NAMES = ["a", "b"]

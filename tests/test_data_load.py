@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.data.filters import sample_rate
 from hil.data.load import load_source, serial_of
 from hil.data.splits import groups
-from hil.payload import Payload
 from hil.record import STATE_TOPIC, Attachment, McapWriter, RunDirectory, state_topic
 from hil.robot import Status
 

@@ -10,6 +10,7 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.deploy import compiled
 from hil.deploy.export.c_build import compiler
@@ -19,7 +20,6 @@ from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
 from hil.identify import estimator
 from hil.identify.base import prepared
-from hil.payload import Payload
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 Q, QD, QDD = motion(nominal(), 200, 250.0)

@@ -10,11 +10,11 @@ import pytest
 from synthetic_motion import GAINS, moving, nominal
 
 import hil
+from hil.arms.payload import Payload
 from hil.deploy.collision_thresholds import DEBOUNCE_S, QUANTILE
 from hil.deploy.momentum_observer import GAIN
 from hil.deploy.rest_margin import FADES_S
 from hil.identify import estimator
-from hil.payload import Payload
 
 PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "detect-collisions.md").read_text("utf-8")
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

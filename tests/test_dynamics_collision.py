@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hil.arms import Capsule, load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, payload_capsule
-from hil.payload import Payload
 
 UP = np.radians([0, -90, 0, -90, 0, 0])
 """Upright: every arm is clear of itself."""

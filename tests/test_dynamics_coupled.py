@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from dynamics_arms import motion
 
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters, load_model
-from hil.payload import Payload
 
 ROTORS = np.array([0.36, 0.36, 0.1, 0.03, 0.05, 0.01])
 LOAD = Payload(1.5, (0.02, -0.01, 0.05))

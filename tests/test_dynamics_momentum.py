@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from dynamics_arms import motion
 
+from hil.arms.payload import Payload
 from hil.dynamics import RobotModel, base_parameters
-from hil.payload import Payload
 
 LOAD = Payload(3.0, (0.02, -0.05, 0.08), (0.01, 0.012, 0.008, 0.001, 0.0, -0.002))
 STEP = 1e-6

@@ -7,9 +7,9 @@ import pytest
 from dynamics_arms import motion, urdf, written
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, load_model
-from hil.payload import Payload
 
 ROTORS = (0.75, 0.74, 0.62, 0.11, 0.12, 0.13)
 WALL = (-9.81, 0.0, 0.3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from dynamics_arms import motion, urdf, written
 
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.dynamics import CollisionModel, RobotModel, load_model
-from hil.payload import Payload
 
 LOAD = Payload(2.0, (0.01, 0.02, 0.05), (0.01, 0.012, 0.009, 0.0, 0.0, 0.0))
 

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.weighing import GAIN_SHARE, Balance, static_columns, static_parameters
-from hil.payload import Payload
 
 POSES = np.radians([[42, -31, 8, -106, 94, -139], [-150, -76, 63, -36, -77, 55]])
 LOAD = Payload(3.0, (0.02, -0.01, 0.05))

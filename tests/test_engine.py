@@ -12,12 +12,12 @@ import pytest
 from engine_parts import ListSink, engine, small_plan
 from kinematic_robot import KinematicRobot
 
+from hil.arms.payload import Payload
 from hil.core.errors import InterlockTripped, PlanError, RobotFault
 from hil.core.typing import StructArray
 from hil.engine import Observers, Outcome, Reply, RunState
 from hil.engine.interlocks import Threshold, from_spec
 from hil.engine.states import IllegalTransition, StateMachine
-from hil.payload import Payload
 from hil.robot import Robot
 from hil.spec.experiment import SpeedInterlock, TemperatureInterlock, TrackingErrorInterlock
 

@@ -7,6 +7,7 @@ import pytest
 from engine_parts import ListSink, engine
 from kinematic_robot import KinematicRobot
 
+from hil.arms.payload import Payload
 from hil.core.errors import (
     HilError,
     InterlockTripped,
@@ -22,7 +23,6 @@ from hil.engine import TRANSITIONS, Outcome, RunState
 from hil.engine.freshness import Deadline
 from hil.engine.telling import under_way
 from hil.excite.motion import Hold
-from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.robot import Status
 

@@ -14,13 +14,13 @@ from export_arms import ARMS, fitted_arm  # noqa: E402
 from synthetic_memory import remembering, stopping  # noqa: E402
 from synthetic_motion import nominal  # noqa: E402
 
+from hil.arms.payload import Payload  # noqa: E402
 from hil.deploy.export.agreement import largest_difference, load_row, scale_of  # noqa: E402
 from hil.deploy.export.golden import Golden  # noqa: E402
 from hil.deploy.export.torch_export import export_torch  # noqa: E402
 from hil.deploy.export.torch_model import module_of  # noqa: E402
 from hil.identify import estimator  # noqa: E402
 from hil.identify.friction import predicted  # noqa: E402
-from hil.payload import Payload  # noqa: E402
 
 SLIDES = ["rad", "m", "rad"]
 

@@ -17,6 +17,7 @@ from export_models import KINDS, fitted  # noqa: E402
 from export_network_parts import correction, motion, streamed  # noqa: E402
 from test_export_c_network import KINDS as NETWORKS  # noqa: E402
 
+from hil.arms.payload import Payload  # noqa: E402
 from hil.core.errors import FitError, PluginError, RecordingError  # noqa: E402
 from hil.deploy.export import torch_export  # noqa: E402
 from hil.deploy.export.agreement import largest_difference, load_row  # noqa: E402
@@ -30,7 +31,6 @@ from hil.deploy.export.torch_network import StreamingTcn  # noqa: E402
 from hil.deploy.export.torch_rigid import RigidTorque  # noqa: E402
 from hil.dynamics import RobotModel  # noqa: E402
 from hil.identify import estimator  # noqa: E402
-from hil.payload import Payload  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

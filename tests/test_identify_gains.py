@@ -7,11 +7,11 @@ import pytest
 from synthetic_motion import GAINS, dwelling, nominal, plant
 from test_identify_static_inverse import K2, bent
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
 from hil.identify.gains import Gains, calibrate_gains
 from hil.identify.motor import torque_of
-from hil.payload import Payload
 
 BESIDE = Payload(3.0, (0.05, 0.0, 0.05))
 ON_AXIS = Payload(3.0, (0.0, 0.0, 0.05))

@@ -7,13 +7,13 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
+from hil.arms.payload import Payload
 from hil.data import Dataset
 from hil.data.filters import prepare
 from hil.identify.friction.memory import carried_step, dahl_states
 from hil.identify.inertial_bounds import InertialBounds
 from hil.identify.payload_problem import _filtered
 from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.payload import Payload
 
 GROUPS = ["load", "speed p"]
 WARM_NM_A = 0.02

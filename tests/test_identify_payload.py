@@ -11,6 +11,7 @@ from dynamics_arms import mjcf, mujoco_torques
 from load_parts import OFF_AXIS, recorded
 from synthetic_motion import COULOMB, GAINS, LOAD, ROTORS, VISCOUS, fourier, moving, nominal, plant
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
@@ -20,7 +21,6 @@ from hil.identify.payload_fit import estimate_payload, true_values
 from hil.identify.payload_halves import payload_halves
 from hil.identify.payload_problem import with_identified
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 
 NOISE_A = 0.02
 SHARE = 0.07

@@ -10,8 +10,8 @@ import pytest
 from load_parts import OFF_AXIS, ON_AXIS, estimates
 from scipy.stats import norm
 
+from hil.arms.payload import Payload
 from hil.identify.payload_declared import FALSE_ALARM, Floor, check_declarations
-from hil.payload import Payload
 
 SEEDS = range(100, 107)
 """Arms; three loads each."""

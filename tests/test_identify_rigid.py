@@ -20,13 +20,13 @@ from synthetic_motion import (
     true_torque,
 )
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.data.filters import FilterSettings, zero_phase
 from hil.dynamics import base_parameters
 from hil.identify import estimator, load_model_file
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05

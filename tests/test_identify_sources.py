@@ -7,11 +7,11 @@ import pytest
 from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 
 import hil
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source
 from hil.fitting import evaluate_sources, fit_sources, parse_payload
-from hil.payload import Payload
 
 
 def layout(**changes):

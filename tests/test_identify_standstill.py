@@ -8,6 +8,7 @@ import pytest
 from dynamics_arms import urdf, written
 from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nominal
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
@@ -15,7 +16,6 @@ from hil.identify.rigid import RigidWls
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque
 from hil.identify.static import StaticWls
-from hil.payload import Payload
 
 POSES = np.random.default_rng(4).uniform(-3.0, 3.0, (30, 6))
 

@@ -10,12 +10,12 @@ import pytest
 from interlock_parts import NAMES, made, rows
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel, payload_capsule
 from hil.dynamics.flange import FlangeSpace
 from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, LeastDistance, Trip
-from hil.payload import Payload
 from hil.plan.interlocks import flange_space
 
 LOAD = Payload(3.0, (0.0, 0.0, 0.05))

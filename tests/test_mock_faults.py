@@ -7,8 +7,8 @@ import pytest
 from in_time import InTime, measured_again
 from mock_motions import ASIDE, UPRIGHT, move, play
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
-from hil.payload import Payload
 from hil.robot import Status
 from hil_mock_robot.driver import MockRobot
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mock_motions import ASIDE, UPRIGHT, move, play
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, DataError, RobotConnectionError, RobotFault
-from hil.payload import Payload
 from hil_mock_robot.driver import MockRobot
 from hil_mock_robot.journal import read_journal
 from hil_mock_robot.simulation import Simulation

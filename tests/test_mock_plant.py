@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.mounting import MOUNTS, gravity_of
 from hil_mock_robot.plant import build_plant

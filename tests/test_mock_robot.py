@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mock_motions import blend, fourier, play, segment
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError
-from hil.payload import Payload
 from hil.robot import Robot, Status, state_dtype
 from hil_mock_robot.driver import MockRobot
 from hil_mock_robot.mock import EmbeddedMock

@@ -7,8 +7,8 @@ import pytest
 from mock_motions import blend, fourier, hold
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.payload import Payload
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.plant import build_plant
 from hil_mock_robot.records import SERVO_S, timing_of

@@ -12,9 +12,9 @@ from plan_parts import plan_of, samples_between
 from weighing_parts import CYLINDER, bodies, sweep
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.dynamics import CollisionModel, Environment, RobotModel
 from hil.dynamics.environment import payload_capsule
-from hil.payload import Payload
 from hil.plan.plan import Plan, Step
 from hil.plan.preview import preview
 from hil.plan.weighing import why_not_weighed, why_plan_not_weighed

@@ -16,11 +16,11 @@ from kinematic_robot import KinematicRobot
 from plan_parts import JointSpace, always_clear, ur5
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.core.typing import FloatArray, StructArray
 from hil.excite.motion import Hold, Line
-from hil.payload import Payload
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.preflight import (
     BUILT_IN,

@@ -19,6 +19,7 @@ from process_drivers import WithTopics
 from process_inspected import Inspected
 
 import hil
+from hil.arms.payload import Payload
 from hil.campaign.driver_check import check_driver
 from hil.campaign.robots import connected, open_robot, opened
 from hil.core.errors import (
@@ -29,7 +30,6 @@ from hil.core.errors import (
     RobotFault,
     SpecError,
 )
-from hil.payload import Payload
 from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
 from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot

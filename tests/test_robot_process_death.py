@@ -19,8 +19,8 @@ import pytest
 from in_time import InTime, measured_again
 from process_drivers import events
 
+from hil.arms.payload import Payload
 from hil.core.errors import RobotConnectionError, RobotTimeout
-from hil.payload import Payload
 from hil.robot import Segment, Status, driver_process, process
 from hil.robot.driver_process import STOP_WITHIN_S
 from hil.robot.frames import pack

@@ -9,6 +9,7 @@ import pytest
 from load_parts import OFF_AXIS, recorded
 from synthetic_motion import moving, nominal, raw
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.dynamics import load_model
 from hil.dynamics.same_robot import may_be
@@ -16,7 +17,6 @@ from hil.evaluate import evaluate
 from hil.identify.model_file import load_model_file
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 from hil.validation_load import under_load
 
 ARM = """<robot name="arm">

@@ -15,13 +15,13 @@ from report_runs import dwell_plan, write_run
 from synthetic_motion import nominal, raw
 from typer.testing import CliRunner
 
+from hil.arms.payload import Payload
 from hil.campaign import studies as campaign
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
 from hil.identify.payload_declared import Declaration
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 from hil.study.base import study
 from hil.study.inverse_cases import recorded as recorded_from
 from hil.study.load_cases import LoadCase, load_cases, unseen

@@ -11,10 +11,10 @@ import pytest
 from trial_parts import STATION, bench, model, model_folder, reference, short_trial, shorten, way
 from typer.testing import CliRunner
 
+from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.dynamics import load_model
-from hil.payload import Payload
 from hil.report.trial_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from trial_parts import bench, model, reference, way
 
+from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.payload import Payload
 from hil.plan.build import build_plan
 from hil.spec.station import StationRobot
 from hil.trial import leading, runs, trial

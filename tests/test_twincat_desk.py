@@ -11,6 +11,7 @@ import pytest
 from in_time import InTime
 from plc_desk import Desk, desk_robot, line_to, little_move, on_the_desk
 
+from hil.arms.payload import Payload
 from hil.core.errors import (
     CommandRefused,
     PluginError,
@@ -18,7 +19,6 @@ from hil.core.errors import (
     RobotFault,
     RobotTimeout,
 )
-from hil.payload import Payload
 from hil_drivers.twincat import orders
 from hil_drivers.twincat.robot import TwinCatRobot
 from hil_mock_robot.twincat.phases import Phase

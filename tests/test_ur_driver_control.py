@@ -9,8 +9,8 @@ import types
 import pytest
 from ur_mock import loopback
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, PluginError, RobotConnectionError
-from hil.payload import Payload
 from hil_drivers.ur import control as module
 from hil_drivers.ur.control import Control
 

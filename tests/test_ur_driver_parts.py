@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, SpecError, StaleState
-from hil.payload import Payload
 from hil.robot import Segment, Status, state_dtype
 from hil_drivers.checks import require_liftable
 from hil_drivers.ur.checks import require_executable

@@ -14,9 +14,9 @@ import pytest
 from in_time import InTime, measured_again
 from ur_mock import mock_ur
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, SpecError
 from hil.excite.motion import Line
-from hil.payload import Payload
 from hil.robot import Segment, Status
 from hil.testing.moves import begin, follow, hold, move, settle, standing_at
 from hil_drivers.ur.options import Options

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from ur_machine import Wire, machine_of, pass_time
 
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.payload import Payload
 from hil_mock_robot.schedule import Schedule
 from hil_mock_robot.ur.faults import Fault, fault_of, faults_of, read_faults
 from hil_mock_robot.ur.heat import CODE

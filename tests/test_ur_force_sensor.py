@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from ur_machine import machine_of, pass_time
 
-from hil.payload import Payload
+from hil.arms.payload import Payload
 from hil_mock_robot.ur import kinematics
 from hil_mock_robot.ur.motions import MoveJ
 

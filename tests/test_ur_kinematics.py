@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.payload import Payload
 from hil_mock_robot.plant import build_plant, nominal_links
 from hil_mock_robot.ur.chain import Posture, lengths_of
 from hil_mock_robot.ur.inverse import postures

@@ -12,12 +12,12 @@ import pytest
 from load_parts import OFF_AXIS, recorded
 from synthetic_motion import nominal, raw
 
+from hil.arms.payload import Payload
 from hil.cli.under_load import print_under_load
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.evaluate import evaluate
 from hil.identify.rigid import RigidWls
-from hil.payload import Payload
 from hil.validation_load import UnderLoad, under_load
 
 BARE = [Payload()]

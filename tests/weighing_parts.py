@@ -10,13 +10,13 @@ import numpy as np
 from engine_parts import ListSink
 from plan_parts import spec_of, ur5
 
+from hil.arms.payload import Payload
 from hil.campaign.scales import gains_of, reading_of
 from hil.campaign.weighed_before import Readings
 from hil.campaign.weighing import Weighing
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
-from hil.payload import Payload
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype

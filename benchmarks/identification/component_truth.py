@@ -15,10 +15,10 @@ import numpy as np
 from benchmarks.identification.mock_gap import mass_matrices
 from benchmarks.identification.mock_truth import true_gains
 from hil.arms import load_arm
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 from hil_mock_robot.plant import Plant, build_plant
 from hil_mock_robot.truth import Truth
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.deploy.export.agreement import scale_of
 from hil.deploy.export.golden import AGREES, LOAD, golden_of
 from hil.deploy.predictor import Predictor
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 TIMED, OFF_BY = "_p50_ns", "_off_by"
 

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.prediction.clock import timed, told
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import Step, largest_difference, load_row
 from hil.deploy.export.golden import golden_of
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 if TYPE_CHECKING:
     from hil.deploy.export.torch_model import TorchModel

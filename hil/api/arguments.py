@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from hil.core.errors import DataError, SpecError
 
 if TYPE_CHECKING:
-    from hil.payload import Payload
+    from hil.arms.payload import Payload
 
 AnyPath = str | Path
 AnyPayload: TypeAlias = "str | float | Payload"
-"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `hil.payload.Payload`."""
+"""`MASS` or `MASS,X,Y,Z` [kg, m], the mass alone as a number [kg], or a `hil.arms.Payload`."""
 
 
 def path(given: AnyPath) -> Path:
@@ -72,8 +72,8 @@ def payload_of(given: AnyPayload | None) -> Payload | None:
     """
     if given is None:
         return None
+    from hil.arms.payload import Payload
     from hil.fitting import parse_payload
-    from hil.payload import Payload
 
     if isinstance(given, Payload):
         read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))

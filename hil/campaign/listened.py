@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.arms.payload import Payload
 from hil.core.errors import HilError
-from hil.payload import Payload
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from hil.arms.payload import Payload
 from hil.campaign.beginning import describe_robot
 from hil.campaign.listened import Wanted
-from hil.payload import Payload
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import open_recorder
 from hil.campaign.listening_notes import NOT_USABLE, fit_notes, unusable_notes
@@ -18,7 +19,6 @@ from hil.core.typing import StructArray
 from hil.data.described import found_plan
 from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
-from hil.payload import Payload
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
 from hil.record.topic import STATE_TOPIC

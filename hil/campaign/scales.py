@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray, StructArray
-from hil.payload import Payload
 from hil.plan.plan import Step
 from hil.robot import Capabilities, Status
 

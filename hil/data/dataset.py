@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.payload import Payload
 
 UPRIGHT = (0.0, 0.0, -9.81)
 """Gravity in the base frame of an arm that stands on a level table [m/s²]."""

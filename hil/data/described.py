@@ -14,13 +14,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.source import shown
 from hil.core.typing import FloatArray
 from hil.data.dataset import SeriesKind
 from hil.data.dwells import DwellRule as StayRule
 from hil.data.series import Origin, StepNote
-from hil.payload import Payload
 from hil.plan.plan import DwellRule
 
 _LISTS = ("joint_names", "drive_gains")

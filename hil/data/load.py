@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hil.arms import require_same_arm
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.core.typing import StructArray
@@ -37,7 +38,6 @@ from hil.data.described import (
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import TARGET, Series, StepNote, assemble, cut
 from hil.data.stays import FOUND_FILE, FoundSteps
-from hil.payload import Payload
 from hil.plan.plan import DwellRule
 from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic

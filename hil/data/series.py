@@ -10,12 +10,12 @@ from typing import Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
 from hil.data.arrival import POINTS, Track, arrival
 from hil.data.dataset import Conditions, Dataset, SeriesKind
 from hil.data.filters import AT_REST, is_pause
-from hil.payload import Payload
 from hil.robot.state import Status
 
 SHORTEST_PIECE = 20

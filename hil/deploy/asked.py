@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 
 def motion_of(

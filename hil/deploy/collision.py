@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.collision_thresholds import CollisionThresholds
 from hil.deploy.momentum_observer import MomentumObserver
 from hil.deploy.rest_margin import RestMargin
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 TIME_S = 1e-6
 """Time stamps are no more exact than this."""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError
 from hil.core.typing import FloatArray
 from hil.deploy.export.c_build import built, require_compiler
@@ -19,7 +20,6 @@ from hil.deploy.export.program import Program
 from hil.deploy.export.reading import program_of
 from hil.deploy.sample import HINT, REFUSED, as_sample
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

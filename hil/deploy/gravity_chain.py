@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import PARAMETERS
 from hil.identify.base import RobotEstimator
 from hil.identify.standstill import gravity_torque
-from hil.payload import Payload
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]

@@ -33,13 +33,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.gravity_chain import GravityChain
 from hil.deploy.rest_margin import resting_friction
 from hil.identify.base import RobotEstimator
 from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
-from hil.payload import Payload
 
 
 class HandGuiding:

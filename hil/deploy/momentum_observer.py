@@ -15,13 +15,13 @@ import math
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
 from hil.deploy.identified_parameters import rigid_parameters
 from hil.identify.base import RobotEstimator
 from hil.identify.parameters import number
 from hil.identify.standstill import require_torque
-from hil.payload import Payload
 
 GAIN = 40.0
 """K [1/s]: a push shows by 63 % after 25 ms."""

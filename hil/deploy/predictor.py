@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.compiled import CompiledProgram
@@ -9,7 +10,6 @@ from hil.deploy.export.c_build import compiler
 from hil.deploy.export.reading import NotExported
 from hil.deploy.sample import as_sample, require_within
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 
 class Predictor:

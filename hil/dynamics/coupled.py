@@ -16,11 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray, IntArray
 from hil.dynamics.inertial import PARAMETERS
 from hil.dynamics.robot_model import GRAVITY, MOTOR_SIDE, RobotModel
-from hil.payload import Payload
 
 
 class CoupledModel(RobotModel):

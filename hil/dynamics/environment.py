@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.arms import Capsule
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 
 Vector = tuple[float, float, float]
 

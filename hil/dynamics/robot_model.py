@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from hil.arms import ArmDescription, is_description, load_arm
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
 from hil.dynamics.build import (
@@ -26,7 +27,6 @@ from hil.dynamics.inertial import (
     transfer_matrix,
 )
 from hil.dynamics.rigid_bodies import RigidBodies
-from hil.payload import Payload
 
 GRAVITY = (0.0, 0.0, -9.81)
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics.robot_model import RobotModel
-from hil.payload import Payload
 
 GAIN_SHARE = 0.05
 """Standard deviation of a drive gain from its nominal value; motor constants of one type of drive

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.excite.cache import ExcitationCache
-from hil.payload import Payload
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import ValidationError
 
+from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import FloatArray
@@ -23,7 +24,6 @@ from hil.dynamics.same_robot import may_be
 from hil.identify.checks import Needs
 from hil.identify.parameters import Parametrised, require_known
 from hil.identify.training import Training
-from hil.payload import Payload
 
 GROUP = "hil.estimators"
 

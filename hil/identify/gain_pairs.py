@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.dwells import series_means
 from hil.dynamics import RobotModel
-from hil.payload import Payload
 
 SAME_POSE_RAD = 0.01
 """Positions further apart are another pose."""

@@ -20,12 +20,12 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics.weighing import GAIN_SHARE
 from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_findings import Finding, findings, mount_observable
 from hil.identify.payload_fit import true_values
-from hil.payload import Payload
 
 FALSE_ALARM = 0.002
 """How often a correct declaration may be called wrong."""

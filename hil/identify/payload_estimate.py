@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.prediction import Prediction
 from hil.identify.clustered import interval
-from hil.payload import Payload
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 UNITS = ("kg", *3 * ("m",), *6 * ("kg·m²",))

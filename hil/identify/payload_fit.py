@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
@@ -30,7 +31,6 @@ from hil.identify.load_body import central, central_jacobian, payload_of
 from hil.identify.payload_estimate import Correction, PayloadEstimate
 from hil.identify.payload_problem import Friction, Linearised, LoadProblem
 from hil.identify.payload_step import LOAD, Step, best_friction, step
-from hil.payload import Payload
 
 MOST_STEPS = 48
 """Weights follow the residuals; where wrong gains leave much of these, that settles slowly."""

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import sample_rate
@@ -14,7 +15,6 @@ from hil.identify.base import RobotEstimator
 from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.payload_problem import Friction, with_identified
-from hil.payload import Payload
 
 GAP_S = 0.5
 """Rows so close to the cut are not fitted to: the filter of the effort sees across it."""

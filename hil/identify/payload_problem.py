@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset, rows_of
@@ -20,7 +21,6 @@ from hil.data.prediction import Prediction
 from hil.dynamics import joint_columns
 from hil.identify.base import RobotEstimator, prepared
 from hil.identify.load_body import LENGTH_M, payload_of, point_masses
-from hil.payload import Payload
 
 Friction = Literal["model", "offset", "scale"]
 

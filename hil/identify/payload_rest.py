@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import stats
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError, HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
@@ -26,7 +27,6 @@ from hil.identify.payload_estimate import Correction, PayloadEstimate
 from hil.identify.rest_balance import STATIC, TARED, RestProblem, point_load
 from hil.identify.rest_readings import RestReadings
 from hil.identify.standstill import require_torque
-from hil.payload import Payload
 
 LEVEL = 0.95
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.dynamics.weighing import static_columns
 from hil.identify.base import RobotEstimator
 from hil.identify.rest_readings import RestReadings
 from hil.identify.standstill import dry_friction, resting_at
-from hil.payload import Payload
 
 STATIC = 4
 """A load's mass and first moment."""

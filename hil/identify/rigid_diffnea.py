@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
@@ -32,7 +33,6 @@ from hil.identify.friction_curve import FrictionCurve, curve_of
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.parameters import choice, number
 from hil.identify.rigid_linear import RigidLinear
-from hil.payload import Payload
 
 WELL_CONDITIONED = 1e7
 """Condition number of the column-scaled regressor up to which data determine all parameters."""

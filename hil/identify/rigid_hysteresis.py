@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.filters import FilterSettings
@@ -39,7 +40,6 @@ from hil.identify.friction.predicted import predicted_friction
 from hil.identify.hysteresis_settings import filters_for, group_names, motor_turns
 from hil.identify.parameters import flag, number, settings
 from hil.identify.plausible import require_plausible
-from hil.payload import Payload
 
 MOTION = ("q_f", "qd_f", "qdd_f")
 

@@ -17,11 +17,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.identify.base import RobotEstimator
-from hil.payload import Payload
 
 COULOMB, OFFSET = "coulomb", "offset"
 """Names of a joint's dry friction and offset among the parameters of a model that is linear."""

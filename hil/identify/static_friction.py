@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.arrival import directions
@@ -30,7 +31,6 @@ from hil.identify.rest_rows import (
 from hil.identify.rest_stream import RestStream
 from hil.identify.standstill import resting_at
 from hil.identify.static_model import StaticModel
-from hil.payload import Payload
 
 FIRST_TERMS = ("offset", "coulomb")
 """What a first fit knows, before loads are known; gravity from it gives the loads."""

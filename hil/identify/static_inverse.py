@@ -22,6 +22,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
@@ -41,7 +42,6 @@ from hil.identify.motor import has_current, nearest_current
 from hil.identify.parameters import choice, number
 from hil.identify.static_clustered import PoseClustered, deviation
 from hil.identify.static_model import Form
-from hil.payload import Payload
 
 Square = Literal["auto", "free", "zero"]
 

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset, SeriesKind
@@ -18,7 +19,6 @@ from hil.identify.checks import Needs, require_clean, require_robot, torque_scal
 from hil.identify.gravity import BaseGravity, GravityForm, PaperGravity
 from hil.identify.plausible import require_plausible
 from hil.identify.wls import WlsEstimator
-from hil.payload import Payload
 
 Form = Literal["shared", "paper"]
 

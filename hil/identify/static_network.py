@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
@@ -44,7 +45,6 @@ from hil.identify.network_result import (
 from hil.identify.parameters import choice, flag, number, whole
 from hil.identify.static_model import Form, StaticModel
 from hil.identify.stream import MemorylessStream
-from hil.payload import Payload
 
 FRICTION = "friction"
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 
 Parts = Callable[[FloatArray, FloatArray, FloatArray], dict[str, FloatArray]]
 LoadEffort = Callable[[Payload, FloatArray, FloatArray, FloatArray], FloatArray]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction, Stream
@@ -17,7 +18,6 @@ from hil.identify.compress import JointwiseQR
 from hil.identify.correlation import correlated_samples
 from hil.identify.jointwise import Solution, jointwise_least_squares
 from hil.identify.stream import MemorylessStream
-from hil.payload import Payload
 
 STD_ERROR_GIVEN = (
     "exact drive gains, declared loads, kinematics and form of the model; the residual's "

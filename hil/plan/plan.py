@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
+from hil.arms.payload import Payload
 from hil.core.notebook import CARDS, card
 from hil.core.typing import FloatArray
 from hil.excite.motion import Motion, motion_from_dict
-from hil.payload import Payload
 from hil.plan.extremes import Extremes, extremes_of
 
 PLAN_FORMAT = 1

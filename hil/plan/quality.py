@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.excite.motion import Motion
-from hil.payload import Payload
 
 MOST_ROWS = 1500
 """Samples a regressor is computed from: more change the condition number in the third digit."""

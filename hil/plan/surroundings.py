@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.arms import ArmDescription, Capsule
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 from hil.spec.station import Surroundings
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """The robot protocol: what drivers implement and the engine uses."""
 
-from hil.payload import Payload
+from hil.arms.payload import Payload
 from hil.robot.address import UNKNOWN, Address, HasAddress, address_of, is_loopback
 from hil.robot.findings import Finding, HasChecks, HasReach
 from hil.robot.protocol import (

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
@@ -14,7 +15,6 @@ from hil.data.filters import FilterSettings, prepare
 from hil.data.parts import JUDGE, LEARN, PART, VALIDATE, with_part
 from hil.data.splits import Group, assert_disjoint, group_of, groups
 from hil.dynamics import RobotModel
-from hil.payload import Payload
 from hil.study.dynamic_data import SHARES, Trajectories, held_out, marked, trajectories_of
 from hil.study.dynamic_protocols import light
 

@@ -7,13 +7,13 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, downsample
 from hil.data.splits import SAME_SHARE, Group, group_of, groups
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
-from hil.payload import Payload
 from hil.study.inverse_cases import Recorded, load_names
 from hil.study.separation_text import listed
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
@@ -16,7 +17,6 @@ from hil.identify.payload_declared import Declaration, check_declarations
 from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload
 from hil.identify.payload_problem import Friction, with_identified
-from hil.payload import Payload
 from hil.study.dynamic_methods import rmse_where
 from hil.study.load_cases import LoadCase
 from hil.study.separation_text import mean_of

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.campaign.robots import connected
 from hil.core import plugins
 from hil.core.errors import PluginError, RobotFault, SpecError
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 from hil.robot import Robot, TorqueControlled, is_simulated
 from hil.spec.station import StationRobot
 

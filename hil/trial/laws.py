@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.predictor import Predictor
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator
 from hil.identify.residual.fitted import CorrectedModel
-from hil.payload import Payload
 from hil.trial.arm import RATE_HZ
 from hil.trial.reference import Reference
 

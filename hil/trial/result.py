@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 from hil.trial.arm import RATE_HZ
 from hil.trial.gains import Spring
 from hil.trial.judged import judged

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.standstill import require_torque
-from hil.payload import Payload
 from hil.rest_place import place_of
 from hil.spec.station import StationRobot
 from hil.trial.arm import RATE_HZ, Bench, require_simulated

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 from hil_mock_robot.truth import LinkTruth
 
 LEAST_INERTIA = 1e-9

@@ -6,9 +6,9 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.core.typing import StructArray
-from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
 from hil_drivers.checks import require_liftable

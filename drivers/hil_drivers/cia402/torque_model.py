@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.arms import arm_names
+from hil.arms.payload import Payload
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel

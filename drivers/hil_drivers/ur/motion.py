@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from hil.arms.payload import Payload
 from hil.core.errors import HilError, RobotConnectionError, StaleState
 from hil.core.typing import StructArray
-from hil.payload import Payload
 from hil.robot import Segment
 from hil.robot.documents import plain_options, segment_document
 from hil.robot.driver_process import DriverProcess

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.core.typing import StructArray
-from hil.payload import Payload
 from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, is_loopback
 from hil_drivers.checks import require_liftable

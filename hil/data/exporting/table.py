@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.arms.payload import Payload
 from hil.core.files import read_json, sha256_of
 from hil.data.dataset import Conditions, Dataset
 from hil.data.load import serial_of
-from hil.payload import Payload
 from hil.record.provenance import package_versions, utc_now
 
 Values: TypeAlias = NDArray[Any]

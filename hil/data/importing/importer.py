@@ -11,6 +11,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.core.neighbours import neighbour_of, no_file
 from hil.core.suggest import did_you_mean
@@ -22,7 +23,6 @@ from hil.data.importing.mat import read_mat
 from hil.data.importing.raw import Raw
 from hil.data.importing.recording import segments_of, write_recording
 from hil.data.importing.text import read_text
-from hil.payload import Payload
 
 READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
     "csv": read_text,

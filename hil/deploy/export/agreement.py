@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.deploy.export.golden import AGREES, LOAD, Golden
-from hil.payload import Payload
 
 FAINT, NOTHING = 1e-4, 1e-9
 """A joint's largest effort counts as this share of all joints' largest, and as this, at least."""

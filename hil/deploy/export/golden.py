@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator
 from hil.identify.residual.fitted import CorrectedModel
-from hil.payload import Payload
 
 RATE_HZ = 250.0
 SAMPLES = 300

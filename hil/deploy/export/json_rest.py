@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.arrival import POINTS, STEP_S
 from hil.deploy.asked import dwells_of
@@ -19,7 +20,6 @@ from hil.identify.motor import has_current
 from hil.identify.static_friction import StaticFriction
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
-from hil.payload import Payload
 
 CELSIUS = 40.0
 LOAD_ROW = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.identify.diffnea.arm import DiffneaArm
 from hil.identify.friction.memory import advanced, carried_step
 from hil.identify.stream import one_sample
-from hil.payload import Payload
 
 
 class DiffneaStream:

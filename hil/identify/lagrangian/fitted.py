@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
@@ -20,7 +21,6 @@ from hil.identify.lagrangian.direction import smooth_sign
 from hil.identify.lagrangian.task import MOTION, directions
 from hil.identify.training_loop.curves import Curves
 from hil.identify.training_loop.extra import require_torch
-from hil.payload import Payload
 
 if TYPE_CHECKING:
     from hil.identify.lagrangian.model import NetworkModel

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
@@ -22,7 +23,6 @@ from hil.identify.residual.stored import arrays_of_base, facts_of_base, restored
 from hil.identify.residual.streaming import CorrectedStream
 from hil.identify.residual.words import protocol_of
 from hil.identify.training_loop.curves import Curves
-from hil.payload import Payload
 
 RESIDUAL = "residual"
 """Component of a prediction that the network adds."""

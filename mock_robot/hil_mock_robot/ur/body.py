@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.arms import ArmDescription
+from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.payload import Payload
 from hil_mock_robot.arm import SETTLING_S
 from hil_mock_robot.draw import published
 from hil_mock_robot.mounting import MOUNTS
