@@ -14,9 +14,9 @@ from pathlib import Path
 import can
 import pytest
 
-from hil.canbus.frame import FRAME, pack_frame
-from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import HostedHub, hub_thread
+from hil.can.frame import FRAME, pack_frame
+from hil.can.hub import Hub
+from hil.can.hub_thread import HostedHub, hub_thread
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ from pathlib import Path
 import can
 import pytest
 
-from hil.canbus.candump import CandumpWriter, line_of, logged_in, read_candump
-from hil.canbus.frame import ERROR, EXTENDED, REMOTE, Frame
+from hil.can.candump import CandumpWriter, line_of, logged_in, read_candump
+from hil.can.frame import ERROR, EXTENDED, REMOTE, Frame
 from hil.core.errors import DataError, RecordingError
 
 FRAMES = [

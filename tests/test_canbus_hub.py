@@ -11,8 +11,8 @@ from contextlib import ExitStack
 import pytest
 from canbus_parts import can_channel, frame, numbers, raw_end, serve_until_idle  # noqa: F401
 
-from hil.canbus import peers
-from hil.canbus.frame import (
+from hil.can import peers
+from hil.can.frame import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,
@@ -22,8 +22,8 @@ from hil.canbus.frame import (
     Frame,
     pack_frame,
 )
-from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import hub_thread
+from hil.can.hub import Hub
+from hil.can.hub_thread import hub_thread
 
 
 class Bench:

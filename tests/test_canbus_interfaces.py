@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.canbus import interfaces
-from hil.canbus.interfaces import can_interfaces, is_up
+from hil.can import interfaces
+from hil.can.interfaces import can_interfaces, is_up
 from hil_drivers.cia402.bus_options import Bus
 from hil_drivers.cia402.reach import reached
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from canbus_parts import can_channel, raw_end  # noqa: F401
 
-from hil.canbus import paths
-from hil.canbus.hub import Hub
-from hil.canbus.paths import named_channels, socket_path
+from hil.can import paths
+from hil.can.hub import Hub
+from hil.can.paths import named_channels, socket_path
 from hil.core.errors import PluginError
 
 

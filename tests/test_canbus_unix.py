@@ -16,10 +16,10 @@ import pytest
 from canbus_parts import bus_hub, can_channel, unix_bus  # noqa: F401
 from canopen.objectdictionary import ODVariable
 
-from hil.canbus.frame import FRAME, pack_frame
-from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import HostedHub, hub_thread
-from hil.canbus.unix import UnixBus
+from hil.can.frame import FRAME, pack_frame
+from hil.can.hub import Hub
+from hil.can.hub_thread import HostedHub, hub_thread
+from hil.can.unix import UnixBus
 
 
 @pytest.fixture

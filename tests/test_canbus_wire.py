@@ -12,8 +12,8 @@ import pytest
 from canbus_parts import bus_hub, can_channel, frame, numbers, raw_end, unix_bus  # noqa: F401
 from other_process import other_process
 
-from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import HostedHub, hub_thread
+from hil.can.hub import Hub
+from hil.can.hub_thread import HostedHub, hub_thread
 from hil.core.errors import PluginError
 
 pytestmark = pytest.mark.wire
@@ -22,7 +22,7 @@ FLOOD = 20_000
 
 HOST = """
 import os
-from hil.canbus.hub import Hub
+from hil.can.hub import Hub
 with Hub(os.environ["CHANNEL"]) as hub:
     hub.local.heard = lambda got: hub.local.send(got.id + 1, got.data)
     print("ready", flush=True)

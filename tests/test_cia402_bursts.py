@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from hil.canbus.frame import pack_frame
+from hil.can.frame import pack_frame
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.bursts import MOST, receiving, sending
 from hil_drivers.cia402.ports import SocketPort
@@ -145,7 +145,7 @@ class NarrowLine:
 def test_what_finds_no_room_goes_out_in_order_when_there_is_room_again(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.canbus.bursts._send_many", None)
+    monkeypatch.setattr("hil.can.bursts._send_many", None)
     line = NarrowLine(room=3, again_s=0.001)
     port = SocketPort(line, "test")  # type: ignore[arg-type]
     frames = [bytearray(frame) for frame in FRAMES]
@@ -158,7 +158,7 @@ def test_what_finds_no_room_goes_out_in_order_when_there_is_room_again(
 def test_room_is_not_waited_for_longer_than_told(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.canbus.bursts._send_many", None)
+    monkeypatch.setattr("hil.can.bursts._send_many", None)
     line = NarrowLine(room=3, again_s=1e9)
     port = SocketPort(line, "test")  # type: ignore[arg-type]
     frames = [bytearray(frame) for frame in FRAMES]

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from cia402_parts import CSP, ENABLED, FakeDrive
 
-from hil.canbus.frame import Frame
-from hil.canbus.hub import Hub
-from hil.canbus.hub_thread import HostedHub, hub_thread
+from hil.can.frame import Frame
+from hil.can.hub import Hub
+from hil.can.hub_thread import HostedHub, hub_thread
 from hil_drivers.cia402.can_cyclic import CanCyclic
 from hil_drivers.cia402.contracts import Outputs
 from hil_drivers.cia402.core import Core

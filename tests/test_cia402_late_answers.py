@@ -7,7 +7,7 @@ from collections import deque
 
 import pytest
 
-from hil.canbus.frame import pack_frame, unpack_frame
+from hil.can.frame import pack_frame, unpack_frame
 from hil_drivers.cia402.can_cyclic import CanCyclic
 from hil_drivers.cia402.contracts import Inputs, Outputs
 from hil_drivers.cia402.debts import CONFIRMED

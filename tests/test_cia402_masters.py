@@ -10,7 +10,7 @@ import can
 import pytest
 from test_cia402_can_cyclic import Cycles, all_answers, tpdo1
 
-from hil.canbus.frame import pack_frame
+from hil.can.frame import pack_frame
 from hil.core.errors import RobotConnectionError
 from hil_drivers.cia402.direct_stop import quick_stop_frames, stop_directly
 from hil_drivers.cia402.joining import Joined

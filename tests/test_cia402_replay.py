@@ -16,7 +16,7 @@ from can_mock import mock_can
 from cia402_robot import options
 
 from hil.campaign.replaying import replay
-from hil.canbus.frame import Frame
+from hil.can.frame import Frame
 from hil.core.errors import DataError, PluginError
 from hil.data.load import load_source
 from hil_drivers.cia402.bus_cycles import BusCycles

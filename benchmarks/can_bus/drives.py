@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 
 from benchmarks.can_bus.ending import until_over
-from hil.canbus.frame import Frame
-from hil.canbus.hub import Hub
+from hil.can.frame import Frame
+from hil.can.hub import Hub
 from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, rpdo_cob_id, tpdo_cob_id
 from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID
 from hil_drivers.cia402.objects import CSP

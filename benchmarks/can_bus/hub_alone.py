@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.can_bus.ending import forbid_priority, until_over
-from hil.canbus.hub import Hub
+from hil.can.hub import Hub
 from hil_drivers.cia402.realtime import realtime
 
 

@@ -14,7 +14,7 @@ import can
 
 from benchmarks.can_bus.drives import BEAT_S, DISABLED, NODES, OPERATIONAL, STATUSWORDS
 from benchmarks.can_bus.ending import forbid_priority, until_over
-from hil.canbus.frame import FRAME, pack_frame
+from hil.can.frame import FRAME, pack_frame
 from hil_drivers.cia402.bursts import receiving, sending
 from hil_drivers.cia402.mapping import POSITION, SYNC_COB_ID, Pdo, rpdo_cob_id, tpdo_cob_id
 from hil_drivers.cia402.node_watch import HEARTBEAT_COB_ID

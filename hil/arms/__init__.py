@@ -15,10 +15,12 @@ from hil.arms.description import (
     load_arm,
 )
 from hil.arms.own_file import model_sha256, require_same_arm
+from hil.arms.payload import Payload
 
 __all__ = [
     "ArmDescription",
     "Capsule",
+    "Payload",
     "arm_from_dict",
     "arm_names",
     "is_described",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.canbus.frame import Frame
+from hil.can.frame import Frame
 from hil.core.typing import StructArray
 from hil_drivers.cia402.can_cyclic import MARKER
 from hil_drivers.cia402.mapping import (

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hil.canbus.bits import BusLoad, bits_of, bus_load
+from hil.can.bits import BusLoad, bits_of, bus_load
 from hil.core.errors import SpecError
 from hil_drivers.cia402.mapping import MAPPINGS, Mapping
 

@@ -6,8 +6,8 @@ import itertools
 from collections import deque
 from pathlib import Path
 
-from hil.canbus.candump import CandumpWriter
-from hil.canbus.frame import unpack_frame
+from hil.can.candump import CandumpWriter
+from hil.can.frame import unpack_frame
 
 
 class BusLog:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from hil.canbus.paths import runtime_folder, socket_path
+from hil.can.paths import runtime_folder, socket_path
 from hil.core.errors import PluginError, SpecError
 from hil_drivers.cia402 import option_checks as must
 

@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Sequence
 
-from hil.canbus.frame import pack_frame
+from hil.can.frame import pack_frame
 from hil.core.errors import HilError, RobotConnectionError
 from hil_drivers.cia402.bus_log import BusLog
 from hil_drivers.cia402.can_cyclic import CanCyclic, LoggedPort

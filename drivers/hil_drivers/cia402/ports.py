@@ -1,4 +1,4 @@
-"""Ways to a CAN bus for the cyclic core: raw 16-byte frames in and out (`hil.canbus.frame`)."""
+"""Ways to a CAN bus for the cyclic core: raw 16-byte frames in and out (`hil.can.frame`)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import socket
 import time
 from typing import Any, Protocol
 
-from hil.canbus.bursts import FULL
-from hil.canbus.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
+from hil.can.bursts import FULL
+from hil.can.frame import ERROR, EXTENDED, FRAME, ID_MASK, REMOTE
 from hil.core.errors import RobotConnectionError
 
 AGAIN_S = 1e-4

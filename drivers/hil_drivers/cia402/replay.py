@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.arms import load_arm
-from hil.canbus.candump import read_candump
+from hil.can.candump import read_candump
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
 from hil.record.topic import Topic

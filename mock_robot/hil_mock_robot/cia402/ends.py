@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hil.canbus.frame import ERROR, EXTENDED, REMOTE, Frame
-from hil.canbus.hub import Hub
+from hil.can.frame import ERROR, EXTENDED, REMOTE, Frame
+from hil.can.hub import Hub
 from hil.core.errors import SpecError
 
 Heard = Callable[[int, bytes, float], None]
@@ -66,7 +66,7 @@ class HubEnd:
     """A bus between processes, hosted by the mock.
 
     Args:
-        channel: See `hil.canbus.paths.socket_path`.
+        channel: See `hil.can.paths.socket_path`.
         bitrate: Of the wire, where it is modelled [bit/s].
         speed: Seconds of that wire in one second of the clock.
 
@@ -157,7 +157,7 @@ def side_path(interface: str, channel: str) -> str:
         interface: As of `end_of`.
         channel: Of the bus.
     """
-    from hil.canbus.paths import runtime_folder, socket_path
+    from hil.can.paths import runtime_folder, socket_path
 
     if interface == HOSTED:
         return os.fspath(socket_path(channel).with_suffix(".side"))

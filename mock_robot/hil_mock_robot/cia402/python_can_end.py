@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from hil.canbus.frame import ERROR_BUS_OFF
+from hil.can.frame import ERROR_BUS_OFF
 from hil.core.errors import PluginError, RobotConnectionError
 from hil_mock_robot.cia402.ends import Heard, Readable, ignored
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.canbus.paths import private_folder
+from hil.can.paths import private_folder
 from hil.core.errors import HilError, PluginError, SpecError
 from hil_mock_robot.cia402.side_client import SideClient
 from hil_mock_robot.cia402.station import Station

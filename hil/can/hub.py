@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from hil.canbus.frame import (
+from hil.can.frame import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,
@@ -24,11 +24,11 @@ from hil.canbus.frame import (
     pack_frame,
     unpack_frame,
 )
-from hil.canbus.listening import Listener
-from hil.canbus.participants import Participants
-from hil.canbus.paths import socket_path
-from hil.canbus.peers import Peer
-from hil.canbus.wire_model import Wire
+from hil.can.listening import Listener
+from hil.can.participants import Participants
+from hil.can.paths import socket_path
+from hil.can.peers import Peer
+from hil.can.wire_model import Wire
 
 _OFF = pack_frame(ERROR | ERROR_BUS_OFF, bytes(8))
 _BACK = pack_frame(ERROR | ERROR_RESTARTED, bytes(8))

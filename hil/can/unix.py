@@ -14,7 +14,7 @@ from typing import Any
 
 import can
 
-from hil.canbus.frame import (
+from hil.can.frame import (
     ERROR,
     ERROR_BUS_OFF,
     ERROR_CONTROLLER,
@@ -25,7 +25,7 @@ from hil.canbus.frame import (
     REMOTE,
     TX_OVERFLOW,
 )
-from hil.canbus.paths import named_channels, socket_path
+from hil.can.paths import named_channels, socket_path
 from hil.core.errors import PluginError
 
 SEND_PATIENCE_S = 1.0
@@ -43,7 +43,7 @@ class UnixBus(can.BusABC):
         **kwargs: What other interfaces need, such as `bitrate`; the bit rate is the hub's.
 
     Attributes:
-        socket: `SOCK_SEQPACKET`, one `hil.canbus.frame.FRAME` a packet; empty when the hub is gone.
+        socket: `SOCK_SEQPACKET`, one `hil.can.frame.FRAME` a packet; empty when the hub is gone.
 
     Raises:
         can.CanInitializationError: Nobody hosts the channel, or it is none.

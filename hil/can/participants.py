@@ -6,8 +6,8 @@ import contextlib
 import select
 import socket
 
-from hil.canbus import peers
-from hil.canbus.peers import Peer
+from hil.can import peers
+from hil.can.peers import Peer
 
 _IN, _OUT = select.EPOLLIN, select.EPOLLOUT
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hil.canbus.hub import Hub
+from hil.can.hub import Hub
 
 _ROUND_S = 0.02
 _PATIENCE_S = 10.0

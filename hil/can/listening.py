@@ -10,7 +10,7 @@ import os
 import socket
 from pathlib import Path
 
-from hil.canbus.paths import private_folder
+from hil.can.paths import private_folder
 from hil.core.errors import PluginError
 from hil.core.held_file import HeldFile, hold
 from hil.core.holder import this_process
@@ -22,7 +22,7 @@ class Listener:
     """Holds a channel and listens at it.
 
     Args:
-        path: Of the socket; see `hil.canbus.paths.socket_path`.
+        path: Of the socket; see `hil.can.paths.socket_path`.
 
     Attributes:
         path: The same.

@@ -7,8 +7,8 @@ import struct
 from collections import deque
 from itertools import islice
 
-from hil.canbus.bursts import MOST, Burst, Catch
-from hil.canbus.frame import FRAME
+from hil.can.bursts import MOST, Burst, Catch
+from hil.can.frame import FRAME
 
 BATCH = 32
 """Frames taken from one participant before the others have their turn."""

@@ -6,7 +6,7 @@ import heapq
 import itertools
 from collections import deque
 
-from hil.canbus.frame import EXTENDED, REMOTE
+from hil.can.frame import EXTENDED, REMOTE
 
 
 def arbitration(can_id: int) -> int:

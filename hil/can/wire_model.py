@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hil.canbus.bits import frame_bits
-from hil.canbus.frame import EXTENDED, FRAME, REMOTE
-from hil.canbus.transmit_queues import InOrder, Queue, Sorted
+from hil.can.bits import frame_bits
+from hil.can.frame import EXTENDED, FRAME, REMOTE
+from hil.can.transmit_queues import InOrder, Queue, Sorted
 
 DEPTH = 64
 """Frames that the transmit queue of one participant takes."""
