@@ -28,9 +28,10 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
-from hil.record import STATE_TOPIC, Attachment, McapWriter, Recorder, read_topic, state_topic
+from hil.record import Attachment, McapWriter, Recorder, read_topic
 from hil.record.recover_run import recover
 from hil.record.rundir import RunDirectory
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0
 KILLS, QUICK_KILLS = 200, 10

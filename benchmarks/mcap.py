@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record import STATE_TOPIC, McapWriter, Topic, read_topic, state_topic
+from hil.record import McapWriter, read_topic
+from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 RATE_HZ = 500.0
 MESSAGES, QUICK_MESSAGES = 600_000, 30_000

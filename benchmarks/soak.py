@@ -24,8 +24,9 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray, StructArray
-from hil.record import STATE_TOPIC, Counts, McapWriter, Recorder, read_topic, state_topic
+from hil.record import Counts, McapWriter, Recorder, read_topic
 from hil.record.parts import part_name, recordings_in
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE_HZ = 500.0
 HOURS, QUICK_HOURS = 1.0, 0.05

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record import STATE_TOPIC, McapWriter, Topic, state_topic
+from hil.record import McapWriter
+from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 EPOCH = 1.8e9
 JOINTS = [f"joint_{i}" for i in range(1, 7)]

@@ -16,8 +16,9 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.excite.motion import FourierSeries, Hold, Line
 from hil.plan.plan import LoadStep, Plan, Step
-from hil.record import STATE_TOPIC, McapWriter, RunDirectory, collect_provenance, state_topic
+from hil.record import McapWriter, RunDirectory, collect_provenance
 from hil.robot import Status, state_dtype
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE = 125.0
 NOISE = 0.02

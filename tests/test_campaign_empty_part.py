@@ -13,8 +13,9 @@ import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.data.load import load_source
-from hil.record import McapWriter, RunDirectory, read_topic, state_topic
+from hil.record import McapWriter, RunDirectory, read_topic
 from hil.record.recover_run import recover
+from hil.robot.topic import state_topic
 
 
 def with_empty_parts(run: RunDirectory, *parts: tuple[int, int], rate_hz: float = 125.0) -> None:

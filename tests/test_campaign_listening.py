@@ -27,10 +27,10 @@ from hil.data.dwells import dwells_of
 from hil.data.load import load_source
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
-from hil.record.topic import Topic
 from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status
+from hil.robot.topic import Topic
 
 BLOCK = 10
 LATER_S = 3.0

@@ -20,9 +20,9 @@ from hil.data.completeness import (
 from hil.engine.dwell import DwellWatch
 from hil.excite.motion import FourierSeries
 from hil.plan.plan import DwellRule, Plan, Step
-from hil.record.topic import STATE_TOPIC, state_topic
 from hil.record.writer import McapWriter
 from hil.robot.state import Status, state_dtype
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 RATE = 125.0
 RULE = DwellRule(dwell_s=0.05, samples=4, settle_rad_s=0.002, timeout_s=0.3)

@@ -10,8 +10,9 @@ from hil.core.errors import DataError
 from hil.data.filters import sample_rate
 from hil.data.load import load_source, serial_of
 from hil.data.splits import groups
-from hil.record import STATE_TOPIC, Attachment, McapWriter, RunDirectory, state_topic
+from hil.record import Attachment, McapWriter, RunDirectory
 from hil.robot import Status
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 NAMES = [f"joint_{i}" for i in range(1, 7)]
 RATE = 125.0

@@ -27,8 +27,8 @@ from hil.live import server as server_module
 from hil.live.server import is_loopback
 from hil.record.reader import read_topic
 from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
 from hil.robot import Capabilities, Status, state_dtype
+from hil.robot.topic import STATE_TOPIC
 
 pytestmark = pytest.mark.wire
 

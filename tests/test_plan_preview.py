@@ -16,8 +16,8 @@ from hil.plan.picture import plan_picture
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 from hil.plan.preview import preview
 from hil.plan.svg import Scale, thinned
-from hil.record.topic import state_topic
 from hil.record.writer import McapWriter
+from hil.robot.topic import state_topic
 
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))
 SVG = "{http://www.w3.org/2000/svg}"

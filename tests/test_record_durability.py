@@ -18,8 +18,9 @@ import pytest
 from recorded_rows import rows_of, six_axis_topic
 
 from hil.core.errors import RecordingError
-from hil.record import STATE_TOPIC, McapWriter, Recorder, read_topic
+from hil.record import McapWriter, Recorder, read_topic
 from hil.record.parts import recordings_in
+from hil.robot.topic import STATE_TOPIC
 
 CHILD = """
 import mmap, os, struct, sys, time

@@ -16,7 +16,8 @@ from recorded_rows import EPOCH, JOINTS, raw_topic, rows_of, six_axis_topic
 from rosbags.highlevel import AnyReader
 
 from hil.core.typing import StructArray
-from hil.record import STATE_TOPIC, Attachment, McapWriter
+from hil.record import Attachment, McapWriter
+from hil.robot.topic import STATE_TOPIC
 
 COUNT = 100
 EVENT = {"t": EPOCH + 0.25, "kind": "checkpoint", "step": 7}

@@ -13,8 +13,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from recorded_rows import EPOCH, JOINTS, raw_topic, record_state, rows_of, six_axis_topic
 
 from hil.core.errors import DataError
-from hil.record import STATE_TOPIC, Attachment, McapWriter, read_info, read_topic
-from hil.record.cdr import CDR_HEADER
+from hil.record import Attachment, McapWriter, read_info, read_topic
+from hil.robot.cdr import CDR_HEADER
+from hil.robot.topic import STATE_TOPIC
 
 
 def foreign_recording(

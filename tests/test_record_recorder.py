@@ -15,7 +15,8 @@ from recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
-from hil.record import STATE_TOPIC, McapWriter, Recorder, Topic, read_info, read_topic
+from hil.record import McapWriter, Recorder, read_info, read_topic
+from hil.robot.topic import STATE_TOPIC, Topic
 
 
 class SlowDisk(McapWriter):

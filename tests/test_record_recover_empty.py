@@ -11,9 +11,10 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.record import STATE_TOPIC, Attachment, McapWriter, RunDirectory, read_info, read_topic
+from hil.record import Attachment, McapWriter, RunDirectory, read_info, read_topic
 from hil.record.recover_run import recover
 from hil.record.scan import ChunkSpan, scan
+from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()
 SPEC = Attachment("spec.yaml", "application/yaml", b"hil: 1\n")

@@ -16,9 +16,10 @@ import pytest
 from recorded_rows import rows_of, six_axis_topic
 
 from hil.core.errors import DataError, RecordingError
-from hil.record import STATE_TOPIC, McapWriter, Recorder, RunDirectory, read_info, read_topic
+from hil.record import McapWriter, Recorder, RunDirectory, read_info, read_topic
 from hil.record.recover import recover_file
 from hil.record.recover_run import recover
+from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()
 ROWS = rows_of(TOPIC, 200)

@@ -7,8 +7,8 @@ import pytest
 from recorded_rows import raw_topic, six_axis_topic
 
 from hil.core.errors import DataError, RecordingError
-from hil.record import Topic, state_topic
-from hil.record.cdr import dtype_of_schema
+from hil.robot.cdr import dtype_of_schema
+from hil.robot.topic import Topic, state_topic
 
 TIMES = [("device_time", "<f8"), ("host_time", "<f8")]
 

@@ -9,11 +9,12 @@ import pytest
 from report_html import Page, array_of
 from report_runs import RATE, dwell_plan, rows_of_plan, write_run
 
-from hil.record import STATE_TOPIC, McapWriter, state_topic
+from hil.record import McapWriter
 from hil.report import render_report
 from hil.report.decimate import decimated, in_parts
 from hil.report.facts import read_facts
 from hil.report.recording import read_recording
+from hil.robot.topic import STATE_TOPIC, state_topic
 
 PAUSE_S = 100.0
 FIRST = 700

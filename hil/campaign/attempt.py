@@ -14,7 +14,7 @@ from hil.engine import Observers, Outcome, RunResult
 from hil.plan.plan import Plan
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
+from hil.robot.topic import STATE_TOPIC
 
 NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)
 

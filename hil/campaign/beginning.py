@@ -15,9 +15,9 @@ from hil.record.parts import name_of_attempt
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
-from hil.record.topic import state_topic
 from hil.record.writer import Attachment, McapWriter
 from hil.robot import HasTopics, Robot
+from hil.robot.topic import state_topic
 from hil.spec.load import spec_hash
 from hil.spec.station import StationRobot
 

@@ -8,9 +8,9 @@ from hil.campaign.listened import Wanted
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
-from hil.record.topic import state_topic
 from hil.record.writer import Attachment, McapWriter
 from hil.robot import HasTopics, Robot
+from hil.robot.topic import state_topic
 from hil.spec.station import StationRobot
 
 ROTATE_BYTES = 1e9

@@ -21,8 +21,8 @@ from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
 from hil.robot import HasTopics, Listens, Robot
+from hil.robot.topic import STATE_TOPIC
 
 STOPPED_FOR_S = 1.0
 """A program that is replaced by another one stops in between, for less than this [s]."""

@@ -28,9 +28,9 @@ from hil.record.continuity import Counts
 from hil.record.provenance import collect_provenance
 from hil.record.recorder import Recorder
 from hil.record.rundir import Outcome, RunDirectory
-from hil.record.topic import STATE_TOPIC, state_topic
 from hil.record.writer import Attachment, McapWriter
 from hil.robot.logs import ReadsLogs, RecordedLog
+from hil.robot.topic import STATE_TOPIC, state_topic
 from hil.spec.load import load_station
 from hil.spec.station import StationRobot
 

@@ -10,7 +10,7 @@ from hil.core.typing import StructArray
 from hil.record.continuity import Counts
 from hil.record.recorder import Recorder
 from hil.record.rundir import RunDirectory
-from hil.record.topic import STATE_TOPIC
+from hil.robot.topic import STATE_TOPIC
 
 COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")
 

@@ -20,9 +20,9 @@ from hil.core.typing import BoolArray, FloatArray, StructArray
 from hil.plan.plan import DwellRule, Plan, Step
 from hil.record.parts import attempt_of
 from hil.record.reader import read_topic
-from hil.record.topic import STATE_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
 from hil.robot.state import Status, n_joints_of, state_dtype
+from hil.robot.topic import STATE_TOPIC
 
 MISSING_AT_MOST = 0.05
 """Share of a trajectory's samples; one that lacks more has to be measured again."""

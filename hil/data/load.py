@@ -42,8 +42,8 @@ from hil.plan.plan import DwellRule
 from hil.record.parts import attempt_of
 from hil.record.reader import RecordingInfo, read_info, read_topic
 from hil.record.rundir import RunDirectory
-from hil.record.topic import TARGET_TOPIC
 from hil.record.writer import PARTIAL_SUFFIX
+from hil.robot.topic import TARGET_TOPIC
 
 WINDOW_PAYLOAD = "payload of window {}"
 """Metadata record of an imported file: the load of one window, where it has its own."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from hil.core.typing import StructArray
 from hil.live.standing import Standing
-from hil.record.cdr import CDR_HEADER
 from hil.record.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
@@ -21,8 +20,9 @@ from hil.record.joint_state import (
     JointStateView,
 )
 from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC
-from hil.record.topic import Topic, state_topic
 from hil.robot import Capabilities
+from hil.robot.cdr import CDR_HEADER
+from hil.robot.topic import Topic, state_topic
 
 TRACKING_TOPIC = "/robot/tracking_error"
 PROGRESS_TOPIC = "/hil/progress"

@@ -6,8 +6,8 @@ from hil.record.provenance import collect_provenance
 from hil.record.reader import RecordingInfo, TopicInfo, read_info, read_topic
 from hil.record.recorder import Recorder
 from hil.record.rundir import Outcome, RunDirectory, RunStatus
-from hil.record.topic import STATE_TOPIC, Topic, state_topic
 from hil.record.writer import Attachment, McapWriter
+from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 __all__ = [
     "STATE_TOPIC",

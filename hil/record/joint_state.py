@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record.cdr import CDR_HEADER, cdr_string
+from hil.robot.cdr import CDR_HEADER, cdr_string
 from hil.robot.state import n_joints_of
 
 JOINT_STATE_TOPIC = "/joint_states"

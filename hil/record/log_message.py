@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.core.files import json_line
-from hil.record.cdr import CDR_HEADER, cdr_string
+from hil.robot.cdr import CDR_HEADER, cdr_string
 
 EVENT_TOPIC = "/events"
 EVENT_SCHEMA = "rcl_interfaces/msg/Log"

@@ -18,8 +18,8 @@ from hil.core.errors import DataError
 from hil.core.typing import StructArray
 from hil.record.columns import read_rows
 from hil.record.recording import Recording
-from hil.record.topic import STATE_TOPIC
 from hil.record.writer import Attachment
+from hil.robot.topic import STATE_TOPIC
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from hil.record.chunks import rows_at
 from hil.record.parts import attempt_of
 from hil.record.recording import Recording
 from hil.record.scan import Torn
-from hil.record.topic import STATE_TOPIC
+from hil.robot.topic import STATE_TOPIC
 
 
 def recorded_s(recordings: Iterable[Path]) -> float:

@@ -21,7 +21,6 @@ import numpy as np
 from hil.core.errors import RecordingError
 from hil.core.files import fsync_directory
 from hil.core.typing import IntArray, StructArray
-from hil.record.cdr import CDR_HEADER
 from hil.record.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
@@ -30,7 +29,8 @@ from hil.record.joint_state import (
 )
 from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
 from hil.record.stream import McapStream
-from hil.record.topic import STATE_TOPIC, Topic
+from hil.robot.cdr import CDR_HEADER
+from hil.robot.topic import STATE_TOPIC, Topic
 
 FILE_FORMAT_VERSION = 1
 """Version of what is around the topics: metadata, attachments, clocks. See decision 0002."""

@@ -23,7 +23,7 @@ from hil.robot.protocol import (
 )
 
 if TYPE_CHECKING:
-    from hil.record.topic import Topic
+    from hil.robot.topic import Topic
 
 _ARRAYS = ("q_min", "q_max", "qd_max", "qdd_max", "effort_max")
 
@@ -100,7 +100,7 @@ def _limits_from(document: Mapping[str, Any]) -> Limits:
 
 
 def _topics_from(documents: Sequence[Mapping[str, Any]]) -> tuple[Topic, ...]:
-    from hil.record.topic import Topic
+    from hil.robot.topic import Topic
 
     return tuple(Topic(**{**each, "dtype": dtype_of(each["dtype"])}) for each in documents)
 

@@ -19,7 +19,7 @@ from hil.robot.frames import Message
 from hil.robot.protocol import Identity
 
 if TYPE_CHECKING:
-    from hil.record.topic import Topic
+    from hil.robot.topic import Topic
 
 OPEN_S = 60.0
 COMMAND_S = 30.0

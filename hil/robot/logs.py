@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 from hil.core.typing import StructArray
 
 if TYPE_CHECKING:
-    from hil.record.topic import Topic
+    from hil.robot.topic import Topic
 
 
 class RecordedLog(Protocol):

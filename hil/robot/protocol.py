@@ -14,7 +14,7 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray, StructArray
 
 if TYPE_CHECKING:
-    from hil.record.topic import Topic
+    from hil.robot.topic import Topic
 
 EffortKind = Literal["current", "torque"]
 ClockKind = Literal["wall", "virtual"]

@@ -9,8 +9,8 @@ from typing import Any
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault, RobotTimeout
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
+from hil.robot.topic import Topic
 from hil_drivers.checks import require_liftable
 from hil_drivers.cia402.drives import Commissioned
 from hil_drivers.cia402.facts import capabilities_of, identity_of, limits_of

@@ -10,7 +10,7 @@ from hil.arms import load_arm
 from hil.can.candump import read_candump
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
+from hil.robot.topic import Topic
 from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.inspection import profile_of, said_by
 from hil_drivers.cia402.mapping import MAPPINGS

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.record.topic import Topic
 from hil.robot import Status, state_dtype
+from hil.robot.topic import Topic
 from hil_drivers.cia402.mapping import INCOMPLETE, STALLED, Mapping
 from hil_drivers.cia402.objects import CSP, CST, Entry
 from hil_drivers.cia402.scaling import Scaling

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core.errors import RobotConnectionError, RobotFault, RobotTimeout
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
+from hil.robot.topic import Topic
 from hil_drivers.twincat.controller import Controller
 from hil_drivers.twincat.options import Options
 from hil_drivers.twincat.rows import TOPIC, HostClock, reading_rows, state_rows

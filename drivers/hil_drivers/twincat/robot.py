@@ -8,8 +8,8 @@ from typing import Any
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, RobotConnectionError, RobotFault
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment
+from hil.robot.topic import Topic
 from hil_drivers.checks import require_liftable
 from hil_drivers.twincat import commanding
 from hil_drivers.twincat.controller import Controller

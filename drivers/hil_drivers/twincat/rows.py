@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
 from hil.robot import state_dtype
+from hil.robot.topic import Topic
 from hil_drivers.twincat.ring import Ring
 from hil_drivers.twincat.symbols import EFFORT_TARGETS, TEMPERATURES
 

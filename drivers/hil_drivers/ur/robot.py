@@ -12,8 +12,8 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, RobotTimeout
 from hil.core.typing import StructArray
-from hil.record.topic import Topic
 from hil.robot import Address, Capabilities, Finding, Identity, Limits, Segment, is_loopback
+from hil.robot.topic import Topic
 from hil_drivers.checks import require_liftable
 from hil_drivers.ur.checks import require_executable
 from hil_drivers.ur.controller import KEPT_S, READ_BACK_S, Controller

@@ -12,8 +12,8 @@ import numpy as np
 
 from hil.core.errors import SpecError
 from hil.core.typing import BoolArray, FloatArray, IntArray, StructArray
-from hil.record.topic import Topic
 from hil.robot import Status, state_dtype
+from hil.robot.topic import Topic
 from hil_drivers.ur.fields import FIELDS
 from hil_drivers.ur.rtde_wire import TYPES
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
-from hil.record.cdr import ROS_OF_NUMPY, cdr_problem
+from hil.robot.cdr import ROS_OF_NUMPY, cdr_problem
 from hil.robot.state import STATE_SCHEMA_VERSION, state_dtype
 
 STATE_TOPIC = "/robot/state"
