@@ -177,7 +177,7 @@ def _resting(
 
 def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
     """Where programs of this arm begin by default; [] where they cannot."""
-    from hil.excite.workspace import Workspace
+    from hil.excitation.workspace import Workspace
     from hil.plan.place import roadmap_of
 
     description = bodies.arm

@@ -10,7 +10,7 @@ from kinematic_robot import KinematicRobot
 from hil.arms.payload import Payload
 from hil.core.typing import StructArray
 from hil.engine import Engine
-from hil.excite.motion import Hold, Line
+from hil.excitation.motion import Hold, Line
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 
 

@@ -11,15 +11,15 @@ from plan_parts import JointSpace, toy_workspace
 
 from hil.arms.payload import Payload
 from hil.dynamics import RobotModel
-from hil.excite.cache import ExcitationCache
-from hil.excite.coefficients import fitting_frequency
-from hil.excite.fourier import FourierExcitation
-from hil.excite.motion import FourierSeries
-from hil.excite.optimise import ExcitationProblem
-from hil.excite.poses import roomy_poses
-from hil.excite.question import Question
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Advance, Setting
+from hil.excitation.cache import ExcitationCache
+from hil.excitation.coefficients import fitting_frequency
+from hil.excitation.fourier import FourierExcitation
+from hil.excitation.motion import FourierSeries
+from hil.excitation.optimise import ExcitationProblem
+from hil.excitation.poses import roomy_poses
+from hil.excitation.question import Question
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Advance, Setting
 from hil.spec.experiment import Fourier
 
 WORKSPACE = toy_workspace(n=6)
@@ -100,7 +100,7 @@ def asked(number: int = 1, **optimise: Any) -> Fourier:
 @pytest.fixture
 def finder(monkeypatch: pytest.MonkeyPatch) -> Finder:
     finder = Finder()
-    monkeypatch.setattr("hil.excite.optimise.optimise", finder)
+    monkeypatch.setattr("hil.excitation.optimise.optimise", finder)
     return finder
 
 

@@ -58,7 +58,7 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.campaign.operator import ConsoleOperator
     from hil.core.live_lock import hold_run
     from hil.engine import Engine, Observers
-    from hil.excite.motion import Hold
+    from hil.excitation.motion import Hold
     from hil.plan.plan import DwellRule, LoadStep, Plan, Step
     from hil.record.rundir import RunDirectory
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.workspace import Workspace
+from hil.excitation.workspace import Workspace
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.spec.experiment import ExperimentSpec

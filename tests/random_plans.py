@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from hil.arms.payload import Payload
-from hil.excite.motion import FourierSeries, Hold, Line, Motion
+from hil.excitation.motion import FourierSeries, Hold, Line, Motion
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 
 positive = st.floats(1e-3, 1e3)

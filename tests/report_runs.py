@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.arms import load_arm
 from hil.arms.payload import Payload
-from hil.excite.motion import FourierSeries, Hold, Line
+from hil.excitation.motion import FourierSeries, Hold, Line
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.record import McapWriter, RunDirectory, collect_provenance
 from hil.robot import Status, state_dtype

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hil.arms.payload import Payload
 from hil.campaign.remaining import connected_steps, legs_of, remaining_steps
 from hil.core.typing import FloatArray
-from hil.excite.motion import Hold, Line
+from hil.excitation.motion import Hold, Line
 from hil.plan.plan import LoadStep, Plan, Step
 
 

@@ -7,7 +7,7 @@ from terminal_parts import terminal_on
 
 from hil.cli.excitation_line import ExcitationLine
 from hil.cli.progress import ProgressLines
-from hil.excite.setting import Advance
+from hil.excitation.setting import Advance
 
 BUSY = Advance(3, 12, 2, 3, 17.25, 125.0)
 

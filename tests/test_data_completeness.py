@@ -18,7 +18,7 @@ from hil.data.completeness import (
     step_is_complete,
 )
 from hil.engine.dwell import DwellWatch
-from hil.excite.motion import FourierSeries
+from hil.excitation.motion import FourierSeries
 from hil.plan.plan import DwellRule, Plan, Step
 from hil.record.writer import McapWriter
 from hil.robot.state import Status, state_dtype

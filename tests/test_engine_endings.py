@@ -22,7 +22,7 @@ from hil.core.typing import StructArray
 from hil.engine import TRANSITIONS, Outcome, RunState
 from hil.engine.freshness import Deadline
 from hil.engine.telling import under_way
-from hil.excite.motion import Hold
+from hil.excitation.motion import Hold
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.robot import Status
 

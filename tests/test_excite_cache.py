@@ -11,7 +11,7 @@ import pytest
 from excitation_parts import Bench, Finder, bench, finder  # noqa: F401
 
 from hil.core.errors import PlanError
-from hil.excite.cache import user_cache
+from hil.excitation.cache import user_cache
 
 
 def test_asking_again_computes_nothing(bench: Bench) -> None:  # noqa: F811
@@ -51,7 +51,7 @@ def test_what_was_found_before_an_interruption_is_not_lost(
         return bench.finder(problem, **asked)
 
     with monkeypatch.context() as patched:
-        patched.setattr("hil.excite.optimise.optimise", interrupted)
+        patched.setattr("hil.excitation.optimise.optimise", interrupted)
         with pytest.raises(KeyboardInterrupt):
             bench.trajectories(2)
     bench.trajectories(2)

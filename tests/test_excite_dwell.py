@@ -11,14 +11,14 @@ from plan_parts import DEGREE, toy_workspace
 
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
-from hil.excite.arrange import Arrangement
-from hil.excite.dwell import DwellProgram
-from hil.excite.motion import Hold, Line
-from hil.excite.poses import roomy_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Action, Program, Visit, pose_visit
-from hil.excite.waypoint_file import AngleUnit, read_waypoints
-from hil.excite.workspace import Workspace
+from hil.excitation.arrange import Arrangement
+from hil.excitation.dwell import DwellProgram
+from hil.excitation.motion import Hold, Line
+from hil.excitation.poses import roomy_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.visit import Action, Program, Visit, pose_visit
+from hil.excitation.waypoint_file import AngleUnit, read_waypoints
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Dwell
 
 

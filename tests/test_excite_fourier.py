@@ -12,12 +12,12 @@ from plan_parts import DEGREE, toy_workspace
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.coefficients import fitting_frequency
-from hil.excite.fourier import FourierExcitation
-from hil.excite.motion import Motion
-from hil.excite.poses import roomy_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.workspace import Workspace
+from hil.excitation.coefficients import fitting_frequency
+from hil.excitation.fourier import FourierExcitation
+from hil.excitation.motion import Motion
+from hil.excitation.poses import roomy_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Fourier
 
 RATE = 100.0

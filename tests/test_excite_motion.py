@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.motion import FourierSeries, Hold, Line, Motion, motion_from_dict
-from hil.excite.profile import rest_to_rest
+from hil.excitation.motion import FourierSeries, Hold, Line, Motion, motion_from_dict
+from hil.excitation.profile import rest_to_rest
 
 RATE = 125.0
 relaxed = settings(max_examples=30, deadline=None)
@@ -229,5 +229,5 @@ def test_set_points_reach_the_end_at_any_rate(rate: float) -> None:
 
 
 def test_importing_motions_loads_no_planner() -> None:
-    code = "import sys, hil.excite.motion as m; sys.exit('ruckig' in sys.modules)"
+    code = "import sys, hil.excitation.motion as m; sys.exit('ruckig' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

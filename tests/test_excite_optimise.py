@@ -11,12 +11,12 @@ import pytest
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel, conditioning
-from hil.excite.motion import FourierSeries
-from hil.excite.optimise import ExcitationProblem, Optimised, Progress, optimise
-from hil.excite.optimise.draw import within_linear_limits
-from hil.excite.optimise.linear_limits import LinearLimits
-from hil.excite.optimise.motion_limits import MotionLimits
-from hil.excite.optimise.value import ValueOf
+from hil.excitation.motion import FourierSeries
+from hil.excitation.optimise import ExcitationProblem, Optimised, Progress, optimise
+from hil.excitation.optimise.draw import within_linear_limits
+from hil.excitation.optimise.linear_limits import LinearLimits
+from hil.excitation.optimise.motion_limits import MotionLimits
+from hil.excitation.optimise.value import ValueOf
 
 ROBOT = RobotModel.from_arm("ur5")
 SPEED, ACCELERATION = 2.0, 6.0

@@ -10,7 +10,7 @@ from plan_parts import plan_of, ur5
 from hil.arms import load_arm
 from hil.core.errors import PlanError
 from hil.dynamics.build import model_from_arm
-from hil.excite.motion import FourierSeries
+from hil.excitation.motion import FourierSeries
 from hil.plan.place import workspace_of
 from hil.plan.plan import Plan
 from hil.spec.experiment import ExperimentSpec

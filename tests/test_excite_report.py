@@ -20,9 +20,9 @@ from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters
 from hil.dynamics.build import model_from_arm
-from hil.excite.appraisal import jerk_of
-from hil.excite.information import Information
-from hil.excite.motion import FourierSeries
+from hil.excitation.appraisal import jerk_of
+from hil.excitation.information import Information
+from hil.excitation.motion import FourierSeries
 from hil.report.excite_page import excitation_page
 
 SPEC = """

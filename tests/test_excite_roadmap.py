@@ -10,9 +10,9 @@ from plan_parts import JointSpace, toy_workspace
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.poses import draw_poses, roomy_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.workspace import Workspace
+from hil.excitation.poses import draw_poses, roomy_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.workspace import Workspace
 
 
 def disc(q: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from plan_parts import spec_of, ur5
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import PlanError, SpecError
-from hil.excite.motion import FourierSeries, Hold, Line
+from hil.excitation.motion import FourierSeries, Hold, Line
 from hil.plan.build import build_plan
 from hil.plan.commissioning import Commissioning, commissioning_of
 from hil.plan.plan import LoadStep, Plan, Step

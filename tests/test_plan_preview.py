@@ -11,7 +11,7 @@ import pytest
 from plan_parts import plan_of
 
 from hil.arms.payload import Payload
-from hil.excite.motion import Hold, Line
+from hil.excitation.motion import Hold, Line
 from hil.plan.picture import plan_picture
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 from hil.plan.preview import preview

@@ -10,7 +10,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.dynamics import load_model
 from hil.dynamics.build import model_from_arm
-from hil.excite.motion import Hold, Line
+from hil.excitation.motion import Hold, Line
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.plan.swept import elbow_bodies, swept
 

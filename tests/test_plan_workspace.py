@@ -14,11 +14,11 @@ from plan_parts import plan_of, spec_of, toy_workspace, ur5
 from hil.core.errors import HilError, PlanError, SpecError
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.excite.arrange import Arrangement
-from hil.excite.poses import roomy_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Program, pose_visit
-from hil.excite.workspace import Workspace
+from hil.excitation.arrange import Arrangement
+from hil.excitation.poses import roomy_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.visit import Program, pose_visit
+from hil.excitation.workspace import Workspace
 from hil.plan.approach import Approach
 from hil.plan.build import build_plan
 from hil.plan.place import checked_start, roadmap_of

@@ -20,7 +20,7 @@ from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.core.typing import FloatArray, StructArray
-from hil.excite.motion import Hold, Line
+from hil.excitation.motion import Hold, Line
 from hil.plan.plan import LoadStep, Plan, Step
 from hil.preflight import (
     BUILT_IN,

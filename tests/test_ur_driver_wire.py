@@ -16,7 +16,7 @@ from ur_mock import mock_ur
 
 from hil.arms.payload import Payload
 from hil.core.errors import CommandRefused, HilError, RobotConnectionError, RobotFault, SpecError
-from hil.excite.motion import Line
+from hil.excitation.motion import Line
 from hil.robot import Segment, Status
 from hil.testing.moves import begin, follow, hold, move, settle, standing_at
 from hil_drivers.ur.options import Options

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from hil.core.typing import FloatArray, IntArray
 from hil.dynamics import RobotModel
 from hil.dynamics.regressor_gradient import RegressorSweep
-from hil.excite.motion import FourierSeries
+from hil.excitation.motion import FourierSeries
 
 
 class Slsqp:

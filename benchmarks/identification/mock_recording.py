@@ -11,7 +11,7 @@ from benchmarks.identification.mock_truth import true_gains
 from hil.arms import load_arm
 from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
-from hil.excite.motion import FourierSeries, Line, Motion
+from hil.excitation.motion import FourierSeries, Line, Motion
 from hil_mock_robot.sensors import Sensors
 from hil_mock_robot.simulation import Simulation
 from hil_mock_robot.truth import Truth

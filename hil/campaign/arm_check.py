@@ -10,8 +10,8 @@ from hil.campaign.needs import unmet
 from hil.core.errors import SpecError
 from hil.core.source import Mark, Problem, Source, refuse
 from hil.core.yaml_source import read_source
-from hil.excite.waypoint_file import WaypointFile, read_waypoints
-from hil.excite.workspace import beyond_range, outside, ways_out
+from hil.excitation.waypoint_file import WaypointFile, read_waypoints
+from hil.excitation.workspace import beyond_range, outside, ways_out
 from hil.plan.interlocks import declared_space
 from hil.plan.limits import excesses
 from hil.robot import Capabilities

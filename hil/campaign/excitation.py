@@ -11,11 +11,11 @@ from hil.campaign.excitation_report import ExcitationReport
 from hil.campaign.experiment import Experiment
 from hil.campaign.robots import opened
 from hil.core.errors import SpecError
-from hil.excite.appraisal import Appraisal, Limits, appraise
-from hil.excite.cache import user_cache
-from hil.excite.motion import FourierSeries
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Advance, Setting, Watch, unwatched
+from hil.excitation.appraisal import Appraisal, Limits, appraise
+from hil.excitation.cache import user_cache
+from hil.excitation.motion import FourierSeries
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Advance, Setting, Watch, unwatched
 from hil.plan.exciting import program_of, setting_of
 from hil.plan.limits import excesses
 from hil.plan.place import plannable_arm, roadmap_of, workspace_of

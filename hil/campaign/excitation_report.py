@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.campaign.experiment import Experiment
-from hil.excite.appraisal import Appraisal, margins_of
-from hil.excite.information import Information
+from hil.excitation.appraisal import Appraisal, margins_of
+from hil.excitation.information import Information
 from hil.spec.experiment import Fourier
 
 

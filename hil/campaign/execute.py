@@ -24,7 +24,7 @@ from hil.core.errors import HilError
 from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
-from hil.excite.setting import Advance
+from hil.excitation.setting import Advance
 from hil.plan.plan import Plan
 from hil.plan.swept import swept
 from hil.preflight import preflight_context, require_preflight

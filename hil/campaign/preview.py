@@ -11,7 +11,7 @@ from hil.campaign.experiment import Experiment
 from hil.campaign.extras import missing_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.robots import leased_and_connected, opened, plan_for
-from hil.excite.setting import Watch, unwatched
+from hil.excitation.setting import Watch, unwatched
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.plan.preview import PlanPreview, preview

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import STANDSTILL_RAD, Line
+from hil.excitation.motion import STANDSTILL_RAD, Line
 from hil.plan.plan import Plan, Step
 
 FIRST_APPROACH = -2

@@ -12,7 +12,7 @@ from hil.campaign.experiment import Experiment
 from hil.core import plugins
 from hil.core.bounded import bounded
 from hil.core.typing import FloatArray
-from hil.excite.setting import Watch, unwatched
+from hil.excitation.setting import Watch, unwatched
 from hil.plan.build import build_plan
 from hil.plan.plan import Plan
 from hil.robot import Robot, address_of

@@ -23,7 +23,7 @@ from hil.cli.overriding import SetOption, load_with
 
 if TYPE_CHECKING:
     from hil.campaign.excitation_report import ExcitationReport
-    from hil.excite.information import Information
+    from hil.excitation.information import Information
 
 DEGREES = 180 / math.pi
 MARGINS = {

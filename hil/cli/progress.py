@@ -14,7 +14,7 @@ from hil.cli.output import duration, fit_ended, fit_words, fold, width_of
 from hil.cli.study_progress import StudyBar
 from hil.cli.training_line import TrainingLine
 from hil.engine.observers import Event
-from hil.excite.setting import Advance
+from hil.excitation.setting import Advance
 from hil.identify.training_loop.problem import Told
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import answer_words, share_words, state_words, step_words

@@ -15,7 +15,7 @@ SERIAL = ("ttyUSB*", "ttyACM*")
 
 def folders() -> Iterator[Finding]:
     """Whether runs, leases, models and cached trajectories can be written; nothing is made."""
-    from hil.excite.cache import user_cache
+    from hil.excitation.cache import user_cache
     from hil.robot.lease import leases_folder
 
     runs = Path(os.environ.get("HIL_RUNS") or "runs")

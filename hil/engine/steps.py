@@ -12,7 +12,7 @@ from hil.core.typing import StructArray
 from hil.engine.dwell import DwellWatch
 from hil.engine.prompt import Prompt
 from hil.engine.reading import Reading, Sink
-from hil.excite.motion import Motion
+from hil.excitation.motion import Motion
 from hil.plan.plan import AT_REST, Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
 

@@ -9,7 +9,7 @@ import numpy as np
 from hil.arms import load_arm
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.motion import Line
+from hil.excitation.motion import Line
 from hil.plan.place import checked_start, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot

@@ -11,11 +11,11 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.core.errors import HilError, PlanError, SpecError
 from hil.core.typing import FloatArray
-from hil.excite.arrange import Arrangement
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Watch, unwatched
-from hil.excite.visit import Action, Program, Visit, pose_visit
-from hil.excite.workspace import Workspace
+from hil.excitation.arrange import Arrangement
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Watch, unwatched
+from hil.excitation.visit import Action, Program, Visit, pose_visit
+from hil.excitation.workspace import Workspace
 from hil.plan.commissioning import Commissioning
 from hil.plan.exciting import program_of, setting_of
 from hil.plan.interlocks import interlock_margins

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from hil.core.errors import PlanError, SpecError
-from hil.excite.motion import FourierSeries, Line, Motion
+from hil.excitation.motion import FourierSeries, Line, Motion
 from hil.plan.plan import Plan, Step
 
 MEASURED = ("dwell", "trajectory")

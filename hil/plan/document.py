@@ -18,7 +18,7 @@ from pydantic_core import ErrorDetails
 from hil.core.errors import DataError
 from hil.core.files import require_known_version
 from hil.core.source import shown
-from hil.excite.profile import LONGEST_S
+from hil.excitation.profile import LONGEST_S
 from hil.plan.plan import PLAN_FORMAT, StepKind
 
 MOST_STEPS = 5_000_000

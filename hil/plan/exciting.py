@@ -10,11 +10,11 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core import plugins
-from hil.excite.cache import ExcitationCache, user_cache
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Computes, Setting, Watch, unwatched
-from hil.excite.visit import Excitation, Program
-from hil.excite.workspace import Workspace
+from hil.excitation.cache import ExcitationCache, user_cache
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Computes, Setting, Watch, unwatched
+from hil.excitation.visit import Excitation, Program
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.interlocks import WorkspaceInterlock
 from hil.spec.station import StationRobot

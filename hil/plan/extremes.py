@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import Motion
+from hil.excitation.motion import Motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)

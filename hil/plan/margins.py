@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.core.errors import PlanError
-from hil.excite.workspace import Workspace
+from hil.excitation.workspace import Workspace
 from hil.plan.extremes import Extremes, extremes_of
 from hil.plan.plan import LoadStep, Step
 from hil.plan.quality import effort_margin

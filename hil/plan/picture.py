@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.core.files import write_replacing
 from hil.core.typing import FloatArray
-from hil.excite.motion import Line
+from hil.excitation.motion import Line
 from hil.plan import svg
 from hil.plan.picture_style import STYLE
 from hil.plan.plan import Plan

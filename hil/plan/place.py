@@ -9,11 +9,11 @@ import numpy as np
 from hil.arms import ArmDescription, arm_names, is_described, load_arm
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.motion import STANDSTILL_RAD
-from hil.excite.poses import roomy_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.waypoint_file import read_waypoints
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import STANDSTILL_RAD
+from hil.excitation.poses import roomy_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.waypoint_file import read_waypoints
+from hil.excitation.workspace import Workspace
 from hil.plan.interlocks import declared_space
 from hil.plan.limits import draw_range
 from hil.plan.quality import condition_score

@@ -9,7 +9,7 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.excite.motion import Motion
+from hil.excitation.motion import Motion
 
 MOST_ROWS = 1500
 """Samples a regressor is computed from: more change the condition number in the third digit."""

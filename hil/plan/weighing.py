@@ -14,10 +14,10 @@ from hil.arms import ArmDescription
 from hil.arms.payload import Payload
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.motion import Motion
-from hil.excite.poses import draw_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Visit, pose_visit
+from hil.excitation.motion import Motion
+from hil.excitation.poses import draw_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.visit import Visit, pose_visit
 from hil.plan.plan import DwellRule, Plan
 from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hil.excite.workspace import Clearance
+from hil.excitation.workspace import Clearance
 from hil.plan.plan import Plan
 from hil.robot import Robot
 

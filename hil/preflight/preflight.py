@@ -12,7 +12,7 @@ from hil.arms import is_described, load_arm
 from hil.core import plugins
 from hil.core.errors import HilError, PreflightFailed, SpecError
 from hil.core.suggest import did_you_mean
-from hil.excite.workspace import Clearance
+from hil.excitation.workspace import Clearance
 from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
 from hil.preflight import plan_checks, robot_checks

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.appraisal import Appraisal, Limits, Trajectory
+from hil.excitation.appraisal import Appraisal, Limits, Trajectory
 from hil.report import colours
 from hil.report.blocks import Panel
 from hil.report.decimate import decimated

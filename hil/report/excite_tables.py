@@ -11,7 +11,7 @@ from hil.report.words import UNKNOWN, joint_title, number
 
 if TYPE_CHECKING:
     from hil.campaign.excitation_report import ExcitationReport
-    from hil.excite.information import Information
+    from hil.excitation.information import Information
 
 DEGREES = 180 / np.pi
 

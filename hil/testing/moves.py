@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from hil.core.typing import FloatArray, StructArray
-from hil.excite.motion import Hold, Line, Motion
+from hil.excitation.motion import Hold, Line, Motion
 from hil.robot import Robot, Segment, Status
 
 SPEED_RAD_S = 0.3

@@ -12,7 +12,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.workspace import Workspace
+from hil.excitation.workspace import Workspace
 from hil.plan.build import build_plan
 from hil.plan.place import plannable_arm, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec

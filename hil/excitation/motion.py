@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.profile import Profile, rest_to_rest
+from hil.excitation.profile import Profile, rest_to_rest
 
 STANDSTILL_RAD = 1e-9
 """Shorter ways than this are none: ruckig fails on them, and no encoder sees them."""

@@ -8,14 +8,14 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.optimise.draw import draw
-from hil.excite.optimise.improve import Search
-from hil.excite.optimise.linear_limits import LinearLimits
-from hil.excite.optimise.margins import DENSER, margins_of
-from hil.excite.optimise.motion_limits import RESERVE, MotionLimits
-from hil.excite.optimise.problem import ExcitationProblem
-from hil.excite.optimise.result import Optimised, Progress, ProgressCallback, Start
-from hil.excite.optimise.value import ValueOf
+from hil.excitation.optimise.draw import draw
+from hil.excitation.optimise.improve import Search
+from hil.excitation.optimise.linear_limits import LinearLimits
+from hil.excitation.optimise.margins import DENSER, margins_of
+from hil.excitation.optimise.motion_limits import RESERVE, MotionLimits
+from hil.excitation.optimise.problem import ExcitationProblem
+from hil.excitation.optimise.result import Optimised, Progress, ProgressCallback, Start
+from hil.excitation.optimise.value import ValueOf
 
 ROUNDS = 5
 """More of the last stage, while what it finds exceeds limits between the points."""

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import FourierSeries
-from hil.excite.optimise.linear_limits import POINTS_PER_HARMONIC
-from hil.excite.optimise.motion_limits import DistanceLimit, Motion, torques
-from hil.excite.optimise.result import Margins
+from hil.excitation.motion import FourierSeries
+from hil.excitation.optimise.linear_limits import POINTS_PER_HARMONIC
+from hil.excitation.optimise.motion_limits import DistanceLimit, Motion, torques
+from hil.excitation.optimise.result import Margins
 
 if TYPE_CHECKING:
-    from hil.excite.optimise.problem import ExcitationProblem
+    from hil.excitation.optimise.problem import ExcitationProblem
 
 DENSER = 10
 

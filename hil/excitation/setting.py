@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
-from hil.excite.cache import ExcitationCache
+from hil.excitation.cache import ExcitationCache
 
 if TYPE_CHECKING:
     from hil.dynamics.robot_model import RobotModel
-    from hil.excite.optimise import Distances
+    from hil.excitation.optimise import Distances
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import FourierSeries
+from hil.excitation.motion import FourierSeries
 
 
 class Grid(NamedTuple):

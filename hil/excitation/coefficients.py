@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import FourierSeries
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import FourierSeries
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Fourier
 
 SHRINKAGE = np.array([1.0, 0.8, 0.64, 0.5, 0.4, 0.3])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import FourierSeries
+from hil.excitation.motion import FourierSeries
 
 ROUNDING = 1e-9
 """Excess that counts as none."""

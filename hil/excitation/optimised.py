@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.core.errors import PlanError, RecordingError
-from hil.excite.cache import DamagedEntry
-from hil.excite.motion import FourierSeries
-from hil.excite.question import Question
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Advance
-from hil.excite.workspace import Workspace
+from hil.excitation.cache import DamagedEntry
+from hil.excitation.motion import FourierSeries
+from hil.excitation.question import Question
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Advance
+from hil.excitation.workspace import Workspace
 
 if TYPE_CHECKING:
-    from hil.excite.optimise import ExcitationProblem, Progress
+    from hil.excitation.optimise import ExcitationProblem, Progress
 
 ATTEMPTS = 3
 """Searches for one trajectory: a motion may be clear in itself and still be out of reach."""
@@ -97,7 +97,7 @@ class OptimisedSeries:
         Raises:
             PlanError: It found none within all limits.
         """
-        from hil.excite.optimise import optimise
+        from hil.excitation.optimise import optimise
 
         seeds = np.random.SeedSequence([self.question.seed, number, attempt])
         return optimise(

@@ -11,13 +11,13 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import BoolArray, FloatArray
-from hil.excite.optimise.series_basis import SeriesBasis
+from hil.excitation.optimise.series_basis import SeriesBasis
 
 if TYPE_CHECKING:
     from hil.dynamics.base import BaseParameters
     from hil.dynamics.identification_columns import IdentificationColumns
     from hil.dynamics.robot_model import RobotModel
-    from hil.excite.motion import FourierSeries
+    from hil.excitation.motion import FourierSeries
 
 Objective = Literal["condition", "log_det"]
 

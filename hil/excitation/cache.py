@@ -17,7 +17,7 @@ from typing import Any
 
 from hil.core.errors import HilError, RecordingError
 from hil.core.files import json_document, read_json, write_replacing
-from hil.excite.motion import FourierSeries, motion_from_dict
+from hil.excitation.motion import FourierSeries, motion_from_dict
 
 FORMAT = 1
 OFF = "off"

@@ -2,7 +2,7 @@
 
 Each joint's series is drawn at random, made to rest at both ends, scaled to whatever limit binds
 first, and shrunk towards its centre until the arm keeps its distance at every sample. A spec that
-says `optimise` gets series from `hil.excite.optimised` instead.
+says `optimise` gets series from `hil.excitation.optimised` instead.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.coefficients import (
+from hil.excitation.coefficients import (
     POINTS_PER_HARMONIC,
     SHRINKAGE,
     Coefficients,
@@ -25,13 +25,13 @@ from hil.excite.coefficients import (
     extent,
     fitting_frequency,
 )
-from hil.excite.motion import FourierSeries
-from hil.excite.optimised import OptimisedSeries
-from hil.excite.question import Question
-from hil.excite.roadmap import Roadmap
-from hil.excite.setting import Setting
-from hil.excite.visit import Action, Program, Visit
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import FourierSeries
+from hil.excitation.optimised import OptimisedSeries
+from hil.excitation.question import Question
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.setting import Setting
+from hil.excitation.visit import Action, Program, Visit
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Fourier
 
 CANDIDATES = 6

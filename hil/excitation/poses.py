@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.workspace import Workspace
+from hil.excitation.workspace import Workspace
 
 BLOCK = 1024
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
-from hil.excite.motion import Motion
-from hil.excite.poses import draw_poses
-from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Program, Visit, pose_visit
-from hil.excite.waypoint_file import WaypointFile, read_waypoints, shortened
-from hil.excite.workspace import Workspace, ways_out
+from hil.excitation.motion import Motion
+from hil.excitation.poses import draw_poses
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.visit import Program, Visit, pose_visit
+from hil.excitation.waypoint_file import WaypointFile, read_waypoints, shortened
+from hil.excitation.workspace import Workspace, ways_out
 from hil.spec.experiment import Dwell
 
 SPARE_SHARE = 0.05

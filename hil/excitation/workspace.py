@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray
-from hil.excite.motion import Line, Motion
+from hil.excitation.motion import Line, Motion
 
 ROWS_AT_ONCE = 16_384
 """Joint positions per call of the collision model: enough to amortise it, few enough to stay in

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from hil.core.typing import FloatArray
-from hil.excite.motion import Hold, Motion
-from hil.excite.roadmap import Roadmap
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import Hold, Motion
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)

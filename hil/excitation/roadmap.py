@@ -16,8 +16,8 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.excite.motion import STANDSTILL_RAD, Line
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import STANDSTILL_RAD, Line
+from hil.excitation.workspace import Workspace
 
 STOP_COST_RAD = 0.5
 """What one more stop on the way counts for, as distance of the joint that has furthest to go."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
-from hil.excite.motion import STANDSTILL_RAD, Line
-from hil.excite.roadmap import Roadmap
-from hil.excite.visit import Action, Program, Visit
-from hil.excite.workspace import Workspace
+from hil.excitation.motion import STANDSTILL_RAD, Line
+from hil.excitation.roadmap import Roadmap
+from hil.excitation.visit import Action, Program, Visit
+from hil.excitation.workspace import Workspace
 
 LOOK_AHEAD = 3
 """How many of the remaining visits are tried in a straight line at once."""

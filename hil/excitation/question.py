@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.core.errors import PlanError
-from hil.excite.cache import digest
-from hil.excite.motion import FourierSeries
-from hil.excite.setting import Setting
-from hil.excite.workspace import Workspace
+from hil.excitation.cache import digest
+from hil.excitation.motion import FourierSeries
+from hil.excitation.setting import Setting
+from hil.excitation.workspace import Workspace
 from hil.spec.experiment import Fourier
 from hil.spec.optimise import Optimise
 
 if TYPE_CHECKING:
-    from hil.excite.optimise import ExcitationProblem
+    from hil.excitation.optimise import ExcitationProblem
 
 ANSWERS = 2
 """Raised whenever the same question gets another answer than before."""
@@ -98,7 +98,7 @@ class Question:
 
     def problem(self, found: Sequence[FourierSeries]) -> ExcitationProblem:
         """What the trajectory after those `found` has to be."""
-        from hil.excite.optimise import ExcitationProblem
+        from hil.excitation.optimise import ExcitationProblem
 
         workspace, asked = self.workspace, self.asked
         jerk = asked.max_jerk_deg_s3

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.excite.information import Information, Regressor
-from hil.excite.motion import FourierSeries, Samples
-from hil.excite.setting import Setting
-from hil.excite.workspace import Workspace
+from hil.excitation.information import Information, Regressor
+from hil.excitation.motion import FourierSeries, Samples
+from hil.excitation.setting import Setting
+from hil.excitation.workspace import Workspace
 
 REGRESSOR_ROWS = 1000
 """Samples of a trajectory that its regressor is computed from, at most about."""
