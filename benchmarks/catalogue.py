@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.view import FILE, find_runs
-from hil.record.catalogue import run_paths
 from hil.record.numbering import number_of
+from hil.runs.listing import run_paths
+from hil.runs.view import FILE, find_runs
 
 RUNS, QUICK_RUNS = 2_000, 60
 REPEATS = 3

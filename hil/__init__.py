@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         try_out,
     )
     from hil.campaign.experiment import Experiment
-    from hil.catalogue.view import find_runs
+    from hil.runs.view import find_runs
 
 __version__ = "0.1.0"
 

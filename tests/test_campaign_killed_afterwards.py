@@ -12,13 +12,13 @@ from study_parts import register
 from typer.testing import CliRunner
 
 import hil
-from hil.campaign.view import list_runs
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, Rejected
 from hil.record.recover_run import recover
 from hil.record.reserve import NAME as RESERVE
 from hil.record.reserve import reserve
 from hil.record.rundir import RunDirectory
+from hil.runs.summary import list_runs
 
 SPEC = """
 hil: 1

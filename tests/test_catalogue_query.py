@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from hil.catalogue.query import parse
-from hil.catalogue.view import find_runs
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.runs.query import parse
+from hil.runs.view import find_runs
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from catalogue_runs import settle, write_run
 
-from hil.catalogue.removal import leftovers, remove
-from hil.catalogue.retention import Decision, Policy, decide
 from hil.core.errors import RecordingError
+from hil.runs.removal import leftovers, remove
+from hil.runs.retention import Decision, Policy, decide
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))

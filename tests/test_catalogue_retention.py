@@ -24,10 +24,6 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from hil.campaign.resuming import open_unfinished
-from hil.catalogue import trained_rows
-from hil.catalogue.removal import leftovers, remove
-from hil.catalogue.retention import Policy, decide
-from hil.catalogue.view import find_runs
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.core.live_lock import hold_run
@@ -36,6 +32,10 @@ from hil.record.rundir import RunDirectory
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, write_version
 from hil.report import render_report
+from hil.runs import trained_rows
+from hil.runs.removal import leftovers, remove
+from hil.runs.retention import Policy, decide
+from hil.runs.view import find_runs
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))

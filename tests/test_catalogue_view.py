@@ -14,11 +14,11 @@ from typing import Any
 import pytest
 from catalogue_runs import settle, write_run
 
-from hil.catalogue import view
-from hil.catalogue.facts import facts_of
-from hil.catalogue.view import FILE, find_runs
 from hil.core.live_lock import hold_run
 from hil.record.numbering import run_folders
+from hil.runs import view
+from hil.runs.facts import facts_of
+from hil.runs.view import FILE, find_runs
 
 
 @pytest.fixture
@@ -188,7 +188,7 @@ def test_processes_may_ask_at_once(runs: Path) -> None:
     for number in range(10, 60):
         write_run(runs, number)
     ask = (
-        "import sys; from hil.catalogue.view import find_runs\n"
+        "import sys; from hil.runs.view import find_runs\n"
         "for _ in range(8): print(len(find_runs('robot=ur5', runs=sys.argv[1], rebuild=_ % 2)))"
     )
     asked = [

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import DataError
-from hil.record.catalogue import find_run
+from hil.runs.listing import find_run
 
 
 @pytest.fixture

@@ -18,12 +18,12 @@ from typing import Any
 import pytest
 from other_process import holding_run, other_process
 
-from hil.campaign.view import describe_run
 from hil.core import held_file
 from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run, is_live, run_holder
-from hil.record.catalogue import list_runs
 from hil.record.rundir import RunDirectory
+from hil.runs.listing import list_runs
+from hil.runs.summary import describe_run
 
 
 def dead_within(run: Path, seconds: float) -> bool:

@@ -22,7 +22,7 @@ from recorded_rows import record_state
 import hil.record.numbering as numbering
 from hil.core.errors import DataError, RecordingError
 from hil.record import RunDirectory
-from hil.record.catalogue import list_runs
+from hil.runs.listing import list_runs
 
 
 def started(root: Path, name: str = "fourier") -> RunDirectory:

@@ -8,12 +8,12 @@ import pytest
 from report_runs import dwell_plan, write_run
 from typer.testing import CliRunner
 
-from hil.campaign.view import next_command
 from hil.cli.app import app
-from hil.record.catalogue import list_runs
 from hil.report import summary_lines
 from hil.report.commissioning import next_commissioning
 from hil.report.facts import read_facts
+from hil.runs.listing import list_runs
+from hil.runs.summary import next_command
 
 
 def commissioned(tmp_path, outcome="completed", station="/lab/my.yaml", **part):

@@ -10,11 +10,11 @@ from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_ru
 from study_parts import result
 
 from hil.api import parse_parameters
-from hil.campaign.view import list_runs
 from hil.cli.runs import tell_run
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.report import summary_lines
+from hil.runs.summary import list_runs
 from hil.study.store import write_study
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import hil
 from hil.core.errors import DataError, SpecError
-from hil.record.catalogue import find_run
+from hil.runs.listing import find_run
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 FOLDERS = (

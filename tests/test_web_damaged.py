@@ -14,10 +14,10 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from typer.testing import CliRunner
 from web_parts import dashboard, failing, run_in, seen
 
-from hil.catalogue.view import find_runs
 from hil.cli.app import app
 from hil.core.live_lock import hold_run
 from hil.record.rundir import RunDirectory
+from hil.runs.view import find_runs
 
 DEEP = '{"a": ' * 900 + "1" + "}" * 900
 WHOLE = ["{}", "[]", '"x"', "1e999", DEEP, ""]
@@ -130,7 +130,7 @@ def test_a_run_that_cannot_be_understood_is_damaged_with_the_reason(
     lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broken = failing(TypeError("odd <b>"))
-    monkeypatch.setattr("hil.catalogue.facts._told", broken)
+    monkeypatch.setattr("hil.runs.facts._told", broken)
     monkeypatch.setattr("hil.web.run_facts._facts", broken)
     require_all_is_there(lab)
     (entry,) = find_runs(runs=lab / "runs")

@@ -14,7 +14,7 @@ import pytest
 from hil.campaign.detached import ticks_of
 from hil.campaign.started import FOLDER, Started
 from hil.core.live_lock import hold_run
-from hil.record import known_runs
+from hil.runs import known_runs
 from hil.web.going import being_planned, going_on
 from hil.web.resume_pages import way_on
 from hil.web.settings import Settings

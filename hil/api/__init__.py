@@ -19,8 +19,8 @@ from hil.api.upkeep import registry, reidentify
 from hil.api.uses import export_model, rest_poses, try_out
 from hil.campaign.experiment import Experiment
 from hil.campaign.run import RunReport
-from hil.campaign.view import describe_run, list_runs
-from hil.catalogue.view import find_runs
+from hil.runs.summary import describe_run, list_runs
+from hil.runs.view import find_runs
 
 __all__ = [
     "AnyPath",

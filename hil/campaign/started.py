@@ -21,7 +21,7 @@ from hil.campaign.steering import stop_run
 from hil.core.errors import DataError, HilError
 from hil.core.files import read_json
 from hil.core.live_lock import run_holder
-from hil.record.known_runs import known_runs
+from hil.runs.known_runs import known_runs
 
 FOLDER = ".started"
 

@@ -112,7 +112,7 @@ def watch(
     """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
     from hil.campaign.follow import follow, newest_live
     from hil.cli.watching import WatchLines
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     path = find_run(run, runs) if run else newest_live(runs)
     lines = WatchLines(str(path), terminal=not json and sys.stdout.isatty())
@@ -171,7 +171,7 @@ def _row(robot: BenchRobot) -> tuple[str, ...]:
 
 def _chosen(run: str, runs: Path) -> Path:
     from hil.campaign.follow import only_live
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     return find_run(run, runs) if run else only_live(runs)
 

@@ -130,7 +130,7 @@ def validate_loads(
     json: JsonFlag = False,
 ) -> None:
     """Errors of models of the bare arm under a run's loads, and each declared load checked."""
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     if model and estimator:
         raise SpecError("--model and --estimator exclude each other", hint="give one of them")

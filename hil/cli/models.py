@@ -141,10 +141,10 @@ def report(
     json: JsonFlag = False,
 ) -> None:
     """Write (again) the HTML report of a run, or the overview of a series."""
-    from hil.campaign.series_folder import is_series_folder
-    from hil.record.catalogue import find_run
     from hil.report import render_report
     from hil.report.series_page import render_series
+    from hil.runs.listing import find_run
+    from hil.runs.series_folder import is_series_folder
 
     path = find_run(run, runs)
     page = render_series(path) if is_series_folder(path) else render_report(path)
@@ -156,7 +156,7 @@ def report(
 
 def found(sources: Iterable[str], runs: Path) -> list[Path]:
     """Files and directories as they are given; anything else is a run's name or number."""
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     given = [(text, Path(text)) for text in sources]
     plain = [

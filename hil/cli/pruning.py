@@ -14,7 +14,7 @@ from hil.cli.output import JsonFlag, RunsOption, print_json, print_table, say, s
 from hil.core.errors import RegistryError, SpecError
 
 if TYPE_CHECKING:
-    from hil.catalogue.retention import Decision
+    from hil.runs.retention import Decision
 
 HERE = Path("registry")
 
@@ -64,8 +64,8 @@ def prune(
     json: JsonFlag = False,
 ) -> None:
     """Delete old runs, none that a registered model came from; says only which without --yes."""
-    from hil.catalogue.removal import leftovers, remove
-    from hil.catalogue.retention import Policy, decide
+    from hil.runs.removal import leftovers, remove
+    from hil.runs.retention import Policy, decide
 
     policy = Policy(tuple(query or ()), _age(older_than), keep, interrupted, recordings_only,
                     older_than)  # fmt: skip

@@ -40,8 +40,8 @@ def recover(
     json: JsonFlag = False,
 ) -> None:
     """Rebuild torn or damaged recordings from all that is whole in them, and say what is lost."""
-    from hil.record.catalogue import find_run
     from hil.record.recover_run import recover as recover_all
+    from hil.runs.listing import find_run
 
     if out is not None and discard:
         raise typer.BadParameter("-o leaves the torn file where it is: without --discard")

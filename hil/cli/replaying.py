@@ -26,7 +26,7 @@ def replay(
 ) -> None:
     """Make the recording of a run anew from a log of its bus, in a run directory of its own."""
     from hil.campaign.replaying import replay as replayed_from
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     found = replayed_from(find_run(run, runs), log, runs)
     if json:

@@ -189,10 +189,10 @@ def resume(
     json: JsonFlag = False,
 ) -> None:
     """Go on with a run: one that ended early in a new attempt, one that is paused where it is."""
-    from hil.campaign.series_folder import is_series_folder
     from hil.core.live_lock import is_live
     from hil.engine.signals import ignore_from_now_on
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
+    from hil.runs.series_folder import is_series_folder
 
     path = find_run(run, runs)
     views = (live, live_port, live_host)

@@ -71,11 +71,11 @@ def runs(
 ) -> None:
     """List run directories, newest last; interrupted and damaged ones too."""
     if query or rebuild:
-        from hil.catalogue.view import find_runs
+        from hil.runs.view import find_runs
 
         entries, table = find_runs(*(query or ()), runs=runs, rebuild=rebuild), _found
     else:
-        from hil.campaign.view import list_runs
+        from hil.runs.summary import list_runs
 
         entries, table = list_runs(runs), partial(_listed, runs=runs)
     if json:
@@ -153,8 +153,8 @@ def show(
 ) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
     from hil import api
-    from hil.record.catalogue import find_run
     from hil.record.rundir import RunDirectory
+    from hil.runs.listing import find_run
 
     path = find_run(run, runs)
     problems = RunDirectory.open(path).verify() if verify else []

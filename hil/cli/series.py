@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
     from hil.campaign.series import Series, SeriesReport
-    from hil.campaign.series_folder import SeriesFolder
     from hil.plan.commissioning import Commissioning
+    from hil.runs.series_folder import SeriesFolder
 
 Document = dict[str, Any]
 Outcome = tuple[Document, HilError | None]
@@ -111,7 +111,7 @@ def run_series(
     from hil.campaign.driver_check import check_driver
     from hil.campaign.extras import require_extras
     from hil.campaign.series import load_series
-    from hil.campaign.series_folder import SeriesFolder
+    from hil.runs.series_folder import SeriesFolder
 
     series = load_series(path, station)
     for experiment in series.experiments:
@@ -144,7 +144,7 @@ def resume_series(
     """
     from hil.campaign.arming import Moves
     from hil.campaign.series import load_series, not_begun, nothing_left
-    from hil.campaign.series_folder import SeriesFolder
+    from hil.runs.series_folder import SeriesFolder
 
     folder, before = SeriesFolder.open(path)
     station = folder.head.get("station")

@@ -36,7 +36,7 @@ def study(
 ) -> None:
     """Make the studies of a run (again), and its report: tables and figures of methods compared."""
     from hil import api
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     make(find_run(run, runs), name, api.parse_parameters(options or ()), json)
 
@@ -82,7 +82,7 @@ def figures(
 ) -> None:
     """Write the figures of a run or a page, and tables of studies, as files for papers."""
     from hil import api
-    from hil.record.catalogue import find_run
+    from hil.runs.listing import find_run
 
     page = Path(run)
     path = page if page.suffix == ".html" and page.is_file() else find_run(run, runs)

@@ -13,12 +13,12 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.catalogue.facts import started_s
-from hil.catalogue.view import find_runs
 from hil.core.errors import DataError, SpecError
 from hil.report.judgement import ENDINGS
 from hil.report.measures import measure
 from hil.report.words import duration, when
+from hil.runs.facts import started_s
+from hil.runs.view import find_runs
 from hil.web.places import address_of
 from hil.web.rendering import page, settings_of
 from hil.web.run_files import report_address

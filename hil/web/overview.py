@@ -9,10 +9,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.campaign.view import entry_of
-from hil.record.catalogue import listing_of, run_paths
 from hil.record.numbering import number_of
 from hil.report.words import duration
+from hil.runs.listing import listing_of, run_paths
+from hil.runs.summary import entry_of
 from hil.web.bench_facts import stations_of
 from hil.web.catalogue_pages import status_mark
 from hil.web.going import going_on

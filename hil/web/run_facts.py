@@ -7,7 +7,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.stamp import ALWAYS_READ, stamp_of
 from hil.core.files import sha256_of
 from hil.core.text import shell_word
 from hil.identify.model_folder import MODEL_FILE, models_below
@@ -28,6 +27,7 @@ from hil.report.words import (
     joint_title,
     number,
 )
+from hil.runs.stamp import ALWAYS_READ, stamp_of
 from hil.web.registered import registered_models
 from hil.web.run_details import completeness_of, details_of, virtual_clock
 from hil.web.run_files import listed_files, report_address, require_run

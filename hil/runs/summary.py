@@ -13,8 +13,8 @@ from hil.core.files import read_json
 from hil.core.live_lock import is_live
 from hil.core.text import shell_word
 from hil.identify.model_folder import models_below
-from hil.record.catalogue import RunListing
-from hil.record.catalogue import list_runs as listings_of
+from hil.runs.listing import RunListing
+from hil.runs.listing import list_runs as listings_of
 from hil.record.parts import name_of_attempt
 from hil.record.rundir import PRUNED, RunDirectory
 from hil.record.span import recorded_s

@@ -16,12 +16,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.facts import facts_of, started_s
-from hil.catalogue.query import Query, parse, plain
-from hil.catalogue.stamp import ALWAYS_READ, stamp_of
+from hil.runs.facts import (facts_of, started_s)
+from hil.runs.query import (Query, parse, plain)
+from hil.runs.stamp import (ALWAYS_READ, stamp_of)
 from hil.core.errors import RecordingError
 from hil.core.files import write_replacing
-from hil.record.catalogue import run_paths
+from hil.runs.listing import run_paths
 
 FILE = ".catalogue.sqlite"
 VERSION = 2
@@ -52,7 +52,7 @@ def find_runs(
         rebuild: Read every directory again.
 
     Returns:
-        One entry per run, see `hil.catalogue.facts.facts_of`.
+        One entry per run, see `hil.runs.facts.facts_of`.
 
     Raises:
         SpecError: A term cannot be understood.

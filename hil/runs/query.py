@@ -19,7 +19,7 @@ from hil.campaign.verdict import VerdictWord
 from hil.core.durations import duration_of
 from hil.core.errors import SpecError
 from hil.core.suggest import did_you_mean
-from hil.record.catalogue import ListedStatus
+from hil.runs.listing import ListedStatus
 
 _TERM = re.compile(r"([A-Za-z_-]+)\s*(<=|>=|!=|==|=|<|>)(.*)", re.DOTALL)
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.campaign.view import entry_of, number_in
+from hil.runs.summary import (entry_of, number_in)
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.core.quick_yaml import look_into
-from hil.record.catalogue import listing_of
+from hil.runs.listing import listing_of
 
 LARGEST_SPEC = 262_144
 """Bytes; a longer spec is not searched for a description."""

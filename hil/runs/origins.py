@@ -68,7 +68,7 @@ class Origins:
 
         Args:
             run: Its directory.
-            facts: See `hil.catalogue.facts.facts_of`.
+            facts: See `hil.runs.facts.facts_of`.
 
         Raises:
             DataError: Its documents or recordings cannot be read.

@@ -10,9 +10,9 @@ from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.facts import facts_of
-from hil.catalogue.origins import origins
-from hil.catalogue.retention import Decision, Policy, guard, why_link
+from hil.runs.facts import facts_of
+from hil.runs.origins import origins
+from hil.runs.retention import (Decision, Policy, guard, why_link)
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import fsync_directory
 from hil.core.live_lock import hold_run
@@ -37,7 +37,7 @@ def remove(
     """Delete what goes, looking once more at each run just before.
 
     Args:
-        decisions: From `hil.catalogue.retention.decide`.
+        decisions: From `hil.runs.retention.decide`.
         runs: The folder of runs.
         policy: As it was decided by.
         registries: Folders of models, read again for every run.

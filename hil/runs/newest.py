@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.facts import started_s
-from hil.catalogue.together import start_of
+from hil.runs.facts import started_s
+from hil.runs.together import start_of
 from hil.record.rundir import RunDirectory
 
 
@@ -16,7 +16,7 @@ def measured_after(entries: Sequence[dict[str, Any]]) -> dict[str, int]:
     """Run → how many of its robot and experiment were measured in full after it.
 
     Args:
-        entries: As of `hil.catalogue.view.find_runs`.
+        entries: As of `hil.runs.view.find_runs`.
     """
     count: Counter[tuple[str, str]] = Counter()
     newer: dict[str, int] = {}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
-from hil.catalogue.origins import Lost
+from hil.runs.origins import Lost
 from hil.core.errors import HilError, RegistryError
 from hil.data.fingerprints import Sketch
 from hil.data.load import load_source

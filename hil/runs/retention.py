@@ -9,12 +9,12 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from hil.catalogue.facts import started_s
-from hil.catalogue.newest import measured_after
-from hil.catalogue.origins import Lost, Origins, origins
-from hil.catalogue.together import groups
-from hil.catalogue.trained_rows import why_by_rows
-from hil.catalogue.view import find_runs
+from hil.runs.facts import started_s
+from hil.runs.newest import measured_after
+from hil.runs.origins import (Lost, Origins, origins)
+from hil.runs.together import groups
+from hil.runs.trained_rows import why_by_rows
+from hil.runs.view import find_runs
 from hil.core.durations import duration_text
 from hil.core.errors import SpecError
 from hil.record.numbering import run_folders

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.series_folder import SeriesFolder, is_series_folder
+from hil.runs.series_folder import (SeriesFolder, is_series_folder)
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.record.numbering import folders_in
