@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record import McapWriter, read_topic
+from hil.recording import McapWriter, read_topic
 from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 RATE_HZ = 500.0

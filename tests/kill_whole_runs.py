@@ -266,9 +266,9 @@ def listed(folder: Path) -> list[dict[str, Any]]:
 def rows_on_disk(run: Path) -> dict[int, bytes]:
     """Return the rows of each attempt that can be read from the disk at this moment."""
     from hil.core.errors import DataError
-    from hil.record.parts import attempt_of
-    from hil.record.reader import read_topic
-    from hil.record.rundir import RunDirectory
+    from hil.recording.parts import attempt_of
+    from hil.recording.reader import read_topic
+    from hil.recording.rundir import RunDirectory
 
     rows: dict[int, bytes] = {}
     for path in RunDirectory(run).recordings:
@@ -301,7 +301,7 @@ def gone_on_with(folder: Path) -> str:
 def require_whole(folder: Path, run: Path, before: dict[int, bytes]) -> None:
     """Require a run at its end, with all that was on the disk before."""
     from hil.data.load import load_source
-    from hil.record.reserve import NAME
+    from hil.recording.reserve import NAME
 
     (entry,) = listed(folder)
     told = f"{entry['status']}, verdict {entry['verdict']}, next {entry['next']!r}"

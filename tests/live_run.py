@@ -60,7 +60,7 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.engine import Engine, Observers
     from hil.excitation.motion import Hold
     from hil.plan.plan import DwellRule, LoadStep, Plan, Step
-    from hil.record.rundir import RunDirectory
+    from hil.recording.rundir import RunDirectory
 
     first = 2 if times == "twice" else 1
     steps = [Step(i, "payload", load=i) for i in range(first)]

@@ -17,7 +17,7 @@ from hil.core.typing import FloatArray
 from hil.data.load import load_source
 from hil.fitting import usable_part
 from hil.pipeline.stages import FOLDER
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.registry.registry import Registry
 from hil.schedule.ledger import Ledger
 

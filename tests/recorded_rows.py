@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.record import McapWriter
+from hil.recording import McapWriter
 from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 EPOCH = 1.8e9

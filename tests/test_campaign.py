@@ -14,8 +14,8 @@ from hil.campaign.parts import hold_out
 from hil.campaign.run import RunReport
 from hil.core.errors import DataError
 from hil.data.load import load_source
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import HoldOut
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -19,8 +19,8 @@ from hil.campaign import execute, operator, recording
 from hil.core.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.engine import Engine
 from hil.engine.signals import SignalWatch
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"

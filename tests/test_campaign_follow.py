@@ -14,7 +14,7 @@ from hil.cli.watching import WatchLines, end_line, live_line
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.live.log_words import words_of
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 
 def begun(tmp_path: Path, name: str = "dwell") -> RunDirectory:

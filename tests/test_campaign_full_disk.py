@@ -14,8 +14,8 @@ import hil
 from hil.core.errors import PreflightFailed
 from hil.engine.steps import Steps
 from hil.plan.plan import Step
-from hil.record.reserve import BYTES, NAME
-from hil.record.rundir import RunDirectory
+from hil.recording.reserve import BYTES, NAME
+from hil.recording.rundir import RunDirectory
 
 SPEC = """
 hil: 1

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, Rejected
-from hil.record.recover_run import recover
-from hil.record.reserve import NAME as RESERVE
-from hil.record.reserve import reserve
-from hil.record.rundir import RunDirectory
+from hil.recording.recover_run import recover
+from hil.recording.reserve import NAME as RESERVE
+from hil.recording.reserve import reserve
+from hil.recording.rundir import RunDirectory
 from hil.runs.summary import list_runs
 
 SPEC = """

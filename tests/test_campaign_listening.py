@@ -25,8 +25,8 @@ from hil.cli.app import app
 from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
 from hil.data.load import load_source
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status

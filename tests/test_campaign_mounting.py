@@ -17,7 +17,7 @@ from hil.data.load import gravity_of, load_source
 from hil.dynamics import load_model
 from hil.identify import load_model_file
 from hil.identify.static import StaticWls
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_dwell_12.yaml"
 WALL = [-9.81, 0.0, 0.0]

@@ -10,7 +10,7 @@ import pytest
 from report_runs import dwell_plan, write_run
 
 from hil.campaign.judging import judge_run
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

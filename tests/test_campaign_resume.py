@@ -30,9 +30,9 @@ from hil.data.load import load_source
 from hil.engine import Reply
 from hil.engine.steps import Steps
 from hil.plan.plan import Plan
-from hil.record.reader import read_topic
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 
 SPEC = """
 hil: 1

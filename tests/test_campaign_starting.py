@@ -21,9 +21,9 @@ from hil.campaign.live_state import read_live
 from hil.campaign.starting import Started, check_start, start_run, started_runs
 from hil.campaign.steering import answer_run
 from hil.core.errors import DataError, RecordingError, SpecError
-from hil.record.events import read_events
-from hil.record.provenance import STARTED_ID, collect_provenance, started_as
-from hil.record.rundir import RunDirectory
+from hil.recording.events import read_events
+from hil.recording.provenance import STARTED_ID, collect_provenance, started_as
+from hil.recording.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire
 

@@ -23,8 +23,8 @@ from hil.campaign.steering import (
 )
 from hil.core.errors import DataError, RobotTimeout
 from hil.core.live_lock import hold_run, is_live
-from hil.record.events import read_events
-from hil.record.rundir import RunDirectory
+from hil.recording.events import read_events
+from hil.recording.rundir import RunDirectory
 
 pytestmark = pytest.mark.wire
 

@@ -14,7 +14,7 @@ import hil
 from hil.campaign.run import RunReport
 from hil.campaign.studies import entries_for, run_studies
 from hil.core.errors import DataError, FitError, SpecError, Stopped
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.study.store import read_study, study_files
 

@@ -21,7 +21,7 @@ from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.identify.model_file import load_model_file
 from hil.identify.rigid import RigidWls
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
 from hil.study.store import read_study, study_files

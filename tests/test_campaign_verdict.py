@@ -15,7 +15,7 @@ from hil.campaign.verdict import verdict_word
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.identify.static import StaticWls
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

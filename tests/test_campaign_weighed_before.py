@@ -17,8 +17,8 @@ from hil.campaign.run import RunReport
 from hil.campaign.weighed_before import is_whole, weighed_before
 from hil.core.errors import PreflightFailed
 from hil.plan.plan import Plan, Step
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
 from hil_mock_robot.driver import MockRobot
 

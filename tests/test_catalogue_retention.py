@@ -27,8 +27,8 @@ from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.core.live_lock import hold_run
-from hil.record.numbering import run_folders
-from hil.record.rundir import RunDirectory
+from hil.recording.numbering import run_folders
+from hil.recording.rundir import RunDirectory
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, numbers_in, write_version
 from hil.report import render_report

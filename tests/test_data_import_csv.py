@@ -11,7 +11,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.data.importing import ImportMap, import_file
 from hil.data.load import load_source, serial_of
-from hil.record import read_info
+from hil.recording import read_info
 
 NAMES = ["a", "b"]
 

@@ -20,8 +20,8 @@ from recorded_rows import JOINTS, record_state
 
 from hil.core.errors import HilError
 from hil.core.typing import StructArray
-from hil.record import read_info, read_topic
-from hil.record.recover import recover_file
+from hil.recording import read_info, read_topic
+from hil.recording.recover import recover_file
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER = b"\x04\0\0\0ros2\0\0\0\0"
@@ -146,7 +146,7 @@ def test_compressed_bombs(name: str, claimed: int) -> None:
 def test_file_that_defines_the_same_channel_anew_in_every_record(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.record.routes._MOST_CHANNELS", 1000)
+    monkeypatch.setattr("hil.recording.routes._MOST_CHANNELS", 1000)
     schema = struct.pack("<H", 1) + b"\x01\0\0\0a\x01\0\0\0b\0\0\0\0"
     records = [record(Opcode.SCHEMA, schema)]
     for number in range(1_001):

@@ -24,7 +24,7 @@ from hil.core.errors import DataError, HilError
 from hil.core.yaml_source import parse
 from hil.data.load import gravity_of, load_source, serial_of
 from hil.preflight import CheckResult
-from hil.record import Attachment, McapWriter, RunDirectory, read_events
+from hil.recording import Attachment, McapWriter, RunDirectory, read_events
 from hil.report import render_report, summary_lines
 from hil.report.facts import read_facts
 from hil.robot.topic import state_topic

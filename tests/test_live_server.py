@@ -25,8 +25,8 @@ from hil.core.typing import StructArray
 from hil.live import FoxgloveLive
 from hil.live import server as server_module
 from hil.live.server import is_loopback
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities, Status, state_dtype
 from hil.robot.topic import STATE_TOPIC
 

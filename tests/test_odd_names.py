@@ -27,7 +27,7 @@ from hil.core.files import json_document, json_line, read_json
 from hil.core.live_lock import hold_run
 from hil.core.text import json_text, name_read, name_text, quoted, shell_word, utf8_text
 from hil.fleet.folder import FleetFolder
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.registry.log import damaged
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"

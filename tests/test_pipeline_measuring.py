@@ -17,7 +17,7 @@ from hil.core.errors import PreflightFailed, RobotError
 from hil.identify import estimator
 from hil.pipeline.adapted import with_options
 from hil.pipeline.measuring import Measuring, run_of
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.registry.facts import facts_of
 
 

@@ -22,7 +22,7 @@ from hil.plan.plan import LoadStep, Plan, Step
 from hil.plan.plan_file import read_plan
 from hil.plan.preview import preview
 from hil.plan.swept import swept
-from hil.record.reader import read_topic
+from hil.recording.reader import read_topic
 
 RATE_HZ = 125.0
 

@@ -16,7 +16,7 @@ from hil.plan.picture import plan_picture
 from hil.plan.plan import DwellRule, LoadStep, Plan, Step
 from hil.plan.preview import preview
 from hil.plan.svg import Scale, thinned
-from hil.record.writer import McapWriter
+from hil.recording.writer import McapWriter
 from hil.robot.topic import state_topic
 
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))

@@ -16,7 +16,7 @@ import pytest
 import hil
 from hil import benchmarking
 from hil.data.load import load_source
-from hil.record.reader import read_topic
+from hil.recording.reader import read_topic
 
 pytestmark = pytest.mark.proof
 

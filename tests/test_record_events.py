@@ -15,9 +15,9 @@ import pytest
 from git_parts import repository_with
 from in_time import InTime, measured_again
 
-import hil.record.provenance as provenance
+import hil.recording.provenance as provenance
 from hil.core.errors import RecordingError
-from hil.record import EventLog, collect_provenance, read_events
+from hil.recording import EventLog, collect_provenance, read_events
 
 
 def test_every_event_is_a_line_in_the_order_of_the_calls(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_log_is_continued_after_a_crash_within_a_line(tmp_path: Path) -> None:
 def test_an_event_survives_a_kill_right_after_a_pause_in_the_calls(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     child = (
-        "import os, sys, time\nfrom pathlib import Path\nfrom hil.record import EventLog\n"
+        "import os, sys, time\nfrom pathlib import Path\nfrom hil.recording import EventLog\n"
         "EventLog(Path(sys.argv[1])).append('trip')\ntime.sleep(0.2)\nos.kill(os.getpid(), 9)\n"
     )
     subprocess.run([sys.executable, "-c", child, str(path)], check=False)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from git_parts import TRAPS, git, program, repository_with
 
-import hil.record.git as reading
-from hil.record.git import git_state, is_tracked
+import hil.recording.git as reading
+from hil.recording.git import git_state, is_tracked
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from recorded_rows import EPOCH, JOINTS, raw_topic, rows_of, six_axis_topic
 from rosbags.highlevel import AnyReader
 
 from hil.core.typing import StructArray
-from hil.record import Attachment, McapWriter
+from hil.recording import Attachment, McapWriter
 from hil.robot.topic import STATE_TOPIC
 
 COUNT = 100

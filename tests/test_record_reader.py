@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from recorded_rows import EPOCH, JOINTS, raw_topic, record_state, rows_of, six_axis_topic
 
 from hil.core.errors import DataError
-from hil.record import Attachment, McapWriter, read_info, read_topic
+from hil.recording import Attachment, McapWriter, read_info, read_topic
 from hil.robot.cdr import CDR_HEADER
 from hil.robot.topic import STATE_TOPIC
 

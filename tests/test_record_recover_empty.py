@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.record import Attachment, McapWriter, RunDirectory, read_info, read_topic
-from hil.record.recover_run import recover
-from hil.record.scan import ChunkSpan, scan
+from hil.recording import Attachment, McapWriter, RunDirectory, read_info, read_topic
+from hil.recording.recover_run import recover
+from hil.recording.scan import ChunkSpan, scan
 from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()

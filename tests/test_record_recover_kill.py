@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from recorded_rows import record_state
 
-from hil.record import read_topic
+from hil.recording import read_topic
 
 SCRIPT = Path(__file__).with_name("kill_recover.py")
 

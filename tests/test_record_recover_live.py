@@ -16,9 +16,9 @@ import pytest
 from recorded_rows import rows_of, six_axis_topic
 
 from hil.core.errors import DataError, RecordingError
-from hil.record import McapWriter, Recorder, RunDirectory, read_info, read_topic
-from hil.record.recover import recover_file
-from hil.record.recover_run import recover
+from hil.recording import McapWriter, Recorder, RunDirectory, read_info, read_topic
+from hil.recording.recover import recover_file
+from hil.recording.recover_run import recover
 from hil.robot.topic import STATE_TOPIC
 
 TOPIC = six_axis_topic()
@@ -28,7 +28,7 @@ RECORDING = """
 import subprocess, sys
 from pathlib import Path
 from recorded_rows import rows_of, six_axis_topic
-from hil.record import STATE_TOPIC, McapWriter
+from hil.recording import STATE_TOPIC, McapWriter
 writer = McapWriter(Path(sys.argv[1]), [six_axis_topic()])
 writer.write(STATE_TOPIC, rows_of(six_axis_topic(), 200))
 writer.flush(durable=False)

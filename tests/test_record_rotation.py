@@ -18,9 +18,9 @@ from recorded_rows import JOINTS, raw_topic, rows_of, six_axis_topic
 
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
-from hil.record import Attachment, McapWriter, Recorder, read_info, read_topic
-from hil.record.disk import DiskThread
-from hil.record.parts import part_name, recordings_in
+from hil.recording import Attachment, McapWriter, Recorder, read_info, read_topic
+from hil.recording.disk import DiskThread
+from hil.recording.parts import part_name, recordings_in
 from hil.robot.topic import STATE_TOPIC
 
 TOPICS = [six_axis_topic(), raw_topic()]

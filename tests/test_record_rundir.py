@@ -19,9 +19,9 @@ from typing import Any
 import pytest
 from recorded_rows import record_state
 
-import hil.record.numbering as numbering
+import hil.recording.numbering as numbering
 from hil.core.errors import DataError, RecordingError
-from hil.record import RunDirectory
+from hil.recording import RunDirectory
 from hil.runs.listing import list_runs
 
 
@@ -154,7 +154,7 @@ def test_a_run_has_its_name_only_when_it_has_its_documents(tmp_path: Path) -> No
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from hil.record import RunDirectory
+from hil.recording import RunDirectory
 def begin(draft):
     draft.write_text("spec.yaml", "hil: 1")
     os.kill(os.getpid(), signal.SIGKILL)

@@ -14,8 +14,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from hil.core.typing import StructArray
-from hil.record import read_info
-from hil.record.stream import CHUNK_BYTES, McapStream
+from hil.recording import read_info
+from hil.recording.stream import CHUNK_BYTES, McapStream
 
 DEFINITION = "float64 a\nfloat64[3] b\n"
 METADATA = {"run": {"uid": "u-1", "name": "größe"}}

@@ -11,7 +11,7 @@ from recorded_rows import JOINTS, record_state
 
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
-from hil.record import read_info, read_topic
+from hil.recording import read_info, read_topic
 
 ROWS_PER_CHUNK = 4
 
@@ -77,7 +77,7 @@ def test_cut_between_a_chunk_and_its_index_loses_nothing(
     path = tmp_path / "00.mcap"
     path.write_bytes(content)
     with path.open("rb") as file:
-        from hil.record.scan import scan
+        from hil.recording.scan import scan
 
         third = scan(file, path).chunks[2]
     path.write_bytes(content[: third.offset + third.length])
@@ -106,7 +106,7 @@ def test_flipped_bits_in_a_chunk_are_found_and_the_other_chunks_saved(
     path = tmp_path / "00.mcap"
     path.write_bytes(content)
     with path.open("rb") as file:
-        from hil.record.scan import scan
+        from hil.recording.scan import scan
 
         third = scan(file, path).chunks[2]
     damaged = bytearray(content)

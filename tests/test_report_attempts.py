@@ -9,7 +9,7 @@ import pytest
 from report_html import Page, array_of
 from report_runs import RATE, dwell_plan, rows_of_plan, write_run
 
-from hil.record import McapWriter
+from hil.recording import McapWriter
 from hil.report import render_report
 from hil.report.decimate import decimated, in_parts
 from hil.report.facts import read_facts

@@ -23,7 +23,7 @@ from hil.campaign.live_state import LIVE_FILE, LiveState, read_live
 from hil.campaign.steering import answer_run, question_of
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.web import live_pages, motions, resume_pages, start_pages, streams, wanted
 from hil.web.app import create_app
 from hil.web.listeners import Listeners

@@ -28,7 +28,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from hil.core.live_lock import hold_run
 from hil.core.throttle import OncePerMinute
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.protocol import LimitedProtocol, Limits
 from hil.web.settings import Settings

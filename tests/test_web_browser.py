@@ -16,7 +16,7 @@ from browser.looking import contrasts_below, enter, problems_of, tab_to, until
 from live_run import until as wait
 
 import hil
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.registry.facts import facts_of
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]

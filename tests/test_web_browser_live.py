@@ -22,7 +22,7 @@ from live_run import until as wait
 
 from hil.campaign.detached import ticks_of
 from hil.campaign.starting import Started
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 

@@ -14,8 +14,8 @@ from starlette.testclient import TestClient
 from started_parts import PROMPT, begun
 
 from hil.campaign.live_state import read_live
-from hil.record.events import read_events
-from hil.record.rundir import RunDirectory
+from hil.recording.events import read_events
+from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.settings import Settings
 

@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 from hil.campaign.arm_view import ArmView
 from hil.campaign.live_state import LiveState
 from hil.core.live_lock import hold_run
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
 from hil.web.app import create_app
 from hil.web.live_facts import LiveRun, header_of

@@ -21,7 +21,7 @@ from hil.campaign.starting import Started, go_on_with, started_runs
 from hil.campaign.steering import answer_run
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.settings import Settings
 

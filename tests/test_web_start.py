@@ -17,7 +17,7 @@ from started_parts import PROMPT, written
 
 from hil.campaign.starting import started_runs
 from hil.core.errors import RecordingError
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.once import Once
 from hil.web.settings import Settings

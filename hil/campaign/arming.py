@@ -35,8 +35,8 @@ from hil.campaign.preview import planned
 from hil.campaign.robots import opened
 from hil.core.errors import DataError, HilError, NotConfirmed, SpecError
 from hil.core.files import json_document, read_json, write_replacing
-from hil.record.provenance import operator as this_user
-from hil.record.provenance import utc_now
+from hil.recording.provenance import operator as this_user
+from hil.recording.provenance import utc_now
 from hil.robot import UNKNOWN, address_of
 from hil.spec.hashing import spec_hash
 

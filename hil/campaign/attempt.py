@@ -12,8 +12,8 @@ from hil.core.errors import HilError, RecordingError, exit_code_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
 from hil.plan.plan import Plan
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 from hil.robot.topic import STATE_TOPIC
 
 NOTHING: Mapping[str, int] = dict.fromkeys(COUNTED, 0)

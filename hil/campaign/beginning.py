@@ -11,11 +11,11 @@ from hil.arms import model_sha256
 from hil.campaign.confirmation import loads_document
 from hil.campaign.experiment import Experiment
 from hil.plan.plan import Plan
-from hil.record.parts import name_of_attempt
-from hil.record.provenance import collect_provenance
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
-from hil.record.writer import Attachment, McapWriter
+from hil.recording.parts import name_of_attempt
+from hil.recording.provenance import collect_provenance
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
+from hil.recording.writer import Attachment, McapWriter
 from hil.robot import HasTopics, Robot
 from hil.robot.topic import state_topic
 from hil.spec.load import spec_hash

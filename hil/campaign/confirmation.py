@@ -26,8 +26,8 @@ from hil.core.errors import DataError, NotConfirmed
 from hil.core.files import read_json
 from hil.plan.plan import LoadStep, Plan
 from hil.plan.swept import Swept, aligned, swept
-from hil.record.provenance import operator as this_user
-from hil.record.provenance import utc_now
+from hil.recording.provenance import operator as this_user
+from hil.recording.provenance import utc_now
 from hil.robot import Address, HasTopics, Robot, address_of
 
 ANSWER_WITHIN_S = 300.0

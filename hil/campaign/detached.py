@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hil.core.errors import RecordingError
-from hil.record.provenance import STARTED_ID
+from hil.recording.provenance import STARTED_ID
 
 LAST_LINES = 10
 LAST_BYTES = 16 * 1024

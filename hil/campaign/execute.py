@@ -28,8 +28,8 @@ from hil.excitation.setting import Advance
 from hil.plan.plan import Plan
 from hil.plan.swept import swept
 from hil.preflight import preflight_context, require_preflight
-from hil.record.parts import name_of_attempt
-from hil.record.recorder import Recorder
+from hil.recording.parts import name_of_attempt
+from hil.recording.recorder import Recorder
 from hil.robot import Robot
 
 

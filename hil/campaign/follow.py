@@ -12,7 +12,7 @@ from hil.campaign.live_state import read_live
 from hil.campaign.verdict import verdict_word
 from hil.core.errors import DataError, Rejected
 from hil.core.live_lock import is_live
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.runs.listing import list_runs
 
 LOOK_EVERY_S = 0.2

@@ -18,7 +18,7 @@ from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit
 from hil.validation import EVALUATION_FILE
 

@@ -14,7 +14,7 @@ from hil.core.errors import PluginError, SpecError
 from hil.core.live_lock import hold_run
 from hil.core.suggest import did_you_mean
 from hil.engine.signals import SignalWatch
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.robot import Listens, Robot
 from hil.spec.station import Station, StationRobot
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from hil.arms.payload import Payload
 from hil.campaign.beginning import describe_robot
 from hil.campaign.listened import Wanted
-from hil.record.provenance import collect_provenance
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
-from hil.record.writer import Attachment, McapWriter
+from hil.recording.provenance import collect_provenance
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
+from hil.recording.writer import Attachment, McapWriter
 from hil.robot import HasTopics, Robot
 from hil.robot.topic import state_topic
 from hil.spec.station import StationRobot

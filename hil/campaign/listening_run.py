@@ -19,8 +19,8 @@ from hil.core.typing import StructArray
 from hil.data.described import found_plan
 from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 from hil.robot import HasTopics, Listens, Robot
 from hil.robot.topic import STATE_TOPIC
 

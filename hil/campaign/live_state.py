@@ -22,7 +22,7 @@ from hil.core.files import json_line, read_json, write_replacing
 from hil.core.live_lock import run_holder
 from hil.core.typing import StructArray
 from hil.live.standing import ENDING, Standing
-from hil.record.provenance import utc_now
+from hil.recording.provenance import utc_now
 
 LIVE_FILE = ".live.json"
 LIVE_VERSION = 1

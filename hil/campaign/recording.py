@@ -18,7 +18,7 @@ from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.robots import held, plan_for
 from hil.core import plugins
 from hil.preflight import require_room_to_begin
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.robot import Robot
 from hil.spec.judgeable import require_judgeable
 

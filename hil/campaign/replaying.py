@@ -24,11 +24,11 @@ from hil.data.completeness import Completeness, completeness_of
 from hil.data.load import require_arm_as_recorded
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
-from hil.record.continuity import Counts
-from hil.record.provenance import collect_provenance
-from hil.record.recorder import Recorder
-from hil.record.rundir import Outcome, RunDirectory
-from hil.record.writer import Attachment, McapWriter
+from hil.recording.continuity import Counts
+from hil.recording.provenance import collect_provenance
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import Outcome, RunDirectory
+from hil.recording.writer import Attachment, McapWriter
 from hil.robot.logs import ReadsLogs, RecordedLog
 from hil.robot.topic import STATE_TOPIC, state_topic
 from hil.spec.load import load_station

@@ -34,11 +34,11 @@ from hil.engine import Outcome, RunResult
 from hil.plan.approach import Approach
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
-from hil.record.continuity import Counts
-from hil.record.parts import attempt_of, name_of_attempt
-from hil.record.provenance import started_as, utc_now
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.continuity import Counts
+from hil.recording.parts import attempt_of, name_of_attempt
+from hil.recording.provenance import started_as, utc_now
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 from hil.robot import Robot, Status
 from hil.spec.load import spec_hash
 

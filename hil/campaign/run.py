@@ -16,7 +16,7 @@ from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.identify.model_folder import models_below
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 if TYPE_CHECKING:
     from hil.campaign.attempt import Recorded

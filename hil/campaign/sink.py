@@ -7,9 +7,9 @@ from typing import Any
 
 from hil.core.errors import HilError
 from hil.core.typing import StructArray
-from hil.record.continuity import Counts
-from hil.record.recorder import Recorder
-from hil.record.rundir import RunDirectory
+from hil.recording.continuity import Counts
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import RunDirectory
 from hil.robot.topic import STATE_TOPIC
 
 COUNTED = ("samples", "gaps", "missing", "duplicates", "overruns")

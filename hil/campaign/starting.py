@@ -25,8 +25,8 @@ from hil.core.errors import DataError, RecordingError, SpecError
 from hil.core.files import json_document, write_replacing
 from hil.core.live_lock import is_live
 from hil.plan.commissioning import Commissioning, commissioning_of
-from hil.record.provenance import operator as this_user
-from hil.record.rundir import RunDirectory
+from hil.recording.provenance import operator as this_user
+from hil.recording.rundir import RunDirectory
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 

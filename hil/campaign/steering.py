@@ -13,7 +13,7 @@ from hil.campaign.live_state import read_live, standing_in
 from hil.core.errors import DataError, RobotTimeout
 from hil.core.holder import plain
 from hil.core.live_lock import is_live, run_holder
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 LOOK_EVERY_S = 0.1
 WAIT_S = 60.0

@@ -17,7 +17,7 @@ from hil.core.throttle import Throttle
 from hil.data.load import load_source
 from hil.dynamics import RobotModel, load_model
 from hil.identify.model_file import plain
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, StudyEntry
 from hil.spec.load import load_spec
 from hil.study.base import GROUP, Ended, Study, study

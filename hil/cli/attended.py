@@ -66,7 +66,7 @@ class Attended:
     def resume(self, run: Path) -> RunReport:
         """Go on with a run."""
         from hil import api
-        from hil.record.rundir import RunDirectory
+        from hil.recording.rundir import RunDirectory
 
         robot = str(RunDirectory.open(run).start.get("robot_name", ""))
         # In a terminal its facts are shown again where what was confirmed then no longer holds.

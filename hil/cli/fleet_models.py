@@ -186,7 +186,7 @@ def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     from hil.cli.models import found
     from hil.core.errors import DataError
     from hil.fleet.folder import MODELS, FleetFolder, completed, is_fleet_folder
-    from hil.record.rundir import RunDirectory
+    from hil.recording.rundir import RunDirectory
 
     if len(what) == 1 and is_fleet_folder(Path(what[0])):
         folder, members = FleetFolder.open(Path(what[0]))

@@ -73,7 +73,7 @@ def recorded_capabilities(run: Path) -> Capabilities:
         DataError: It is no run directory, or the document lacks the robot.
     """
     from hil.core.errors import DataError
-    from hil.record.rundir import RunDirectory
+    from hil.recording.rundir import RunDirectory
     from hil.robot import Capabilities
 
     try:

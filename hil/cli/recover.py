@@ -40,7 +40,7 @@ def recover(
     json: JsonFlag = False,
 ) -> None:
     """Rebuild torn or damaged recordings from all that is whole in them, and say what is lost."""
-    from hil.record.recover_run import recover as recover_all
+    from hil.recording.recover_run import recover as recover_all
     from hil.runs.listing import find_run
 
     if out is not None and discard:

@@ -110,7 +110,7 @@ _ABOUT_A_RUN = ("hil resume ", "hil report ")
 
 def _short(commands: Sequence[str], paths: Sequence[Path], runs: Path) -> list[str]:
     """Return the commands with the number of the run, which is in the first column, if unique."""
-    from hil.record.numbering import number_of
+    from hil.recording.numbering import number_of
 
     numbers = [number_of(path) for path in paths]
     elsewhere = "" if runs == Path("runs") else f" --runs {shell_word(runs)}"
@@ -153,7 +153,7 @@ def show(
 ) -> None:
     """Show one run: what it was, how it ended, what its models are worth."""
     from hil import api
-    from hil.record.rundir import RunDirectory
+    from hil.recording.rundir import RunDirectory
     from hil.runs.listing import find_run
 
     path = find_run(run, runs)

@@ -42,7 +42,7 @@ def simulate_schedule(
     from hil.engine.signals import ignore_from_now_on
     from hil.pipeline.bound import bind
     from hil.pipeline.simulation import require_mock, simulate
-    from hil.record.numbering import name_for_path
+    from hil.recording.numbering import name_for_path
     from hil.report.simulation_page import render_simulation
     from hil.spec.schedule import load_schedule_spec
 

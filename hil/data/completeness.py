@@ -18,9 +18,9 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray, StructArray
 from hil.plan.plan import DwellRule, Plan, Step
-from hil.record.parts import attempt_of
-from hil.record.reader import read_topic
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.parts import attempt_of
+from hil.recording.reader import read_topic
+from hil.recording.writer import PARTIAL_SUFFIX
 from hil.robot.state import Status, n_joints_of, state_dtype
 from hil.robot.topic import STATE_TOPIC
 

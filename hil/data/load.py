@@ -39,10 +39,10 @@ from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import TARGET, Series, StepNote, assemble, cut
 from hil.data.stays import FOUND_FILE, FoundSteps
 from hil.plan.plan import DwellRule
-from hil.record.parts import attempt_of
-from hil.record.reader import RecordingInfo, read_info, read_topic
-from hil.record.rundir import RunDirectory
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.parts import attempt_of
+from hil.recording.reader import RecordingInfo, read_info, read_topic
+from hil.recording.rundir import RunDirectory
+from hil.recording.writer import PARTIAL_SUFFIX
 from hil.robot.topic import TARGET_TOPIC
 
 WINDOW_PAYLOAD = "payload of window {}"

@@ -26,7 +26,7 @@ from hil.core.files import (
 )
 from hil.core.held_file import hold
 from hil.core.holder import Holder, this_process
-from hil.record.numbering import name_for_path, run_folders
+from hil.recording.numbering import name_for_path, run_folders
 
 DOCUMENT, PAGE, SPECS, MODELS = "fleet.json", "fleet.html", "specs", "models"
 FORMAT = 1

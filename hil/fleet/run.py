@@ -15,7 +15,7 @@ from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_o
 from hil.fleet.folder import FleetFolder
 from hil.fleet.workers import Manner, Workers
 from hil.identify.model_folder import models_below
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 
 Document = dict[str, Any]
 Tell = Callable[[Ended, int, int], object]

@@ -81,7 +81,7 @@ def _run(job: Job) -> RunReport:
     from hil.campaign.driver_check import check_driver
     from hil.campaign.run import resume_experiment, run_experiment
     from hil.engine.pausing import nobody_goes_on
-    from hil.record.rundir import RunDirectory
+    from hil.recording.rundir import RunDirectory
 
     def desk(confirm: Confirm | None) -> Desk:
         refused = Unconfirmed("start it with: hil fleet run")

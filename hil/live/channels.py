@@ -13,13 +13,13 @@ import numpy as np
 
 from hil.core.typing import StructArray
 from hil.live.standing import Standing
-from hil.record.joint_state import (
+from hil.recording.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
     JOINT_STATE_TOPIC,
     JointStateView,
 )
-from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC
+from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC
 from hil.robot import Capabilities
 from hil.robot.cdr import CDR_HEADER
 from hil.robot.topic import Topic, state_topic

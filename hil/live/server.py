@@ -27,7 +27,7 @@ from hil.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
 from hil.live.decimate import Decimation
 from hil.live.standing import Standing
 from hil.live.words import words_of
-from hil.record.log_message import EVENT_TOPIC, encode_log
+from hil.recording.log_message import EVENT_TOPIC, encode_log
 from hil.robot import Capabilities
 
 if TYPE_CHECKING:

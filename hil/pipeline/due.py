@@ -23,7 +23,7 @@ from hil.pipeline.fitting_together import not_honest
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage
-from hil.record.provenance import utc_now
+from hil.recording.provenance import utc_now
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion
 from hil.spec.hashing import spec_hash

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.drift.history import probes_of
-from hil.record.parts import recordings_in
+from hil.recording.parts import recordings_in
 from hil.registry.registry import Registry
 
 MOST = 5

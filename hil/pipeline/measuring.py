@@ -25,8 +25,8 @@ from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.core.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
-from hil.record.numbering import run_folders
-from hil.record.rundir import RunDirectory
+from hil.recording.numbering import run_folders
+from hil.recording.rundir import RunDirectory
 from hil.robot import address_of
 from hil.spec.experiment import StudyEntry
 from hil.spec.hashing import spec_hash

@@ -17,7 +17,7 @@ from hil.plan.plan import Plan
 from hil.plan.surroundings import collision_model
 from hil.preflight import plan_checks, robot_checks
 from hil.preflight.check import Check, CheckResult, Context, Situation
-from hil.record.reserve import BYTES as RESERVE_BYTES
+from hil.recording.reserve import BYTES as RESERVE_BYTES
 from hil.robot import Robot
 from hil.spec.station import StationRobot
 

@@ -10,8 +10,8 @@ from typing import Any
 from hil.core.errors import DataError, RegistryError
 from hil.core.files import read_json, sha256_of
 from hil.identify.model_folder import MODEL_FILE
-from hil.record.provenance import package_versions, source_revision
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.provenance import package_versions, source_revision
+from hil.recording.writer import PARTIAL_SUFFIX
 from hil.validation import EVALUATION_FILE
 
 FIT_FOLDER = "fit"

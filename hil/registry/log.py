@@ -22,7 +22,7 @@ from hil.core.errors import RegistryError
 from hil.core.files import fsync_directory
 from hil.core.text import json_text, shell_word
 from hil.identify.model_file import json_bytes, write_whole
-from hil.record.provenance import operator, utc_now
+from hil.recording.provenance import operator, utc_now
 from hil.registry.version import folder_of, numbers_in, read_version
 
 LOG_FILE = "log.jsonl"

@@ -13,8 +13,8 @@ import numpy as np
 
 from hil.core.errors import DataError, HilError
 from hil.core.live_lock import is_live
-from hil.record.parts import name_of_attempt
-from hil.record.rundir import RunDirectory
+from hil.recording.parts import name_of_attempt
+from hil.recording.rundir import RunDirectory
 from hil.report.documents import (
     Document,
     as_float,

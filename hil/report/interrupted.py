@@ -5,10 +5,10 @@ from __future__ import annotations
 from hil.core.errors import DataError
 from hil.data.completeness import completeness_of, rows_of
 from hil.plan.plan import Plan
-from hil.record.continuity import Counts
-from hil.record.parts import attempt_of
-from hil.record.rundir import RunDirectory
-from hil.record.span import recorded_s
+from hil.recording.continuity import Counts
+from hil.recording.parts import attempt_of
+from hil.recording.rundir import RunDirectory
+from hil.recording.span import recorded_s
 from hil.report.documents import Document
 
 _ADDED = ("samples", "gaps", "missing", "duplicates")

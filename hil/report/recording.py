@@ -11,11 +11,11 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray, IntArray, StructArray
-from hil.record.continuity import Counts
-from hil.record.parts import attempt_of
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.continuity import Counts
+from hil.recording.parts import attempt_of
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
+from hil.recording.writer import PARTIAL_SUFFIX
 from hil.report.documents import as_index
 from hil.report.facts import RunFacts
 

@@ -8,9 +8,9 @@ from hil.core.errors import DataError
 from hil.data.stays import FOUND_FILE
 from hil.plan.plan import Plan
 from hil.plan.plan_file import read_plan
-from hil.record.ending import has_its_beginning, torn_although_finished
-from hil.record.lost import hint_of_lost
-from hil.record.rundir import RunDirectory
+from hil.recording.ending import has_its_beginning, torn_although_finished
+from hil.recording.lost import hint_of_lost
+from hil.recording.rundir import RunDirectory
 from hil.report.documents import Document, document
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.core.live_lock import LOCK, is_live
-from hil.record.numbering import folders_in
+from hil.recording.numbering import folders_in
 
 SETTLED_NS = 2 * 10**9
 """A folder that was changed more lately may have been changed once more at the same time stamp."""
@@ -60,7 +60,7 @@ class KnownRuns:
             return [run for run in runs if self._may_be_live(run, sweep) and is_live(run)]
 
     def started_as(self, name: str) -> list[Path]:
-        """The runs that the process of that name has made, see `hil.record.provenance`."""
+        """The runs that the process of that name has made, see `hil.recording.provenance`."""
         with self._looking:
             return [run for run in self._runs() if self._name_of(run) == name]
 

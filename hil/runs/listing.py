@@ -10,9 +10,9 @@ from typing import Literal
 from hil.core.errors import DataError
 from hil.core.live_lock import is_live
 from hil.core.suggest import closest
-from hil.record.numbering import name_for_path, number_of, run_folders
-from hil.record.rundir import RunDirectory, RunStatus
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.numbering import (name_for_path, number_of, run_folders)
+from hil.recording.rundir import (RunDirectory, RunStatus)
+from hil.recording.writer import PARTIAL_SUFFIX
 
 LAST = "last"
 """Names the newest run."""

@@ -15,8 +15,8 @@ from typing import Any
 
 from hil.core.errors import DataError, RegistryError
 from hil.core.files import read_json, sha256_of
-from hil.record.rundir import RunDirectory
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.rundir import RunDirectory
+from hil.recording.writer import PARTIAL_SUFFIX
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 

@@ -16,9 +16,9 @@ from hil.runs.retention import (Decision, Policy, guard, why_link)
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import fsync_directory
 from hil.core.live_lock import hold_run
-from hil.record.numbering import folders_in
-from hil.record.provenance import operator, utc_now
-from hil.record.rundir import PRUNED, RunDirectory
+from hil.recording.numbering import folders_in
+from hil.recording.provenance import (operator, utc_now)
+from hil.recording.rundir import (PRUNED, RunDirectory)
 
 TRASH = ".trash-"
 """Beginning of what was renamed and is on its way out; no run begins with a dot."""

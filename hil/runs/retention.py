@@ -17,8 +17,8 @@ from hil.runs.trained_rows import why_by_rows
 from hil.runs.view import find_runs
 from hil.core.durations import duration_text
 from hil.core.errors import SpecError
-from hil.record.numbering import run_folders
-from hil.record.rundir import RunDirectory
+from hil.recording.numbering import run_folders
+from hil.recording.rundir import RunDirectory
 
 
 @dataclass(frozen=True, slots=True)

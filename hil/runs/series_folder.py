@@ -22,7 +22,7 @@ from hil.core.files import (
     write_replacing,
 )
 from hil.plan.commissioning import Commissioning
-from hil.record.numbering import name_for_path
+from hil.recording.numbering import name_for_path
 from hil.spec.series import SeriesSpec
 
 DOCUMENT, PAGE = "series.json", "series.html"

@@ -15,9 +15,9 @@ from hil.core.text import shell_word
 from hil.identify.model_folder import models_below
 from hil.runs.listing import RunListing
 from hil.runs.listing import list_runs as listings_of
-from hil.record.parts import name_of_attempt
-from hil.record.rundir import PRUNED, RunDirectory
-from hil.record.span import recorded_s
+from hil.recording.parts import name_of_attempt
+from hil.recording.rundir import (PRUNED, RunDirectory)
+from hil.recording.span import recorded_s
 
 _STUDY_FILES = "study/*/study.json"
 

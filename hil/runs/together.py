@@ -10,7 +10,7 @@ from typing import Any
 from hil.runs.series_folder import (SeriesFolder, is_series_folder)
 from hil.core.errors import DataError
 from hil.core.files import read_json
-from hil.record.numbering import folders_in
+from hil.recording.numbering import folders_in
 
 
 def groups(runs: Path, paths: Iterable[Path]) -> list[tuple[str, set[Path]]]:

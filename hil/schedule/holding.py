@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from hil.core.errors import DataError, InterlockTripped, RobotConnectionError, RobotError, Stopped
-from hil.record.provenance import operator
+from hil.recording.provenance import operator
 from hil.schedule.ledger import Ledger, Line, Standing, time_text
 
 AHEAD = timedelta(days=1)

@@ -15,7 +15,7 @@ from hil.core.errors import DataError, HilError
 from hil.core.held_file import holder_of
 from hil.core.text import shell_word
 from hil.fleet.folder import PAGE, FleetFolder, is_fleet_folder
-from hil.record.numbering import folders_in
+from hil.recording.numbering import folders_in
 from hil.report.words import counted, when
 from hil.runs.listing import listing_of
 from hil.web.catalogue_pages import status_mark

@@ -21,7 +21,7 @@ from hil.core.live_lock import is_live
 from hil.live.log_words import words_of
 from hil.live.standing import ENDING, PAUSED, Standing
 from hil.live.words import share_words, state_words, step_words
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report.measures import measures
 from hil.report.words import duration
 from hil.web.places import address_of, name_of

@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from hil.record.numbering import number_of
+from hil.recording.numbering import number_of
 from hil.report.words import duration
 from hil.runs.listing import listing_of, run_paths
 from hil.runs.summary import entry_of

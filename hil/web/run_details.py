@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import HilError
-from hil.record.rundir import RunDirectory
+from hil.recording.rundir import RunDirectory
 from hil.report.documents import Document, as_float, as_object, as_objects
 from hil.report.facts import PLURALS, RunFacts
 from hil.report.judgement import verdict_words

@@ -17,7 +17,7 @@ from starlette.routing import Route
 
 from hil.core.errors import DataError
 from hil.core.text import name_read, name_text, quoted
-from hil.record.numbering import number_of
+from hil.recording.numbering import number_of
 from hil.report.measures import size
 from hil.report.report import REPORT_FILE
 from hil.web.places import address_of, run_at

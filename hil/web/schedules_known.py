@@ -18,7 +18,7 @@ from hil.core.held_file import holder_of
 from hil.core.text import quoted
 from hil.core.yaml_nodes import MOST_BYTES
 from hil.core.yaml_source import read_source
-from hil.record.numbering import folders_in
+from hil.recording.numbering import folders_in
 from hil.schedule.holding import ahead
 from hil.schedule.ledger import LEDGER_FILE, LOCK, Ledger
 from hil.schedule.times import occasions

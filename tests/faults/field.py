@@ -19,8 +19,8 @@ import hil
 from hil.campaign.robots import open_robot, plan_for
 from hil.core.errors import DataError
 from hil.plan.plan import Plan
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 
 HOST = Path(__file__).with_name("host.py")
 PROMPT_S = 0.4

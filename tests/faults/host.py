@@ -26,8 +26,8 @@ from hil.cli.app import _end_like_ctrl_c
 from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
 from hil.plan.plan_file import read_plan
-from hil.record import recorder as recorder_module
-from hil.record.writer import McapWriter
+from hil.recording import recorder as recorder_module
+from hil.recording.writer import McapWriter
 
 STALL_S = 6.0
 CLOCK_JUMP_S = 3600.0

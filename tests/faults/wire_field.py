@@ -23,8 +23,8 @@ import hil
 from hil.campaign.robots import open_robot, plan_for
 from hil.core.errors import DataError
 from hil.plan.plan import Plan
-from hil.record.reader import read_topic
-from hil.record.rundir import RunDirectory
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
 
 ENDS_WITHIN_S = 90.0
 TRIES = 3

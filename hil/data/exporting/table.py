@@ -14,7 +14,7 @@ from hil.arms.payload import Payload
 from hil.core.files import read_json, sha256_of
 from hil.data.dataset import Conditions, Dataset
 from hil.data.load import serial_of
-from hil.record.provenance import package_versions, utc_now
+from hil.recording.provenance import package_versions, utc_now
 
 Values: TypeAlias = NDArray[Any]
 

@@ -14,7 +14,7 @@ from hil.data.importing.import_map import ImportMap, Window
 from hil.data.importing.raw import Raw
 from hil.data.load import WINDOW_PAYLOAD
 from hil.data.series import TARGET
-from hil.record.writer import McapWriter
+from hil.recording.writer import McapWriter
 from hil.robot.topic import Topic, state_topic, torque_target_topic
 from hil.spec.loads import Load
 

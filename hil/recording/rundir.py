@@ -29,12 +29,12 @@ from typing import Any, Literal, get_args
 
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import json_document, read_json, require_known_version, sha256_of, write_once
-from hil.record.events import EventLog, foreign_lines, read_events
-from hil.record.numbering import claimed, name_for_path, number_of
-from hil.record.parts import attempt_of, name_of_attempt, part_name, recordings_in
-from hil.record.provenance import utc_now
-from hil.record.reserve import release, reserve
-from hil.record.torn_names import in_hand, lives_on
+from hil.recording.events import EventLog, foreign_lines, read_events
+from hil.recording.numbering import claimed, name_for_path, number_of
+from hil.recording.parts import attempt_of, name_of_attempt, part_name, recordings_in
+from hil.recording.provenance import utc_now
+from hil.recording.reserve import release, reserve
+from hil.recording.torn_names import in_hand, lives_on
 
 RUN_FORMAT_VERSION = 1
 

@@ -2,7 +2,7 @@
 
 Durability. Every `flush_interval_s` (0.1 s) of wall time the thread writes what has come in into
 the kernel, so that killing the process loses at most that much plus one write, however slow the
-disk is: a thread beside it (`hil.record.disk`) waits for the disk. That one calls `fsync` every
+disk is: a thread beside it (`hil.recording.disk`) waits for the disk. That one calls `fsync` every
 `fsync_interval_s`, so that a power loss loses at most that much plus the time the disk takes;
 set it higher on slow media, or to infinity where only kills are feared.
 
@@ -23,9 +23,9 @@ import numpy as np
 
 from hil.core.errors import RecordingError
 from hil.core.typing import StructArray
-from hil.record.continuity import Counts
-from hil.record.disk import DiskThread, NextPart
-from hil.record.writer import McapWriter, require_rows_of
+from hil.recording.continuity import Counts
+from hil.recording.disk import DiskThread, NextPart
+from hil.recording.writer import McapWriter, require_rows_of
 
 
 class _Block(NamedTuple):

@@ -18,13 +18,13 @@ from typing import IO
 
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import fsync_directory, sha256_of
-from hil.record.empty_part import never_got_a_message
-from hil.record.lost import hint_of_lost
-from hil.record.rebuild import Salvage, rebuild, survey
-from hil.record.recovery import Did, Recovery
-from hil.record.scan import Layout, scan
-from hil.record.tally import tally_of
-from hil.record.torn_names import (
+from hil.recording.empty_part import never_got_a_message
+from hil.recording.lost import hint_of_lost
+from hil.recording.rebuild import Salvage, rebuild, survey
+from hil.recording.recovery import Did, Recovery
+from hil.recording.scan import Layout, scan
+from hil.recording.tally import tally_of
+from hil.recording.torn_names import (
     Names,
     disk_named,
     held,

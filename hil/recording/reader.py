@@ -16,9 +16,9 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
-from hil.record.columns import read_rows
-from hil.record.recording import Recording
-from hil.record.writer import Attachment
+from hil.recording.columns import read_rows
+from hil.recording.recording import Recording
+from hil.recording.writer import Attachment
 from hil.robot.topic import STATE_TOPIC
 
 

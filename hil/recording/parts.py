@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.writer import PARTIAL_SUFFIX
 
 _RECORDING = re.compile(rf"(\d\d+)(?:\.(\d\d\d+))?\.mcap({re.escape(PARTIAL_SUFFIX)})?").fullmatch
 

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hil.record.git import git_state, is_tracked
+from hil.recording.git import git_state, is_tracked
 
 STARTED_ID = "HIL_STARTED_ID"
 """In the environment of a process that somebody without a console has started: names it."""

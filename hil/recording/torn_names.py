@@ -17,9 +17,9 @@ from typing import IO
 
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import fsync_directory, sha256_of
-from hil.record.reader import read_info
-from hil.record.tally import RECOVERED_METADATA
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.reader import read_info
+from hil.recording.tally import RECOVERED_METADATA
+from hil.recording.writer import PARTIAL_SUFFIX
 
 TORN_SUFFIX = ".torn"
 

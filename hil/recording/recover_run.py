@@ -10,13 +10,13 @@ from typing import Any
 
 from hil.core.errors import DataError, HilError, RecordingError
 from hil.core.live_lock import hold_run, run_holder
-from hil.record.parts import recordings_in
-from hil.record.recover import recover_file
-from hil.record.recovery import Recovery
-from hil.record.reserve import release
-from hil.record.rundir import RunDirectory
-from hil.record.torn_names import TORN_SUFFIX
-from hil.record.writer import PARTIAL_SUFFIX
+from hil.recording.parts import recordings_in
+from hil.recording.recover import recover_file
+from hil.recording.recovery import Recovery
+from hil.recording.reserve import release
+from hil.recording.rundir import RunDirectory
+from hil.recording.torn_names import TORN_SUFFIX
+from hil.recording.writer import PARTIAL_SUFFIX
 
 
 @dataclass(frozen=True, slots=True)

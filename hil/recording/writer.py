@@ -21,14 +21,14 @@ import numpy as np
 from hil.core.errors import RecordingError
 from hil.core.files import fsync_directory
 from hil.core.typing import IntArray, StructArray
-from hil.record.joint_state import (
+from hil.recording.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
     JOINT_STATE_TOPIC,
     JointStateView,
 )
-from hil.record.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
-from hil.record.stream import McapStream
+from hil.recording.log_message import EVENT_SCHEMA, EVENT_TEXT, EVENT_TOPIC, encode_event
+from hil.recording.stream import McapStream
 from hil.robot.cdr import CDR_HEADER
 from hil.robot.topic import STATE_TOPIC, Topic
 

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
 from hil.core.typing import BoolArray, IntArray, StructArray
-from hil.record.scan import RECORD_HEADER, ChunkSpan, Torn, parse
+from hil.recording.scan import RECORD_HEADER, ChunkSpan, Torn, parse
 from hil.robot.cdr import CDR_HEADER
 
 _LARGEST_CHUNK_BYTES = 1 << 28

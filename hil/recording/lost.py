@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.core.errors import DataError
-from hil.record.parts import recordings_in
+from hil.recording.parts import recordings_in
 
 _MOST_NAMED = 3
 

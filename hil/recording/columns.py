@@ -16,9 +16,9 @@ from mcap.records import Channel
 
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, IntArray, StructArray
-from hil.record.chunks import rows_at
-from hil.record.recording import Recording
-from hil.record.scan import Torn
+from hil.recording.chunks import rows_at
+from hil.recording.recording import Recording
+from hil.recording.scan import Torn
 
 _BATCH_BYTES = 1 << 20
 _HINT = "hil recover {} makes a whole file of what is left; read_topic(…, salvage=True) reads it"

@@ -13,8 +13,8 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from hil.core.errors import DataError
-from hil.record.scan import Layout
-from hil.record.tally import Definition, Kept, Tally
+from hil.recording.scan import Layout
+from hil.recording.tally import Definition, Kept, Tally
 
 _MOST_CHANNELS = 65535
 _NO_SCHEMA = ("", "", b"")

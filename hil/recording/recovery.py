@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.record.rebuild import Damage, Salvage
+from hil.recording.rebuild import Damage, Salvage
 
 Did = Literal["nothing", "renamed", "rebuilt", "empty", "discarded"]
 

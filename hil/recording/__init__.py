@@ -1,12 +1,12 @@
 """MCAP recording, columnar reading and the run directory."""
 
-from hil.record.continuity import Counts
-from hil.record.events import EventLog, read_events
-from hil.record.provenance import collect_provenance
-from hil.record.reader import RecordingInfo, TopicInfo, read_info, read_topic
-from hil.record.recorder import Recorder
-from hil.record.rundir import Outcome, RunDirectory, RunStatus
-from hil.record.writer import Attachment, McapWriter
+from hil.recording.continuity import Counts
+from hil.recording.events import EventLog, read_events
+from hil.recording.provenance import collect_provenance
+from hil.recording.reader import RecordingInfo, TopicInfo, read_info, read_topic
+from hil.recording.recorder import Recorder
+from hil.recording.rundir import Outcome, RunDirectory, RunStatus
+from hil.recording.writer import Attachment, McapWriter
 from hil.robot.topic import STATE_TOPIC, Topic, state_topic
 
 __all__ = [

@@ -10,10 +10,10 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
-from hil.record.chunks import rows_at
-from hil.record.parts import attempt_of
-from hil.record.recording import Recording
-from hil.record.scan import Torn
+from hil.recording.chunks import rows_at
+from hil.recording.parts import attempt_of
+from hil.recording.recording import Recording
+from hil.recording.scan import Torn
 from hil.robot.topic import STATE_TOPIC
 
 

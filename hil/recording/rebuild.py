@@ -17,10 +17,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import Writer
 
-from hil.record.chunks import read_chunk, records_in
-from hil.record.index_check import IndexCheck
-from hil.record.routes import Routes
-from hil.record.scan import (
+from hil.recording.chunks import read_chunk, records_in
+from hil.recording.index_check import IndexCheck
+from hil.recording.routes import Routes
+from hil.recording.scan import (
     RECORD_HEADER,
     ChunkSpan,
     Layout,
@@ -29,7 +29,7 @@ from hil.record.scan import (
     read_explanation,
     whole_records,
 )
-from hil.record.tally import RECOVERED_METADATA, Tally
+from hil.recording.tally import RECOVERED_METADATA, Tally
 
 _CHUNK_BYTES = 1024 * 1024
 _MESSAGE = struct.Struct("<HIQQ")
