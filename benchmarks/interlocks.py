@@ -14,9 +14,9 @@ from hil.core.typing import StructArray
 from hil.dynamics import CollisionModel
 from hil.dynamics.sample_distances import SampleDistances
 from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
-from hil.plan.build import build_plan
-from hil.plan.plan import Plan
-from hil.plan.surroundings import collision_model
+from hil.planning.build import build_plan
+from hil.planning.plan import Plan
+from hil.planning.surroundings import collision_model
 from hil.robot import Status, state_dtype
 from hil.spec import ExperimentSpec, StationRobot
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         study,
         try_out,
     )
-    from hil.campaign.experiment import Experiment
+    from hil.planning.experiment import Experiment
     from hil.runs.view import find_runs
 
 __version__ = "0.1.0"

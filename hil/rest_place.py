@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.campaign.experiment import BUILT_IN, find_station
 from hil.core.errors import SpecError
 from hil.core.suggest import did_you_mean
 from hil.identify.base import RobotEstimator
+from hil.planning.experiment import BUILT_IN, find_station
 from hil.spec.station import StationRobot
 
 GRAVITY_TOLERANCE = 0.05

@@ -22,7 +22,7 @@ from hil.deploy.resting import RestingArm
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import load_model_file
 from hil.identify.standstill import gravity_torque, holding_friction, require_torque
-from hil.plan.surroundings import collision_model
+from hil.planning.surroundings import collision_model
 from hil.rest_place import place_of
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _resting(
 def _home(arm: RestingArm, bodies: CollisionModel) -> list[RestPose]:
     """Where programs of this arm begin by default; [] where they cannot."""
     from hil.excitation.workspace import Workspace
-    from hil.plan.place import roadmap_of
+    from hil.planning.place import roadmap_of
 
     description = bodies.arm
     workspace = Workspace(

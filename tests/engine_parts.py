@@ -11,7 +11,7 @@ from hil.arms.payload import Payload
 from hil.core.typing import StructArray
 from hil.engine import Engine
 from hil.excitation.motion import Hold, Line
-from hil.plan.plan import DwellRule, LoadStep, Plan, Step
+from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 
 
 class ListSink:

@@ -396,9 +396,9 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
 def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
     from hil.campaign.confirmation import Granted, motion_facts, together
-    from hil.campaign.experiment import load_experiment
     from hil.campaign.preview import planned
     from hil.core.errors import NotConfirmed
+    from hil.planning.experiment import load_experiment
 
     shown = []
     for name, mass in (("a", 0.0), ("b", 1.0)):

@@ -59,7 +59,7 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from hil.core.live_lock import hold_run
     from hil.engine import Engine, Observers
     from hil.excitation.motion import Hold
-    from hil.plan.plan import DwellRule, LoadStep, Plan, Step
+    from hil.planning.plan import DwellRule, LoadStep, Plan, Step
     from hil.recording.rundir import RunDirectory
 
     first = 2 if times == "twice" else 1

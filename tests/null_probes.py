@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from hil import api
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.drift.features import Features, features_of
 from hil.fitting import load_source, usable_part
 from hil.identify.model_file import load_model_file
 from hil.pipeline.adapted import with_options
+from hil.planning.experiment import Experiment, load_experiment
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 ROOMS_C = (14.0, 30.0)

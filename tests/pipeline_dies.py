@@ -24,10 +24,10 @@ import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
 from hil.campaign.driver_check import check_driver
-from hil.campaign.experiment import Experiment
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
 from hil.pipeline.reidentify import reidentification
+from hil.planning.experiment import Experiment
 from hil.registry.registry import Registry
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import kept

@@ -9,8 +9,8 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.excitation.workspace import Workspace
-from hil.plan.build import build_plan
-from hil.plan.plan import Plan
+from hil.planning.build import build_plan
+from hil.planning.plan import Plan
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot, Surroundings
 

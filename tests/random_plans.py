@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.arms.payload import Payload
 from hil.excitation.motion import FourierSeries, Hold, Line, Motion
-from hil.plan.plan import DwellRule, LoadStep, Plan, Step
+from hil.planning.plan import DwellRule, LoadStep, Plan, Step
 
 positive = st.floats(1e-3, 1e3)
 limits = st.floats(1e-2, 1e3)

@@ -15,7 +15,7 @@ import numpy as np
 from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.excitation.motion import FourierSeries, Hold, Line
-from hil.plan.plan import LoadStep, Plan, Step
+from hil.planning.plan import LoadStep, Plan, Step
 from hil.recording import McapWriter, RunDirectory, collect_provenance
 from hil.robot import Status, state_dtype
 from hil.robot.topic import STATE_TOPIC, state_topic

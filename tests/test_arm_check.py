@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.campaign.driver_check import check_driver
-from hil.campaign.experiment import load_experiment
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.planning.experiment import load_experiment
 
 SPEC = """\
 hil: 1

@@ -29,13 +29,13 @@ from hil.campaign.arming import (
     require_armed,
 )
 from hil.campaign.confirmation import motion_facts
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.preview import planned
-from hil.campaign.robots import opened
 from hil.cli.app import app
 from hil.core.errors import NotConfirmed, SpecError, exit_code_of
 from hil.pipeline import measuring
 from hil.pipeline.bound import bind_file
+from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.robots import opened
 from hil.robot import Address
 from hil_mock_robot.driver import MockRobot
 

@@ -35,7 +35,7 @@ from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit
 from hil.engine import Reply
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.steps import Steps
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 from hil.robot import Address
 from hil_mock_robot.driver import MockRobot
 

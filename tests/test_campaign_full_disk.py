@@ -13,7 +13,7 @@ import pytest
 import hil
 from hil.core.errors import PreflightFailed
 from hil.engine.steps import Steps
-from hil.plan.plan import Step
+from hil.planning.plan import Step
 from hil.recording.reserve import BYTES, NAME
 from hil.recording.rundir import RunDirectory
 

@@ -98,7 +98,7 @@ def test_a_mock_that_contradicts_its_station_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_mock_that_agrees_with_its_station_is_mounted_so(tmp_path: Path) -> None:
-    from hil.campaign.robots import connected
+    from hil.planning.robots import connected
 
     bench = station(tmp_path, "options: {mount: ceiling}, gravity_m_s2: [0, 0, 9.81]")
     held = {}

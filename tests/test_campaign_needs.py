@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 import hil
 from hil.campaign.arm_check import require_within_reach
 from hil.campaign.driver_check import check_driver
-from hil.campaign.experiment import load_experiment
 from hil.campaign.starting import check_start
 from hil.cli.app import app
 from hil.core import plugins
@@ -24,7 +23,8 @@ from hil.identify.base import needs_of
 from hil.identify.checks import Needs
 from hil.identify.rigid_linear import RigidLinear
 from hil.identify.static import StaticWls
-from hil.plan.commissioning import Commissioning
+from hil.planning.commissioning import Commissioning
+from hil.planning.experiment import load_experiment
 
 SIX = "excitation: {kind: dwell, waypoints: 6}\nfit: [{estimator: static-wls}]"
 TOO_FEW = (

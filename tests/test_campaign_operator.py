@@ -34,7 +34,7 @@ from hil.campaign.operator import (
 from hil.core.errors import PreflightFailed, SpecError, Stopped
 from hil.engine import Reply
 from hil.engine.prompt import NOBODY
-from hil.plan.plan import LoadStep, Step
+from hil.planning.plan import LoadStep, Step
 from hil.robot import Capabilities
 
 MOUNT = "Mount the 3 kg disc"

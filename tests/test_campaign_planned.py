@@ -15,8 +15,8 @@ import yaml
 
 import hil
 from hil.campaign.preview import WITHOUT_THE_ROBOT
-from hil.campaign.robots import opened
 from hil.core.errors import RobotConnectionError
+from hil.planning.robots import opened
 from hil.robot.lease import leased
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

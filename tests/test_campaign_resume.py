@@ -29,7 +29,7 @@ from hil.data.completeness import completeness_of
 from hil.data.load import load_source
 from hil.engine import Reply
 from hil.engine.steps import Steps
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 from hil.recording.reader import read_topic
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory

@@ -16,7 +16,7 @@ from hil.arms.payload import Payload
 from hil.campaign.run import RunReport
 from hil.campaign.weighed_before import is_whole, weighed_before
 from hil.core.errors import PreflightFailed
-from hil.plan.plan import Plan, Step
+from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities

@@ -11,7 +11,7 @@ from weighing_parts import CYLINDER, OFF_AXIS, bodies, sweep, weigh
 from hil.arms.payload import Payload
 from hil.core.errors import PreflightFailed
 from hil.engine import Outcome
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 from hil.spec.weigh import Weigh
 
 MASSES = (0.5, 1, 2, 3, 5)

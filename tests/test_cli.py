@@ -257,7 +257,7 @@ def test_an_interrupted_plan_prints_one_document(tmp_path: Path) -> None:
 
 INTERRUPTED = """
 import os, signal
-import hil.campaign.experiment as experiment
+import hil.planning.experiment as experiment
 from hil.cli import main
 
 experiment.resolve_robot = lambda *_: os.kill(os.getpid(), signal.SIGINT)

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import hil
-from hil.campaign.experiment import load_experiment
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.planning.experiment import load_experiment
 from hil.spec import load_spec, spec_from_text, spec_hash
 from hil.spec.overrides import resolved_text
 

@@ -22,10 +22,10 @@ from typer.testing import CliRunner
 
 import hil.campaign.preview
 import hil.pipeline.reidentify
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.preview import preview_experiment
 from hil.cli.app import app
 from hil.core.errors import FitError, HilError, InterlockTripped
+from hil.planning.experiment import Experiment, load_experiment
 from hil.schedule.ledger import Ledger, kept
 from hil.schedule.motions import motions
 from hil.schedule.occasion import Occasion

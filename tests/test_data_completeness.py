@@ -19,7 +19,7 @@ from hil.data.completeness import (
 )
 from hil.engine.dwell import DwellWatch
 from hil.excitation.motion import FourierSeries
-from hil.plan.plan import DwellRule, Plan, Step
+from hil.planning.plan import DwellRule, Plan, Step
 from hil.recording.writer import McapWriter
 from hil.robot.state import Status, state_dtype
 from hil.robot.topic import STATE_TOPIC, state_topic

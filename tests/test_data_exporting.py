@@ -22,7 +22,7 @@ from hil.data.dataset import Dataset
 from hil.data.exporting import export_data
 from hil.data.importing import import_file
 from hil.data.load import load_source
-from hil.plan.plan import LoadStep
+from hil.planning.plan import LoadStep
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from hil.arms import load_arm
 from hil.core.errors import SpecError
 from hil.dynamics.described import described
 from hil.dynamics.robot_model import RobotModel, load_model
-from hil.own_arm import own_arm_drafts
-from hil.plan.place import plannable_arm
+from hil.planning.custom_arm import own_arm_drafts
+from hil.planning.place import plannable_arm
 from hil.spec.station import StationRobot
 
 URDF = Path(__file__).with_name("own_arm.urdf")

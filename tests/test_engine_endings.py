@@ -23,7 +23,7 @@ from hil.engine import TRANSITIONS, Outcome, RunState
 from hil.engine.freshness import Deadline
 from hil.engine.telling import under_way
 from hil.excitation.motion import Hold
-from hil.plan.plan import LoadStep, Plan, Step
+from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Status
 
 

@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 from hil import api
 from hil.arms import load_arm
 from hil.campaign.excitation import appraise_excitation
-from hil.campaign.excitation_report import ExcitationReport
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters
@@ -23,6 +22,7 @@ from hil.dynamics.build import model_from_arm
 from hil.excitation.appraisal import jerk_of
 from hil.excitation.information import Information
 from hil.excitation.motion import FourierSeries
+from hil.planning.excitation_report import ExcitationReport
 from hil.report.excite_page import excitation_page
 
 SPEC = """

@@ -14,13 +14,13 @@ from catalogue_runs import write_run
 from fleet_parts import SLOW, SPEC, command, measurements, moving, told, until, written
 from typer.testing import CliRunner
 
-from hil.campaign.experiment import mock_bench
-from hil.campaign.robots import open_robot
 from hil.cli.app import app
 from hil.core.errors import DataError, SpecError
 from hil.core.files import read_json
 from hil.fleet.folder import FleetFolder
 from hil.fleet.members import robots_like, spec_for
+from hil.planning.experiment import mock_bench
+from hil.planning.robots import open_robot
 from hil.robot.lease import leased
 from hil.spec.load import load_station, spec_from_text
 

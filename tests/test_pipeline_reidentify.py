@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
-from hil.campaign.experiment import Experiment
 from hil.core.errors import FitError, HilError
 from hil.drift import history
 from hil.drift.bands import banded
@@ -23,6 +22,7 @@ from hil.pipeline.bound import bind
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.reidentify import Reidentification, as_it_is, reidentification
 from hil.pipeline.stages import FOLDER
+from hil.planning.experiment import Experiment
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Job
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec

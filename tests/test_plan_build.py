@@ -18,9 +18,9 @@ from plan_parts import DEGREE, plan_of, samples_between, spec_of, ur5
 from hil.arms import load_arm
 from hil.core.errors import PlanError, SpecError
 from hil.dynamics import CollisionModel, Environment, Plane, RobotModel
-from hil.plan.build import build_plan
-from hil.plan.place import plannable_arm, roadmap_of, workspace_of
-from hil.plan.plan import Plan, Step
+from hil.planning.build import build_plan
+from hil.planning.place import plannable_arm, roadmap_of, workspace_of
+from hil.planning.plan import Plan, Step
 
 FOURIER = {"kind": "fourier", "trajectories": 2}
 
@@ -337,7 +337,7 @@ def test_the_default_reference_pose_is_home_where_that_has_room() -> None:
 def test_no_room_for_a_default_reference_pose_names_the_ways_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("hil.plan.build.REFERENCE_DELTA_DEG", 120.0)
+    monkeypatch.setattr("hil.planning.build.REFERENCE_DELTA_DEG", 120.0)
     with pytest.raises(PlanError, match="the default reference pose: ") as error:
         plan_of(excitation={"kind": "fourier", "trajectories": 1}, reference={"every": 1})
     for way in ("reference.q_deg", "reference.every: 0", "clearance_m"):

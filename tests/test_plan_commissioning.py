@@ -16,12 +16,12 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.errors import PlanError, SpecError
 from hil.excitation.motion import FourierSeries, Hold, Line
-from hil.plan.build import build_plan
-from hil.plan.commissioning import Commissioning, commissioning_of
-from hil.plan.plan import LoadStep, Plan, Step
-from hil.plan.plan_file import read_plan
-from hil.plan.preview import preview
-from hil.plan.swept import swept
+from hil.planning.build import build_plan
+from hil.planning.commissioning import Commissioning, commissioning_of
+from hil.planning.plan import LoadStep, Plan, Step
+from hil.planning.plan_file import read_plan
+from hil.planning.preview import preview
+from hil.planning.swept import swept
 from hil.recording.reader import read_topic
 
 RATE_HZ = 125.0

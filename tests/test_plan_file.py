@@ -16,9 +16,9 @@ from random_plans import plans, small_plan
 
 from hil.core.errors import DataError
 from hil.core.files import json_document
-from hil.plan.document import require_plan
-from hil.plan.plan import Plan
-from hil.plan.plan_file import read_plan
+from hil.planning.document import require_plan
+from hil.planning.plan import Plan
+from hil.planning.plan_file import read_plan
 
 
 @examples(50)

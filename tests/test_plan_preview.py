@@ -12,11 +12,11 @@ from plan_parts import plan_of
 
 from hil.arms.payload import Payload
 from hil.excitation.motion import Hold, Line
-from hil.plan.picture import plan_picture
-from hil.plan.plan import DwellRule, LoadStep, Plan, Step
-from hil.plan.preview import preview
-from hil.plan.svg import Scale, thinned
+from hil.planning.plan import DwellRule, LoadStep, Plan, Step
+from hil.planning.preview import preview
 from hil.recording.writer import McapWriter
+from hil.report.plan_picture import plan_picture
+from hil.report.svg import Scale, thinned
 from hil.robot.topic import state_topic
 
 NAMES = tuple(f"shoulder_{i}_joint" for i in range(6))

@@ -11,8 +11,8 @@ from hil.arms.payload import Payload
 from hil.dynamics import load_model
 from hil.dynamics.build import model_from_arm
 from hil.excitation.motion import Hold, Line
-from hil.plan.plan import LoadStep, Plan, Step
-from hil.plan.swept import elbow_bodies, swept
+from hil.planning.plan import LoadStep, Plan, Step
+from hil.planning.swept import elbow_bodies, swept
 
 RATE_HZ = 125.0
 HERE = (0.0, -1.2, 1.0, -1.5, 0.2, 0.0)

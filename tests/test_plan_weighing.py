@@ -15,9 +15,9 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.dynamics import CollisionModel, Environment, RobotModel
 from hil.dynamics.environment import payload_capsule
-from hil.plan.plan import Plan, Step
-from hil.plan.preview import preview
-from hil.plan.weighing import why_not_weighed, why_plan_not_weighed
+from hil.planning.plan import Plan, Step
+from hil.planning.preview import preview
+from hil.planning.weighing import why_not_weighed, why_plan_not_weighed
 from hil.robot import Capabilities
 
 HEAVY = {"mass_kg": 5, "com_m": [0, 0, 0.08]}

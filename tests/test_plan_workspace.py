@@ -19,10 +19,10 @@ from hil.excitation.poses import roomy_poses
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.visit import Program, pose_visit
 from hil.excitation.workspace import Workspace
-from hil.plan.approach import Approach
-from hil.plan.build import build_plan
-from hil.plan.place import checked_start, roadmap_of
-from hil.plan.plan import Plan
+from hil.planning.approach import Approach
+from hil.planning.build import build_plan
+from hil.planning.place import checked_start, roadmap_of
+from hil.planning.plan import Plan
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
 

@@ -21,7 +21,7 @@ from hil.core import plugins
 from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.core.typing import FloatArray, StructArray
 from hil.excitation.motion import Hold, Line
-from hil.plan.plan import LoadStep, Plan, Step
+from hil.planning.plan import LoadStep, Plan, Step
 from hil.preflight import (
     BUILT_IN,
     CheckResult,

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from hil.core.typing import FloatArray
-from hil.plan.picture_style import STYLE
 from hil.report import colours
+from hil.report.plan_picture_style import STYLE
 from hil.report.study_curves import PALETTE
 
 APART = 15.0

@@ -21,7 +21,6 @@ from process_inspected import Inspected
 import hil
 from hil.arms.payload import Payload
 from hil.campaign.driver_check import check_driver
-from hil.campaign.robots import connected, open_robot, opened
 from hil.core.errors import (
     CommandRefused,
     PluginError,
@@ -30,6 +29,7 @@ from hil.core.errors import (
     RobotFault,
     SpecError,
 )
+from hil.planning.robots import connected, open_robot, opened
 from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
 from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot

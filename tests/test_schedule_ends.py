@@ -12,9 +12,9 @@ import pytest
 from pipeline_parts import PROBE, write_schedule
 from schedule_parts import at, events, schedule, scheduler
 
-from hil.campaign.experiment import load_experiment
 from hil.core.errors import Stopped
 from hil.pipeline.measuring import Measuring
+from hil.planning.experiment import load_experiment
 from hil.schedule.ledger import Ledger
 from hil.schedule.loop import Scheduler
 from hil.schedule.occasion import Occasion

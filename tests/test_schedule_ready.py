@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.campaign import driver_check, robots
-from hil.campaign.experiment import load_experiment
+from hil.campaign import driver_check
 from hil.core.errors import RobotConnectionError, RobotFault, Stopped
+from hil.planning import robots
+from hil.planning.experiment import load_experiment
 from hil.robot import Finding, Status, state_dtype
 from hil.robot.lease import leased
 from hil.schedule.curfew import curfew

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.campaign.experiment import Experiment
 from hil.campaign.series import Series, load_series, run_series
 from hil.cli.app import app
 from hil.cli.series import resume_series
 from hil.core.errors import DataError, FitError, HilError, InterlockTripped, Rejected, Stopped
-from hil.plan.commissioning import Commissioning
+from hil.planning.commissioning import Commissioning
+from hil.planning.experiment import Experiment
 from hil.report.series_page import side_by_side
 from hil.runs.series_folder import SeriesFolder
 from hil.study.result import Part, StudyResult, Table

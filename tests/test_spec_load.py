@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from hil.arms import arm_names
 from hil.arms.payload import Payload
 from hil.campaign.bench import bench
-from hil.campaign.experiment import NOT_MOCKED, mock_bench
-from hil.campaign.robots import opened
 from hil.core.errors import SpecError
+from hil.planning.experiment import NOT_MOCKED, mock_bench
+from hil.planning.robots import opened
 from hil.spec import (
     ExperimentSpec,
     load_spec,

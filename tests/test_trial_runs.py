@@ -12,7 +12,7 @@ from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.plan.build import build_plan
+from hil.planning.build import build_plan
 from hil.spec.station import StationRobot
 from hil.trial import leading, runs, trial
 from hil.trial.arm import RATE_HZ, Arm, require_simulated

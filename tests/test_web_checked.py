@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from started_parts import written
 from web_parts import dashboard
 
-from hil.campaign.experiment import Experiment, load_experiment
+from hil.planning.experiment import Experiment, load_experiment
 from hil.web import motions, start_pages
 from hil.web.checked import digest_of
 

@@ -17,8 +17,8 @@ from hil.campaign.weighing import Weighing
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
-from hil.plan.build import build_plan
-from hil.plan.plan import Plan, Step
+from hil.planning.build import build_plan
+from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.weigh import Weigh
 from hil_mock_robot.driver import MockRobot

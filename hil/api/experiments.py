@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 from hil.api.arguments import AnyPath, mapping, path, waivers_of
 from hil.campaign.confirmation import Confirm, Granted, Unconfirmed
 from hil.campaign.desk import Desk, console_desk
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.core.errors import SpecError
 from hil.engine import Observer
-from hil.plan.plan import Plan
+from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.plan import Plan
 
 if TYPE_CHECKING:
     from hil.study.result import StudyResult
@@ -83,7 +83,7 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
     from hil.campaign.preview import planned
-    from hil.plan import shown  # noqa: F401  the card of a plan in a notebook has its picture
+    from hil.report import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):
         return made

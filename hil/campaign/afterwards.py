@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from hil.campaign.attempt import Recorded
-from hil.campaign.experiment import Experiment
 from hil.campaign.judging import judge_run, missing_models
 from hil.campaign.studies import missing_studies, run_studies
 from hil.campaign.trainings import are_kept
 from hil.core.errors import HilError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
+from hil.planning.experiment import Experiment
 from hil.spec.experiment import StudyEntry
 from hil.study.base import Ended
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.arms import ArmDescription, is_described, load_arm
-from hil.campaign.experiment import Experiment
 from hil.campaign.needs import unmet
 from hil.core.errors import SpecError
 from hil.core.source import Mark, Problem, Source, refuse
 from hil.core.yaml_source import read_source
 from hil.excitation.waypoint_file import WaypointFile, read_waypoints
 from hil.excitation.workspace import beyond_range, outside, ways_out
-from hil.plan.interlocks import declared_space
-from hil.plan.limits import excesses
+from hil.planning.experiment import Experiment
+from hil.planning.interlocks import declared_space
+from hil.planning.limits import excesses
 from hil.robot import Capabilities
 from hil.spec.experiment import Dwell
 from hil.spec.judgeable import Excess, misjudged

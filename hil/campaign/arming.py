@@ -30,11 +30,11 @@ from hil.campaign.confirmation import (
     motion_facts,
 )
 from hil.campaign.console import Console
-from hil.campaign.experiment import Experiment
 from hil.campaign.preview import planned
-from hil.campaign.robots import opened
 from hil.core.errors import DataError, HilError, NotConfirmed, SpecError
 from hil.core.files import json_document, read_json, write_replacing
+from hil.planning.experiment import Experiment
+from hil.planning.robots import opened
 from hil.recording.provenance import operator as this_user
 from hil.recording.provenance import utc_now
 from hil.robot import UNKNOWN, address_of

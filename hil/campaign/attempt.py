@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from hil.campaign.experiment import Experiment
 from hil.campaign.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.campaign.weighed_before import Readings
 from hil.core.errors import HilError, RecordingError, exit_code_of
 from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
-from hil.plan.plan import Plan
+from hil.planning.experiment import Experiment
+from hil.planning.plan import Plan
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
 from hil.robot.topic import STATE_TOPIC

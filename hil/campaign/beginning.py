@@ -9,8 +9,8 @@ from typing import Any
 
 from hil.arms import model_sha256
 from hil.campaign.confirmation import loads_document
-from hil.campaign.experiment import Experiment
-from hil.plan.plan import Plan
+from hil.planning.experiment import Experiment
+from hil.planning.plan import Plan
 from hil.recording.parts import name_of_attempt
 from hil.recording.provenance import collect_provenance
 from hil.recording.recorder import Recorder

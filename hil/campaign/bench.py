@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.experiment import find_station
 from hil.campaign.live_state import read_live
-from hil.campaign.robots import opened
 from hil.core.errors import HilError
 from hil.core.holder import Holder, plain
 from hil.core.live_lock import is_live
+from hil.planning.experiment import find_station
+from hil.planning.robots import opened
 from hil.robot.lease import held_leases, lease_holder, resource_of
 from hil.spec.station import StationRobot
 

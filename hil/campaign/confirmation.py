@@ -21,11 +21,11 @@ import numpy as np
 
 from hil.arms import load_arm
 from hil.campaign.console import Console
-from hil.campaign.experiment import Experiment
 from hil.core.errors import DataError, NotConfirmed
 from hil.core.files import read_json
-from hil.plan.plan import LoadStep, Plan
-from hil.plan.swept import Swept, aligned, swept
+from hil.planning.experiment import Experiment
+from hil.planning.plan import LoadStep, Plan
+from hil.planning.swept import Swept, aligned, swept
 from hil.recording.provenance import operator as this_user
 from hil.recording.provenance import utc_now
 from hil.robot import Address, HasTopics, Robot, address_of

@@ -6,8 +6,8 @@ Asked before anything connects.
 from __future__ import annotations
 
 from hil.campaign.arm_check import require_within_reach
-from hil.campaign.experiment import Experiment
 from hil.core.errors import SpecError
+from hil.planning.experiment import Experiment
 from hil.robot import Capabilities
 
 
@@ -22,7 +22,7 @@ def check_driver(experiment: Experiment) -> Capabilities:
             Or the arm cannot do what the spec asks; the message names every place in its file.
         PluginError: There is no such driver, or it does not load.
     """
-    from hil.campaign.robots import opened
+    from hil.planning.robots import opened
 
     name = experiment.spec.robot
     place = f"{experiment.station_source}: robots.{name}"

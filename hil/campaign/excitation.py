@@ -7,18 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.campaign.excitation_report import ExcitationReport
-from hil.campaign.experiment import Experiment
-from hil.campaign.robots import opened
 from hil.core.errors import SpecError
 from hil.excitation.appraisal import Appraisal, Limits, appraise
 from hil.excitation.cache import user_cache
 from hil.excitation.motion import FourierSeries
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.setting import Advance, Setting, Watch, unwatched
-from hil.plan.exciting import program_of, setting_of
-from hil.plan.limits import excesses
-from hil.plan.place import plannable_arm, roadmap_of, workspace_of
+from hil.planning.excitation_report import ExcitationReport
+from hil.planning.exciting import program_of, setting_of
+from hil.planning.experiment import Experiment
+from hil.planning.limits import excesses
+from hil.planning.place import plannable_arm, roadmap_of, workspace_of
+from hil.planning.robots import opened
 from hil.spec.experiment import ExperimentSpec, Fourier
 
 

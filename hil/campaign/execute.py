@@ -16,7 +16,6 @@ from hil.campaign.control import Control
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.live_state import LiveState
 from hil.campaign.operator import prompt_on
-from hil.campaign.robots import close_robot
 from hil.campaign.sink import RunSink
 from hil.campaign.weighing import CHECK as WEIGHING
 from hil.campaign.weighing import Weighing
@@ -25,8 +24,9 @@ from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
 from hil.engine.signals import SignalWatch
 from hil.excitation.setting import Advance
-from hil.plan.plan import Plan
-from hil.plan.swept import swept
+from hil.planning.plan import Plan
+from hil.planning.robots import close_robot
+from hil.planning.swept import swept
 from hil.preflight import preflight_context, require_preflight
 from hil.recording.parts import name_of_attempt
 from hil.recording.recorder import Recorder

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from hil.arms import is_described, load_arm
-from hil.campaign.experiment import Experiment
 from hil.engine.interlocks import InterlockContext, Interlocks, from_spec
-from hil.plan.interlocks import flange_space
-from hil.plan.plan import Plan
-from hil.plan.surroundings import collision_model
+from hil.planning.experiment import Experiment
+from hil.planning.interlocks import flange_space
+from hil.planning.plan import Plan
+from hil.planning.surroundings import collision_model
 from hil.robot import HasSpeedScaling, Robot
 
 

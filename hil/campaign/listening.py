@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.campaign.experiment import BUILT_IN, find_station
 from hil.campaign.listened import Listened, Wanted
 from hil.campaign.listening_files import write_start
 from hil.campaign.listening_run import ListeningRun
-from hil.campaign.robots import close_robot, open_robot
 from hil.core.errors import PluginError, SpecError
 from hil.core.live_lock import hold_run
 from hil.core.suggest import did_you_mean
 from hil.engine.signals import SignalWatch
+from hil.planning.experiment import BUILT_IN, find_station
+from hil.planning.robots import close_robot, open_robot
 from hil.recording.rundir import RunDirectory
 from hil.robot import Listens, Robot
 from hil.spec.station import Station, StationRobot

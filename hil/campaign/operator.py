@@ -12,7 +12,7 @@ from hil.campaign.console import Console
 from hil.core.errors import PreflightFailed
 from hil.engine import Prompt, Reply
 from hil.engine.prompt import NOBODY
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 from hil.robot import Robot
 
 WAIT_S = 0.05

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hil.campaign.arm_check import require_within_reach
-from hil.campaign.experiment import Experiment
 from hil.campaign.extras import missing_extras
 from hil.campaign.interlocks import interlocks_for
-from hil.campaign.robots import leased_and_connected, opened, plan_for
 from hil.excitation.setting import Watch, unwatched
-from hil.plan.build import build_plan
-from hil.plan.plan import Plan
-from hil.plan.preview import PlanPreview, preview
+from hil.planning.build import build_plan
+from hil.planning.experiment import Experiment
+from hil.planning.plan import Plan
+from hil.planning.preview import PlanPreview, preview
+from hil.planning.robots import leased_and_connected, opened, plan_for
 from hil.robot import Robot
 
 WITHOUT_THE_ROBOT = (

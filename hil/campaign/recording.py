@@ -11,12 +11,12 @@ from hil.campaign.beginning import write_beginning
 from hil.campaign.confirmation import Gate, shown_by
 from hil.campaign.control_files import hold_attempt
 from hil.campaign.execute import Attendance, execute
-from hil.campaign.experiment import Experiment
 from hil.campaign.extras import require_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
-from hil.campaign.robots import held, plan_for
 from hil.core import plugins
+from hil.planning.experiment import Experiment
+from hil.planning.robots import held, plan_for
 from hil.preflight import require_room_to_begin
 from hil.recording.rundir import RunDirectory
 from hil.robot import Robot

@@ -22,8 +22,8 @@ from hil.core.live_lock import hold_run
 from hil.core.typing import StructArray
 from hil.data.completeness import Completeness, completeness_of
 from hil.data.load import require_arm_as_recorded
-from hil.plan.plan import Plan
-from hil.plan.plan_file import read_plan
+from hil.planning.plan import Plan
+from hil.planning.plan_file import read_plan
 from hil.recording.continuity import Counts
 from hil.recording.provenance import collect_provenance
 from hil.recording.recorder import Recorder

@@ -19,11 +19,9 @@ from hil.campaign.attempt import NOTHING, Attempt, Before, Recorded
 from hil.campaign.beginning import describe_robot
 from hil.campaign.confirmation import Gate, Granted, MotionFacts, shown_by
 from hil.campaign.execute import Attendance, execute
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.operator import prompt_on, require_attended
 from hil.campaign.recording import require_usable
 from hil.campaign.remaining import connected_steps, remaining_steps
-from hil.campaign.robots import held, standing_at
 from hil.campaign.sink import COUNTED, counts_of
 from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
@@ -31,9 +29,11 @@ from hil.core.errors import DataError, PreflightFailed
 from hil.core.files import read_json
 from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
-from hil.plan.approach import Approach
-from hil.plan.plan import Plan
-from hil.plan.plan_file import read_plan
+from hil.planning.approach import Approach
+from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.plan import Plan
+from hil.planning.plan_file import read_plan
+from hil.planning.robots import held, standing_at
 from hil.recording.continuity import Counts
 from hil.recording.parts import attempt_of, name_of_attempt
 from hil.recording.provenance import started_as, utc_now

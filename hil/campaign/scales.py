@@ -11,7 +11,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray, StructArray
-from hil.plan.plan import Step
+from hil.planning.plan import Step
 from hil.robot import Capabilities, Status
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.core import errors
 from hil.core.errors import DataError, HilError, Rejected, SpecError, Stopped, exit_code_of
+from hil.planning.experiment import Experiment, load_experiment
 from hil.runs.series_folder import SeriesFolder
 from hil.spec.series import SeriesSpec, load_series_spec
 

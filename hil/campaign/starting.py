@@ -17,14 +17,14 @@ from typing import Any
 
 from hil.campaign.detached import begin, ticks_of
 from hil.campaign.driver_check import check_driver
-from hil.campaign.experiment import Experiment, load_experiment
 from hil.campaign.extras import require_extras
 from hil.campaign.resuming import require_resumable
 from hil.campaign.started import FOLDER, Started, started_runs
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.core.files import json_document, write_replacing
 from hil.core.live_lock import is_live
-from hil.plan.commissioning import Commissioning, commissioning_of
+from hil.planning.commissioning import Commissioning, commissioning_of
+from hil.planning.experiment import Experiment, load_experiment
 from hil.recording.provenance import operator as this_user
 from hil.recording.rundir import RunDirectory
 from hil.spec.schedule import is_schedule
@@ -95,7 +95,7 @@ def start_run(
         station: Its file; by default the one `hil run` would use.
         operator: Who asks; recorded as who is at the robot.
         overrides: Laid over the spec, YAML text by dotted path.
-        speed: Share of the speed; see `hil.plan.commissioning.commissioning_of`.
+        speed: Share of the speed; see `hil.planning.commissioning.commissioning_of`.
         first: How much of the program; see there, too.
         confirmed: `MotionFacts.to_dict` of the motion that the operator confirmed; without it, or
             if the run's motion differs from it, a real robot does not move.

@@ -13,8 +13,8 @@ from hil.campaign.scales import Reading, gains_of, reading_of
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
 from hil.data.completeness import recorded_steps, step_is_complete
-from hil.plan.plan import Plan, Step
-from hil.plan.weighing import why_plan_not_weighed
+from hil.planning.plan import Plan, Step
+from hil.planning.weighing import why_plan_not_weighed
 from hil.robot import Capabilities
 
 Readings = dict[int, Reading | str]

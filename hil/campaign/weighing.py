@@ -21,8 +21,8 @@ from hil.campaign.scales import (
 from hil.campaign.weighing_verdict import Verdict, differs, friction_of
 from hil.core.errors import DataError, PreflightFailed
 from hil.core.typing import StructArray
-from hil.plan.plan import Plan, Step
-from hil.plan.weighing import is_sweep, why_plan_not_weighed
+from hil.planning.plan import Plan, Step
+from hil.planning.weighing import is_sweep, why_plan_not_weighed
 from hil.robot import Capabilities
 from hil.spec.weigh import Weigh
 

@@ -14,8 +14,8 @@ from hil.core.errors import Rejected, SpecError
 if TYPE_CHECKING:
     from hil.campaign.arming import Moves, Together
     from hil.campaign.confirmation import Confirm
-    from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
+    from hil.planning.experiment import Experiment
     from hil.robot import Capabilities
 
 

@@ -22,8 +22,8 @@ from hil.cli.output import (
 from hil.cli.overriding import SetOption, load_with
 
 if TYPE_CHECKING:
-    from hil.campaign.excitation_report import ExcitationReport
     from hil.excitation.information import Information
+    from hil.planning.excitation_report import ExcitationReport
 
 DEGREES = 180 / math.pi
 MARGINS = {

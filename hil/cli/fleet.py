@@ -56,11 +56,11 @@ def run(
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.campaign.arming import confirm_together
-    from hil.campaign.experiment import find_station
     from hil.core.executor import cores
     from hil.fleet.folder import FleetFolder
     from hil.fleet.members import named_in, robots_like, spec_for
     from hil.fleet.workers import Manner
+    from hil.planning.experiment import find_station
 
     waived = waivers_of(waive or ())
     bench, _, where = find_station(spec.resolve().parent, station)

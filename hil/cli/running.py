@@ -108,7 +108,7 @@ def run(
 ) -> None:
     """Run an experiment, a series, or once what a schedule is about: from plan to report."""
     from hil.engine.signals import ignore_from_now_on
-    from hil.plan.commissioning import commissioning_of
+    from hil.planning.commissioning import commissioning_of
     from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
 

@@ -15,10 +15,10 @@ from hil.core.errors import HilError
 
 if TYPE_CHECKING:
     from hil.campaign.arming import Moves
-    from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
     from hil.campaign.series import Series, SeriesReport
-    from hil.plan.commissioning import Commissioning
+    from hil.planning.commissioning import Commissioning
+    from hil.planning.experiment import Experiment
     from hil.runs.series_folder import SeriesFolder
 
 Document = dict[str, Any]

@@ -102,8 +102,8 @@ def plan(
     from hil.campaign.preview import preview_experiment
     from hil.cli.excitation_line import ExcitationLine
     from hil.core.files import json_document, write_replacing
-    from hil.plan.commissioning import commissioning_of
-    from hil.plan.picture import plan_picture
+    from hil.planning.commissioning import commissioning_of
+    from hil.report.plan_picture import plan_picture
     from hil.spec.series import is_series
 
     part = commissioning_of(speed, first)

@@ -69,7 +69,7 @@ def new(
     notes: list[str] = []
     commands = _next(kind, path)
     if urdf is not None:
-        from hil.own_arm import can_be_mocked, own_arm_drafts
+        from hil.planning.custom_arm import can_be_mocked, own_arm_drafts
 
         _require_own_name(robot)
         made, notes = own_arm_drafts(urdf, path, robot=robot, name=name)
@@ -104,7 +104,7 @@ def _require_name(option: str, name: str) -> None:
 def _require_own_name(robot: str) -> None:
     """Refuse the name of a built-in robot: where --station is left out that one would be taken."""
     from hil.arms import arm_names
-    from hil.campaign.finding_station import mock_bench
+    from hil.planning.station_lookup import mock_bench
 
     if robot in {*mock_bench().robots, *arm_names()}:
         raise SpecError(
@@ -127,8 +127,8 @@ def _model_of(robot: str) -> tuple[str, list[str]]:
 
 def _unknown_robot(path: Path, robot: str) -> list[str]:
     """What to say where the station that a spec would run at has no such robot."""
-    from hil.campaign.experiment import find_station
     from hil.core.suggest import did_you_mean
+    from hil.planning.experiment import find_station
 
     station, _, source = find_station(path.resolve().parent)
     if robot in station.robots:

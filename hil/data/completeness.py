@@ -17,7 +17,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray, StructArray
-from hil.plan.plan import DwellRule, Plan, Step
+from hil.planning.plan import DwellRule, Plan, Step
 from hil.recording.parts import attempt_of
 from hil.recording.reader import read_topic
 from hil.recording.writer import PARTIAL_SUFFIX

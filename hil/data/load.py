@@ -38,7 +38,7 @@ from hil.data.described import (
 from hil.data.dwells import SAMPLES_PER_DWELL
 from hil.data.series import TARGET, Series, StepNote, assemble, cut
 from hil.data.stays import FOUND_FILE, FoundSteps
-from hil.plan.plan import DwellRule
+from hil.planning.plan import DwellRule
 from hil.recording.parts import attempt_of
 from hil.recording.reader import RecordingInfo, read_info, read_topic
 from hil.recording.rundir import RunDirectory

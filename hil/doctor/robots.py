@@ -41,7 +41,7 @@ def asked(path: Path) -> Iterator[Finding]:
 
 def _ask(name: str, described: StationRobot) -> list[Finding]:
     """What a robot says of itself; nothing for one that is private to this process."""
-    from hil.campaign.robots import opened
+    from hil.planning.robots import opened
     from hil.robot import HasReach
 
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.typing import FloatArray, StructArray
-from hil.plan.plan import DwellRule
+from hil.planning.plan import DwellRule
 
 
 class DwellWatch:

@@ -36,7 +36,7 @@ from hil.engine.states import RunState, StateMachine
 from hil.engine.steps import Measured, Steps
 from hil.engine.telling import Health, Telling, under_way
 from hil.engine.watchdog import HUNG_AFTER_S, Watchdog
-from hil.plan.plan import Plan, Step
+from hil.planning.plan import Plan, Step
 from hil.robot import Robot
 
 READ_WITHIN_S = 3.0

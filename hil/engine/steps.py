@@ -13,7 +13,7 @@ from hil.engine.dwell import DwellWatch
 from hil.engine.prompt import Prompt
 from hil.engine.reading import Reading, Sink
 from hil.excitation.motion import Motion
-from hil.plan.plan import AT_REST, Plan, Step, StepKind
+from hil.planning.plan import AT_REST, Plan, Step, StepKind
 from hil.robot import Robot, Segment, Status
 
 SEGMENT_KINDS: dict[StepKind, Literal["move", "trajectory", "hold"]] = {

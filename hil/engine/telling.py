@@ -11,7 +11,7 @@ from hil.engine.observers import Observers
 from hil.engine.prompt import Reply
 from hil.engine.reading import Progress
 from hil.engine.states import RunState
-from hil.plan.plan import AT_REST, Plan, Step
+from hil.planning.plan import AT_REST, Plan, Step
 
 EVERY_S = 0.2
 """Wall time between two progress events [s]."""

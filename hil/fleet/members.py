@@ -9,10 +9,10 @@ from pathlib import Path
 
 import yaml
 
-from hil.campaign.experiment import Experiment, find_station
 from hil.core.errors import SpecError
 from hil.core.quick_yaml import bounded
 from hil.core.suggest import closest
+from hil.planning.experiment import Experiment, find_station
 from hil.spec.fleet import load_fleet_spec
 from hil.spec.load import resolve_robot, spec_from_text
 from hil.spec.station import Station

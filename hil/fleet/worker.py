@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from hil.campaign.arming import Together
     from hil.campaign.confirmation import Confirm
     from hil.campaign.desk import Desk
-    from hil.campaign.experiment import Experiment
     from hil.campaign.run import RunReport
+    from hil.planning.experiment import Experiment
 
 
 @dataclass(frozen=True, slots=True)

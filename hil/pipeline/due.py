@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.campaign.experiment import Experiment
 from hil.core.errors import FitError
 from hil.core.files import read_json
 from hil.identify.base import HONEST
@@ -23,6 +22,7 @@ from hil.pipeline.fitting_together import not_honest
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage
+from hil.planning.experiment import Experiment
 from hil.recording.provenance import utc_now
 from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion

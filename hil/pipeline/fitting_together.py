@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from math import gcd
 
 from hil.campaign.driver_check import check_driver
-from hil.campaign.experiment import Experiment
 from hil.core.errors import PluginError, SpecError
 from hil.core.source import Path as SourcePath
 from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.identify.base import HONEST, estimator
+from hil.planning.experiment import Experiment
 from hil.registry.blocks import BLOCK_S as COMPARED_S
 from hil.registry.compare import FEWEST_BLOCKS as FEWEST_COMPARED
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier

@@ -17,14 +17,14 @@ from hil.campaign.beginning import describe_robot, whole
 from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.campaign.console import Console
 from hil.campaign.desk import Desk
-from hil.campaign.experiment import Experiment
 from hil.campaign.operator import ConsoleOperator
 from hil.campaign.resuming import require_same_robot
-from hil.campaign.robots import held, opened
 from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.core.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
+from hil.planning.experiment import Experiment
+from hil.planning.robots import held, opened
 from hil.recording.numbering import run_folders
 from hil.recording.rundir import RunDirectory
 from hil.robot import address_of

@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from hil.campaign.experiment import Experiment
-from hil.campaign.robots import opened
 from hil.core.errors import SpecError
 from hil.core.files import json_document, write_replacing
 from hil.core.typing import FloatArray
@@ -31,6 +29,8 @@ from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind
 from hil.pipeline.measuring import run_of
 from hil.pipeline.reidentify import reidentification
+from hil.planning.experiment import Experiment
+from hil.planning.robots import opened
 from hil.registry.registry import Registry
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import kept, occasion_of

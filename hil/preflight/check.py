@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from hil.excitation.workspace import Clearance
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 from hil.robot import Robot
 
 Figure = float | str | None

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.plan.preview import recording_bytes
-from hil.plan.weighing import why_plan_not_weighed
+from hil.planning.preview import recording_bytes
+from hil.planning.weighing import why_plan_not_weighed
 from hil.preflight.check import CheckResult, Situation
 
 LIMIT_TOLERANCE = 1e-9

@@ -13,8 +13,8 @@ from hil.core import plugins
 from hil.core.errors import HilError, PreflightFailed, SpecError
 from hil.core.suggest import did_you_mean
 from hil.excitation.workspace import Clearance
-from hil.plan.plan import Plan
-from hil.plan.surroundings import collision_model
+from hil.planning.plan import Plan
+from hil.planning.surroundings import collision_model
 from hil.preflight import plan_checks, robot_checks
 from hil.preflight.check import Check, CheckResult, Context, Situation
 from hil.recording.reserve import BYTES as RESERVE_BYTES

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from hil.core.errors import DataError
 from hil.data.stays import FOUND_FILE
-from hil.plan.plan import Plan
-from hil.plan.plan_file import read_plan
+from hil.planning.plan import Plan
+from hil.planning.plan_file import read_plan
 from hil.recording.ending import has_its_beginning, torn_although_finished
 from hil.recording.lost import hint_of_lost
 from hil.recording.rundir import RunDirectory

@@ -21,7 +21,7 @@ def open_driver(how: Mapping[str, Any]) -> Robot:
             who simulate, or None; `pythonpath` that `hil` was started with, or None.
 
     Raises:
-        PluginError, SpecError, TypeError, ValueError: What `hil.campaign.robots.open_robot` says.
+        PluginError, SpecError, TypeError, ValueError: What `hil.planning.robots.open_robot` says.
     """
     _set_or_unset("PYTHONPATH", how["pythonpath"])
     target = how["driver"]

@@ -21,7 +21,7 @@ from hil.core.files import (
     require_known_version,
     write_replacing,
 )
-from hil.plan.commissioning import Commissioning
+from hil.planning.commissioning import Commissioning
 from hil.recording.numbering import name_for_path
 from hil.spec.series import SeriesSpec
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from hil.campaign.experiment import Experiment
 from hil.core.durations import duration_text
 from hil.core.errors import SpecError
+from hil.planning.experiment import Experiment
 from hil.schedule.occasion import Job
 from hil.schedule.times import next_free
 from hil.spec.schedule import ScheduleSpec

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hil.campaign.experiment import Experiment
 from hil.core.errors import HilError
+from hil.planning.experiment import Experiment
 
 if TYPE_CHECKING:
     from hil.robot import Robot
@@ -34,7 +34,7 @@ class RobotReady:
     def __call__(self) -> str:
         """Ask."""
         from hil.campaign.driver_check import check_driver
-        from hil.campaign.robots import held
+        from hil.planning.robots import held
 
         try:
             if check_driver(self.experiment).clock == "virtual":

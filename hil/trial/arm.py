@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from hil.arms.payload import Payload
-from hil.campaign.robots import connected
 from hil.core import plugins
 from hil.core.errors import PluginError, RobotFault, SpecError
 from hil.core.typing import FloatArray
+from hil.planning.robots import connected
 from hil.robot import Robot, TorqueControlled, is_simulated
 from hil.spec.station import StationRobot
 

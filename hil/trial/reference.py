@@ -13,8 +13,8 @@ from hil.arms.payload import Payload
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
 from hil.excitation.workspace import Workspace
-from hil.plan.build import build_plan
-from hil.plan.place import plannable_arm, roadmap_of, workspace_of
+from hil.planning.build import build_plan
+from hil.planning.place import plannable_arm, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.trial.arm import RATE_HZ, Bench
 from hil.trial.settings import SEEDS_APART

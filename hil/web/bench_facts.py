@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.experiment import find_station
 from hil.core.errors import HilError
 from hil.core.holder import Holder, plain, since_words
+from hil.planning.experiment import find_station
 from hil.report.words import counted
 from hil.robot.lease import held_leases
 from hil.spec.station import Station

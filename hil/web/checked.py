@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hil.arms import arm_names
-from hil.campaign.experiment import Experiment
 from hil.core.errors import SpecError
+from hil.planning.experiment import Experiment
 from hil.spec.hashing import spec_hash
 
 

@@ -49,7 +49,7 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
     from hil.campaign.resuming import open_unfinished
     from hil.campaign.starting import check_start
-    from hil.plan.commissioning import commissioning_of
+    from hil.planning.commissioning import commissioning_of
     from hil.web.checked import digest_of
     from hil.web.plan_shown import PICTURES, shown_plan, shown_rest
 

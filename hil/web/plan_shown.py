@@ -9,17 +9,17 @@ from itertools import starmap
 from typing import Any
 
 from hil.campaign.confirmation import MotionFacts, motion_facts
-from hil.campaign.experiment import Experiment
 from hil.campaign.operator import prompts_of
 from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
 from hil.campaign.resuming import Unfinished, remaining_motion
-from hil.campaign.robots import moves_for_real, opened
 from hil.core.errors import RobotError
-from hil.plan.commissioning import Commissioning
-from hil.plan.picture import picture_of
-from hil.plan.plan import Plan
-from hil.plan.preview import PlanPreview
+from hil.planning.commissioning import Commissioning
+from hil.planning.experiment import Experiment
+from hil.planning.plan import Plan
+from hil.planning.preview import PlanPreview
+from hil.planning.robots import moves_for_real, opened
 from hil.report.measures import measure, named, size
+from hil.report.plan_picture import picture_of
 from hil.report.words import duration
 
 PICTURES = 3

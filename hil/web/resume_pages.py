@@ -14,10 +14,10 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.experiment import load_experiment
 from hil.campaign.resuming import require_resumable
-from hil.campaign.robots import moves_for_real
 from hil.campaign.starting import check_resume, go_on_with, started_runs
+from hil.planning.experiment import load_experiment
+from hil.planning.robots import moves_for_real
 from hil.report.judgement import RESUMABLE
 from hil.web.checked import digest_of
 from hil.web.motions import MOTIONS, plans_to_show, refusal_of

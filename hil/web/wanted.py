@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.robots import moves_for_real
 from hil.campaign.starting import check_start
 from hil.core.errors import SpecError
-from hil.plan.commissioning import commissioning_of
+from hil.planning.commissioning import commissioning_of
+from hil.planning.robots import moves_for_real
 from hil.web.checked import digest_of
 from hil.web.given_files import require_files_offered
 from hil.web.offered import file_offered

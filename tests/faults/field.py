@@ -16,9 +16,9 @@ import numpy as np
 from faults.cases import SPECS, SPEED, STEPS, Case
 
 import hil
-from hil.campaign.robots import open_robot, plan_for
 from hil.core.errors import DataError
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
+from hil.planning.robots import open_robot, plan_for
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 

@@ -25,7 +25,7 @@ from hil.campaign.desk import Desk
 from hil.cli.app import _end_like_ctrl_c
 from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
-from hil.plan.plan_file import read_plan
+from hil.planning.plan_file import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.writer import McapWriter
 

@@ -20,9 +20,9 @@ from typing import Any
 from faults.field import HOST, REST_RAD_S
 
 import hil
-from hil.campaign.robots import open_robot, plan_for
 from hil.core.errors import DataError
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
+from hil.planning.robots import open_robot, plan_for
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 

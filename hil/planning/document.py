@@ -19,7 +19,7 @@ from hil.core.errors import DataError
 from hil.core.files import require_known_version
 from hil.core.source import shown
 from hil.excitation.profile import LONGEST_S
-from hil.plan.plan import PLAN_FORMAT, StepKind
+from hil.planning.plan import PLAN_FORMAT, StepKind
 
 MOST_STEPS = 5_000_000
 """100 000 poses from two sides, with the lines that lead there, have fewer."""

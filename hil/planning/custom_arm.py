@@ -17,8 +17,8 @@ from hil.core.typing import FloatArray
 from hil.dynamics.collision import CollisionModel
 from hil.dynamics.described import Described, described
 from hil.dynamics.environment import Environment
-from hil.own_arm_limits import require_ranges, without_odd_speeds
-from hil.own_arm_text import arm_text, silent
+from hil.planning.custom_arm_limits import require_ranges, without_odd_speeds
+from hil.planning.custom_arm_text import arm_text, silent
 from hil.spec.new import Draft, render
 
 MOCKED_JOINTS = 6

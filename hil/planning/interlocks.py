@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from hil.arms import ArmDescription
 from hil.core.errors import PlanError
-from hil.plan.plan import Step
-from hil.plan.surroundings import BodySize
+from hil.planning.plan import Step
+from hil.planning.surroundings import BodySize
 from hil.spec.interlocks import ClearanceInterlock, Interlock, WorkspaceInterlock
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from hil.arms import load_arm
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Line
-from hil.plan.place import checked_start, roadmap_of, workspace_of
+from hil.planning.place import checked_start, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.station import StationRobot
 

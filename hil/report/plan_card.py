@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from hil.core.notebook import CARDS, card, number
-from hil.plan.picture import picture_of
-from hil.plan.plan import Plan
-from hil.plan.preview import preview
+from hil.planning.plan import Plan
+from hil.planning.preview import preview
+from hil.report.plan_picture import picture_of
 
 
 def plan_card(plan: Plan) -> str:

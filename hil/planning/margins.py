@@ -9,9 +9,9 @@ import numpy as np
 from hil.arms import ArmDescription
 from hil.core.errors import PlanError
 from hil.excitation.workspace import Workspace
-from hil.plan.extremes import Extremes, extremes_of
-from hil.plan.plan import LoadStep, Step
-from hil.plan.quality import effort_margin
+from hil.planning.extremes import Extremes, extremes_of
+from hil.planning.plan import LoadStep, Step
+from hil.planning.quality import effort_margin
 
 TOLERANCE = 1e-9
 """Set-points computed to bind at a limit may exceed it by rounding."""

@@ -7,22 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.campaign.finding_station import (
-    BUILT_IN,
-    NOT_MOCKED,
-    find_station,
-    mock_bench,
-    stations_in,
-)
 from hil.core.errors import SpecError
 from hil.core.yaml_source import read_source
+from hil.planning.station_lookup import BUILT_IN, NOT_MOCKED, find_station, mock_bench, stations_in
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.load import load_spec, resolve_robot
 from hil.spec.overrides import lay_over, resolved_text
 from hil.spec.station import Station, StationRobot
 
 if TYPE_CHECKING:
-    from hil.plan.commissioning import Commissioning
+    from hil.planning.commissioning import Commissioning
 
 __all__ = [
     "BUILT_IN", "NOT_MOCKED", "Experiment", "find_station", "load_experiment", "mock_bench",

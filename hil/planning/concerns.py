@@ -17,7 +17,7 @@ def concerns(condition_number: float, duration_s: float, recording_bytes: float)
     """One sentence for everything about a plan that is allowed but hardly meant.
 
     Args:
-        condition_number: See `hil.plan.quality`; infinite when parameters are not determined.
+        condition_number: See `hil.planning.quality`; infinite when parameters are not determined.
         duration_s: Estimated duration [s].
         recording_bytes: Estimated size of the recording.
     """

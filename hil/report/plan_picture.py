@@ -13,11 +13,11 @@ import numpy as np
 from hil.core.files import write_replacing
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Line
-from hil.plan import svg
-from hil.plan.picture_style import STYLE
-from hil.plan.plan import Plan
-from hil.plan.preview import preview
-from hil.plan.timeline import Span, Timeline, timeline_of
+from hil.planning.plan import Plan
+from hil.planning.preview import preview
+from hil.report import svg
+from hil.report.plan_picture_style import STYLE
+from hil.report.plan_timeline import Span, Timeline, timeline_of
 
 WIDTH, LEFT, RIGHT = 1200.0, 170.0, 1170.0
 STRIP = 62.0

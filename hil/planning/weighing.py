@@ -18,7 +18,7 @@ from hil.excitation.motion import Motion
 from hil.excitation.poses import draw_poses
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.visit import Visit, pose_visit
-from hil.plan.plan import DwellRule, Plan
+from hil.planning.plan import DwellRule, Plan
 from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec
 

@@ -8,13 +8,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.campaign.experiment import Experiment
 from hil.core import plugins
 from hil.core.bounded import bounded
 from hil.core.typing import FloatArray
 from hil.excitation.setting import Watch, unwatched
-from hil.plan.build import build_plan
-from hil.plan.plan import Plan
+from hil.planning.build import build_plan
+from hil.planning.experiment import Experiment
+from hil.planning.plan import Plan
 from hil.robot import Robot, address_of
 from hil.robot.lease import Lease, leased
 from hil.spec.station import StationRobot

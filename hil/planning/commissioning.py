@@ -15,7 +15,7 @@ from typing import Any
 
 from hil.core.errors import PlanError, SpecError
 from hil.excitation.motion import FourierSeries, Line, Motion
-from hil.plan.plan import Plan, Step
+from hil.planning.plan import Plan, Step
 
 MEASURED = ("dwell", "trajectory")
 LEAST_SPEED = 0.01

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.plan.plan import Plan, Step
+from hil.planning.plan import Plan, Step
 
 PLACES = 2000
 """Flange positions that are drawn at most."""

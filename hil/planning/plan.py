@@ -19,7 +19,7 @@ from hil.arms.payload import Payload
 from hil.core.notebook import CARDS, card
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Motion, motion_from_dict
-from hil.plan.extremes import Extremes, extremes_of
+from hil.planning.extremes import Extremes, extremes_of
 
 PLAN_FORMAT = 1
 

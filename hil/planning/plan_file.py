@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.core.files import read_json
-from hil.plan.document import require_plan
-from hil.plan.plan import Plan
+from hil.planning.document import require_plan
+from hil.planning.plan import Plan
 
 
 def read_plan(path: Path) -> Plan:

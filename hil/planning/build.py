@@ -16,21 +16,15 @@ from hil.excitation.roadmap import Roadmap
 from hil.excitation.setting import Watch, unwatched
 from hil.excitation.visit import Action, Program, Visit, pose_visit
 from hil.excitation.workspace import Workspace
-from hil.plan.commissioning import Commissioning
-from hil.plan.exciting import program_of, setting_of
-from hil.plan.interlocks import interlock_margins
-from hil.plan.limits import excesses
-from hil.plan.margins import margins_of
-from hil.plan.place import (
-    checked_start,
-    plannable_arm,
-    poses_of_file,
-    roadmap_of,
-    workspace_of,
-)
-from hil.plan.plan import DwellRule, LoadStep, Plan, Step
-from hil.plan.quality import condition_number
-from hil.plan.weighing import weigh_dwell, weigh_visits
+from hil.planning.commissioning import Commissioning
+from hil.planning.exciting import program_of, setting_of
+from hil.planning.interlocks import interlock_margins
+from hil.planning.limits import excesses
+from hil.planning.margins import margins_of
+from hil.planning.place import checked_start, plannable_arm, poses_of_file, roadmap_of, workspace_of
+from hil.planning.plan import DwellRule, LoadStep, Plan, Step
+from hil.planning.quality import condition_number
+from hil.planning.weighing import weigh_dwell, weigh_visits
 from hil.spec.experiment import Dwell, ExperimentSpec
 from hil.spec.station import StationRobot
 

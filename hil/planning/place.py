@@ -14,10 +14,10 @@ from hil.excitation.poses import roomy_poses
 from hil.excitation.roadmap import Roadmap
 from hil.excitation.waypoint_file import read_waypoints
 from hil.excitation.workspace import Workspace
-from hil.plan.interlocks import declared_space
-from hil.plan.limits import draw_range
-from hil.plan.quality import condition_score
-from hil.plan.surroundings import collision_model
+from hil.planning.interlocks import declared_space
+from hil.planning.limits import draw_range
+from hil.planning.quality import condition_score
+from hil.planning.surroundings import collision_model
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.station import StationRobot
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from hil.arms import load_arm
-from hil.plan.concerns import concerns
-from hil.plan.plan import Plan, number_or_none
-from hil.plan.swept import Swept, swept
-from hil.plan.weighing import is_sweep, why_not_weighed
+from hil.planning.concerns import concerns
+from hil.planning.plan import Plan, number_or_none
+from hil.planning.swept import Swept, swept
+from hil.planning.weighing import is_sweep, why_not_weighed
 from hil.robot import state_dtype
 
 COMPRESSION = 0.71
@@ -30,7 +30,7 @@ class PlanPreview:
         waypoints: Distinct poses that are dwelt at.
         duration_s: Estimate; dwells take as long as settling takes.
         recording_bytes: Estimated size of the recording.
-        margins: Smallest distance to every limit (see `hil.plan.margins`).
+        margins: Smallest distance to every limit (see `hil.planning.margins`).
         condition_number: Of the column-scaled base regressor on the measuring samples.
         hash: The plan's identity.
         steps: Number of steps of each kind, in the order in which they first occur.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hil.campaign.experiment import Experiment
 from hil.excitation.appraisal import Appraisal, margins_of
 from hil.excitation.information import Information
+from hil.planning.experiment import Experiment
 from hil.spec.experiment import Fourier
 
 

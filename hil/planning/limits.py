@@ -10,7 +10,7 @@ from hil.arms import ArmDescription
 from hil.core.source import Path
 from hil.core.typing import FloatArray
 from hil.excitation.workspace import Space, outside
-from hil.plan.interlocks import declared_space
+from hil.planning.interlocks import declared_space
 from hil.spec.experiment import Dwell, ExperimentSpec, Fourier
 from hil.spec.interlocks import Interlock, WorkspaceInterlock
 from hil.spec.judgeable import Excess

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.arms import ArmDescription, Capsule
 from hil.core.typing import FloatArray
-from hil.plan.plan import Plan
+from hil.planning.plan import Plan
 
 BLOCK = 16_384
 """Joint positions per forward kinematics: enough to amortise it, few enough for the cache."""
