@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hil.evaluate.metrics import correlation, mep, nrmse, rmse
+from hil.data.metrics import correlation, mep, nrmse, rmse
 
 MEASURED = np.array([[1.0, 0.0], [-1.0, 0.0], [3.0, 0.0], [-3.0, 0.0]])
 PREDICTED = np.array([[1.0, 0.0], [-2.0, 0.0], [3.0, 0.0], [-1.0, 0.0]])

@@ -8,7 +8,7 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import SpecError
 from hil.data import Dataset
-from hil.evaluate.persistence import persistence, persistence_rmse
+from hil.data.persistence import persistence, persistence_rmse
 from hil.identify import estimator
 from hil.identify.residual.out_of_fold import fold_of_rows, physics_of
 from hil.identify.residual.selection import select

@@ -21,8 +21,8 @@ import numpy as np
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.data.filters import AT_REST, sample_rate, shortest_series, zero_phase
+from hil.data.metrics import correlation, mep, nrmse, rmse
 from hil.data.prediction import Model
-from hil.evaluate.metrics import correlation, mep, nrmse, rmse
 
 MEASURED_CUTOFF = 0.20
 """Of the Nyquist frequency."""

@@ -14,8 +14,8 @@ from hil.core.errors import HilError
 from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
+from hil.data.metrics import mep, rmse
 from hil.dynamics import RobotModel
-from hil.evaluate.metrics import mep, rmse
 from hil.identify.base import GROUP, RobotEstimator, estimator
 from hil.study.dynamic_data import MOVING, REVERSAL, Parts
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray
-from hil.evaluate.metrics import correlation, rmse
+from hil.data.metrics import correlation, rmse
 from hil.study.result import Table, Value
 from hil.study.separation_data import pairs
 from hil.study.separation_honest import HonestRun

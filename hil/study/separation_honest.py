@@ -13,8 +13,8 @@ import numpy as np
 from hil.core.errors import DataError, FitError
 from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
+from hil.data.metrics import correlation, rmse
 from hil.data.splits import Split, kfold, split
-from hil.evaluate.metrics import correlation, rmse
 from hil.study.separation_data import Recording, bare, dwell_means, dwells_in, mean_noise
 from hil.study.separation_methods import Method, Outcome, best_of, fit_tasks
 from hil.study.separation_tasks import Task

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
-from hil.evaluate.metrics import rmse
+from hil.data.metrics import rmse
 from hil.identify.linear_methods import Method
 from hil.identify.static_linear import StaticLinear
 from hil.study.separation_data import sample_noise

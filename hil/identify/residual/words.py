@@ -8,9 +8,9 @@ import numpy as np
 
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, motion_rates
+from hil.data.metrics import rmse
 from hil.data.parts import BY_SAMPLE, told_by_sample
-from hil.evaluate.metrics import rmse
-from hil.evaluate.persistence import persistence
+from hil.data.persistence import persistence
 from hil.identify.base import HONEST
 from hil.identify.residual.fit import Learnt
 from hil.identify.residual.judged import Judged

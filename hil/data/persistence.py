@@ -12,7 +12,7 @@ import numpy as np
 from hil.core.errors import SpecError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
-from hil.evaluate.metrics import rmse
+from hil.data.metrics import rmse
 
 ROUNDING_S = 1e-6
 """Time stamps that differ by less are the same: 20 steps of 1 ms are 20 ms."""
