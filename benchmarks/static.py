@@ -26,12 +26,12 @@ from hil.core.errors import DataError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset, SeriesKind
 from hil.data.dwells import dwells_of, series_means
-from hil.data.load import load_source
 from hil.data.splits import Split, split
 from hil.dynamics import load_model
 from hil.identify import estimator
 from hil.identify.gravity import PaperGravity
 from hil.identify.static_linear import StaticLinear
+from hil.importers.load import load_source
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)
 """Of development; `tests/test_proof_stick_friction.py` judges on others."""

@@ -9,10 +9,10 @@ from typing import Literal, get_args
 from hil.core.errors import DataError, SpecError
 from hil.core.suggest import did_you_mean
 from hil.data.dataset import Dataset, SeriesKind
-from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.identify.controller_gains import ControllerGains, controller_gains, shows_controller
 from hil.identify.gains import Gains, calibrate_gains
+from hil.importers.load import load_source
 
 GainsMethod = Literal["auto", "known-loads", "controller"]
 

@@ -21,7 +21,6 @@ from hil.core.errors import DataError, FitError, RecordingError, SpecError
 from hil.core.extras import require_installed
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.data.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
 from hil.evaluate import evaluate
@@ -32,6 +31,7 @@ from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
 from hil.identify.training_loop.attached import attach, keeps_checkpoints
 from hil.identify.training_loop.problem import HearsBeginning, Watch
+from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.validation import (
     EVALUATION_FILE,
     Validation,

@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_limits
 
 from hil.core.errors import DataError, SpecError
 from hil.data.dataset import Dataset
-from hil.data.load import load_source
 from hil.dynamics.weighing import CALIBRATED_SHARE, GAIN_SHARE
 from hil.fitting import usable_part
 from hil.identify.base import RobotEstimator
@@ -22,6 +21,7 @@ from hil.identify.payload_estimate import PayloadEstimate
 from hil.identify.payload_fit import estimate_payload, require_friction, require_one_load
 from hil.identify.payload_problem import Friction
 from hil.identify.payload_rest import estimate_payload_at_rest
+from hil.importers.load import load_source
 from hil.validation import require_unseen, serial_notes
 
 

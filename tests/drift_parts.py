@@ -9,7 +9,7 @@ from synthetic_motion import GAINS, fourier, true_torque
 from test_identify_sources import layout
 
 from hil.arms.payload import Payload
-from hil.data.importing import import_file
+from hil.importers import import_file
 
 SAMPLES, NOISE_A = 3000, 0.02
 COULOMB_J2_NM = 7.0

@@ -300,7 +300,7 @@ def gone_on_with(folder: Path) -> str:
 
 def require_whole(folder: Path, run: Path, before: dict[int, bytes]) -> None:
     """Require a run at its end, with all that was on the disk before."""
-    from hil.data.load import load_source
+    from hil.importers.load import load_source
     from hil.recording.reserve import NAME
 
     (entry,) = listed(folder)

@@ -14,8 +14,8 @@ import numpy as np
 from pipeline_parts import occasion
 
 from hil.core.typing import FloatArray
-from hil.data.load import load_source
 from hil.fitting import usable_part
+from hil.importers.load import load_source
 from hil.pipeline.stages import FOLDER
 from hil.recording.rundir import RunDirectory
 from hil.registry.registry import Registry

@@ -13,7 +13,7 @@ import hil
 from hil.campaign.parts import hold_out
 from hil.campaign.run import RunReport
 from hil.core.errors import DataError
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import HoldOut

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.recording import McapWriter, RunDirectory, read_topic
 from hil.recording.recover_run import recover
 from hil.robot.topic import state_topic

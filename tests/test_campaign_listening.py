@@ -24,7 +24,7 @@ from hil.campaign.listening_notes import fit_notes
 from hil.cli.app import app
 from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 from hil.report import render_report

@@ -13,10 +13,10 @@ import hil
 from hil.campaign.run import RunReport
 from hil.core.errors import DataError, SpecError
 from hil.data.dwells import series_means
-from hil.data.load import gravity_of, load_source
 from hil.dynamics import load_model
 from hil.identify import load_model_file
 from hil.identify.static import StaticWls
+from hil.importers.load import gravity_of, load_source
 from hil.recording.rundir import RunDirectory
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_dwell_12.yaml"

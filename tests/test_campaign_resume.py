@@ -24,11 +24,11 @@ from hil.campaign.live_state import LIVE_FILE, read_live
 from hil.campaign.steering import stop_run
 from hil.campaign.trainings import FOLDER
 from hil.core.errors import DataError, PreflightFailed, RecordingError
-from hil.data import completeness
-from hil.data.completeness import completeness_of
-from hil.data.load import load_source
 from hil.engine import Reply
 from hil.engine.steps import Steps
+from hil.importers import completeness
+from hil.importers.completeness import completeness_of
+from hil.importers.load import load_source
 from hil.planning.plan import Plan
 from hil.recording.reader import read_topic
 from hil.recording.recorder import Recorder

@@ -11,8 +11,8 @@ from hil.data import Conditions, Dataset
 from hil.data.arrival import NEAR_RAD, POINTS, QD, Q, Track, arrival, directions
 from hil.data.dataset import rows_of
 from hil.data.dwells import dwells_of
-from hil.data.series import Origin, StepNote, assemble, cut
 from hil.data.splits import split
+from hil.importers.series import Origin, StepNote, assemble, cut
 from hil.robot import Status
 from hil.robot.topic import state_topic
 

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hil.core.typing import FloatArray, StructArray
-from hil.data.completeness import (
+from hil.engine.dwell import DwellWatch
+from hil.excitation.motion import FourierSeries
+from hil.importers.completeness import (
     completeness_of,
     dwell_is_over,
     dwell_settles,
     step_is_complete,
 )
-from hil.engine.dwell import DwellWatch
-from hil.excitation.motion import FourierSeries
 from hil.planning.plan import DwellRule, Plan, Step
 from hil.recording.writer import McapWriter
 from hil.robot.state import Status, state_dtype

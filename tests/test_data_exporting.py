@@ -19,9 +19,9 @@ from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError, PluginError, RecordingError
 from hil.data.dataset import Dataset
-from hil.data.exporting import export_data
-from hil.data.importing import import_file
-from hil.data.load import load_source
+from hil.importers import import_file
+from hil.importers.exporting import export_data
+from hil.importers.load import load_source
 from hil.planning.plan import LoadStep
 
 

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from hil.arms.payload import Payload
 from hil.cli.app import app
 from hil.core.errors import DataError, RecordingError, SpecError
-from hil.data.importing import ImportMap, import_file
-from hil.data.load import load_source, serial_of
+from hil.importers import ImportMap, import_file
+from hil.importers.load import load_source, serial_of
 from hil.recording import read_info
 
 NAMES = ["a", "b"]

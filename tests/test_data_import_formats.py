@@ -7,8 +7,8 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from hil.core.errors import DataError
-from hil.data.importing import ImportMap, import_file
-from hil.data.load import load_source
+from hil.importers import ImportMap, import_file
+from hil.importers.load import load_source
 
 ROWS = 40
 T = np.arange(ROWS) * 0.004

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import SpecError
-from hil.data.importing import load_map
+from hil.importers import load_map
 
 MAPS = sorted((Path(__file__).parents[1] / "experiments" / "maps").glob("*.yaml"))
 

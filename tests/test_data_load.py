@@ -8,8 +8,8 @@ import pytest
 from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.data.filters import sample_rate
-from hil.data.load import load_source, serial_of
 from hil.data.splits import groups
+from hil.importers.load import load_source, serial_of
 from hil.recording import Attachment, McapWriter, RunDirectory
 from hil.robot import Status
 from hil.robot.topic import STATE_TOPIC, state_topic

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from hil.data import Dataset
-from hil.data.importing import import_file
-from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.identify.controller_gains import controller_gains
 from hil.identify.payload_halves import payload_halves
 from hil.identify.rigid import RigidWls
 from hil.identify.rigid_hysteresis import RigidHysteresis
+from hil.importers import import_file
+from hil.importers.load import load_source
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data"))

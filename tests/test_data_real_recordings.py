@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hil.core.errors import DataError
-from hil.data.importing import import_file
-from hil.data.load import load_source
 from hil.data.splits import split
 from hil.dynamics import load_model
 from hil.evaluate import evaluate
 from hil.fitting import fit_sources
 from hil.identify.rigid import RigidWls
+from hil.importers import import_file
+from hil.importers.load import load_source
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data"))

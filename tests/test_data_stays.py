@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from hil.arms.payload import Payload
 from hil.core.typing import StructArray
-from hil.data.described import dwell_rule_of, found_plan, steps_of_plan
 from hil.data.dwells import find_dwells
 from hil.data.stays import MOST_HELD, FoundSteps, StayFinder
+from hil.importers.described import dwell_rule_of, found_plan, steps_of_plan
 from hil.robot.state import state_dtype
 
 RATE_HZ = 125.0

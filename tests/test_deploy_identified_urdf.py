@@ -201,7 +201,7 @@ def test_the_command_tells_what_is_in_the_file(
 
 @pytest.mark.parametrize("load", [None, LOAD])
 def test_the_command_for_loads_tells_the_load_or_that_none_shows(model, load, tmp_path) -> None:
-    from hil.data.importing import import_file
+    from hil.importers import import_file
 
     run = moving(5, load=load)
     t, q, qd, _ = fourier(5)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.data.importing import import_file, load_map
-from hil.data.importing.import_map import ImportMap
-from hil.data.importing.units import QUANTITY_DIMENSIONS, units_of
-from hil.data.load import load_source
+from hil.importers import import_file, load_map
+from hil.importers.import_map import ImportMap
+from hil.importers.load import load_source
+from hil.importers.units import QUANTITY_DIMENSIONS, units_of
 from hil.spec.model_tree import Model, keys_of, tree
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "maps.md").read_text("utf-8")

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hil.core.errors import SpecError
 from hil.core.yaml_source import parse
-from hil.data.importing.import_map import load_map
+from hil.importers.import_map import load_map
 from hil.spec import load_spec, load_station
 from hil.spec.series import load_series_spec
 

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, RecordingError, SpecError
-from hil.data.importing import import_file
-from hil.data.load import load_source
 from hil.gains_file import read_gains, write_gains
 from hil.identify.controller_gains import controller_gains
+from hil.importers import import_file
+from hil.importers.load import load_source
 
 BELIEVED = 1.1 * GAINS
 

@@ -9,9 +9,9 @@ from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 import hil
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.data.importing import ImportMap, import_file
-from hil.data.load import load_source
 from hil.fitting import evaluate_sources, fit_sources, parse_payload
+from hil.importers import ImportMap, import_file
+from hil.importers.load import load_source
 
 
 def layout(**changes):

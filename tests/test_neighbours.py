@@ -8,8 +8,8 @@ import pytest
 
 from hil.core.errors import DataError, SpecError
 from hil.core.neighbours import MOST_NAMED, neighbour_of, no_file
-from hil.data.importing.importer import import_file
 from hil.dynamics.urdf import read_serial_arm
+from hil.importers.importer import import_file
 from hil.spec.load import load_spec
 
 MAPS = Path(__file__).parents[1] / "experiments" / "maps"

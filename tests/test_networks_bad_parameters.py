@@ -15,11 +15,11 @@ from test_identify_sources import layout, recording
 from hil.cli.app import main
 from hil.core import plugins
 from hil.core.errors import SpecError
-from hil.data.importing import import_file
 from hil.identify import estimator
 from hil.identify.lagrangian.settings import NetworkSettings
 from hil.identify.parameters import settings
 from hil.identify.training_loop.settings import TrainingSettings
+from hil.importers import import_file
 from hil.study.base import study
 
 OF_NO_USE = [

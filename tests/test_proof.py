@@ -15,7 +15,7 @@ import pytest
 
 import hil
 from hil import benchmarking
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 
 pytestmark = pytest.mark.proof

@@ -11,7 +11,7 @@ from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_ru
 
 from hil.campaign.judging import judge_run
 from hil.core.errors import DataError, RecordingError
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.report import render_fit_report, render_report
 from hil.report.facts import read_facts
 from hil.report.measured import measured

@@ -16,8 +16,8 @@ from pathlib import Path
 from benchmarks.identification.parts import cut, thinned
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset
-from hil.data.importing import import_file
-from hil.data.load import load_source
+from hil.importers import import_file
+from hil.importers.load import load_source
 
 _ROOT = Path(__file__).resolve().parents[2]
 MAPS = _ROOT / "experiments" / "maps"

@@ -78,8 +78,8 @@ def fit(
 
 
 def _fit_page(result: FitReport, held_out: Iterable[Path], page: Path) -> None:
-    from hil.data.load import load_source
     from hil.fitting import usable_part
+    from hil.importers.load import load_source
     from hil.report import render_fit_report
 
     model = result.fitted.model

@@ -23,7 +23,7 @@ def dataset(*sources: AnyPath | Iterable[AnyPath]) -> Dataset:
         DataError: None was given, one cannot be read, or they are of different robots.
         SpecError: One is no path.
     """
-    from hil.data.load import load_source
+    from hil.importers.load import load_source
 
     return Dataset.concatenate([load_source(source) for source in sources_of(*sources)])
 
@@ -43,7 +43,7 @@ def export_data(source: AnyPath, out: AnyPath) -> dict[str, Any]:
         PluginError: Parquet without pyarrow.
         RecordingError: A file is there already, or cannot be written.
     """
-    from hil.data.exporting import export_data as exported
+    from hil.importers.exporting import export_data as exported
 
     return exported(path(source), path(out)).to_dict()
 
@@ -74,7 +74,7 @@ def import_recording(
         SpecError: The map or the payload is not valid.
         DataError: The file holds rows that make no sense (with their line numbers).
     """
-    from hil.data.importing import import_file
+    from hil.importers import import_file
 
     report = import_file(
         path(file),

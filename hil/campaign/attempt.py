@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from hil.campaign.sink import COUNTED, RunSink, counts_of, recorded_span
 from hil.campaign.weighed_before import Readings
 from hil.core.errors import HilError, RecordingError, exit_code_of
-from hil.data.completeness import Completeness, completeness_of
 from hil.engine import Observers, Outcome, RunResult
+from hil.importers.completeness import Completeness, completeness_of
 from hil.planning.experiment import Experiment
 from hil.planning.plan import Plan
 from hil.recording.recorder import Recorder

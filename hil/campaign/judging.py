@@ -14,10 +14,10 @@ from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.core.errors import DataError, FitError, HilError
 from hil.core.files import read_json
 from hil.data.dataset import Dataset
-from hil.data.load import load_source
 from hil.dynamics import load_model
 from hil.fitting import Fitted, fit_dataset, usable_part
 from hil.identify.base import HONEST, estimator
+from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit
 from hil.validation import EVALUATION_FILE

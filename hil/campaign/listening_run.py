@@ -16,9 +16,9 @@ from hil.campaign.listening_notes import NOT_USABLE, fit_notes, unusable_notes
 from hil.campaign.sink import RunSink, counts_of
 from hil.core.errors import HilError, RobotTimeout, exit_code_of
 from hil.core.typing import StructArray
-from hil.data.described import found_plan
 from hil.data.stays import FOUND_FILE, FoundSteps, StayFinder
 from hil.engine.signals import SignalWatch
+from hil.importers.described import found_plan
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
 from hil.robot import HasTopics, Listens, Robot

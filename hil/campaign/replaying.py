@@ -20,8 +20,8 @@ from hil.core.errors import DataError, HilError, PluginError
 from hil.core.files import sha256_of
 from hil.core.live_lock import hold_run
 from hil.core.typing import StructArray
-from hil.data.completeness import Completeness, completeness_of
-from hil.data.load import require_arm_as_recorded
+from hil.importers.completeness import Completeness, completeness_of
+from hil.importers.load import require_arm_as_recorded
 from hil.planning.plan import Plan
 from hil.planning.plan_file import read_plan
 from hil.recording.continuity import Counts

@@ -27,8 +27,8 @@ from hil.campaign.trainings import forget
 from hil.campaign.weighed_before import Readings, is_whole, weighed_before
 from hil.core.errors import DataError, PreflightFailed
 from hil.core.files import read_json
-from hil.data.completeness import Completeness, completeness_of, rows_of
 from hil.engine import Outcome, RunResult
+from hil.importers.completeness import Completeness, completeness_of, rows_of
 from hil.planning.approach import Approach
 from hil.planning.experiment import Experiment, load_experiment
 from hil.planning.plan import Plan

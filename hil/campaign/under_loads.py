@@ -18,10 +18,10 @@ from threadpoolctl import threadpool_limits
 
 from hil.campaign.verdict import FailedFit
 from hil.core.errors import FitError, HilError
-from hil.data.load import serial_of
 from hil.dynamics import load_model
 from hil.identify.base import HONEST
 from hil.identify.model_file import load_model_file
+from hil.importers.load import serial_of
 from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry
 from hil.study.separation_text import mean_of
 from hil.study.store import STUDIES, folder_of, write_problem, write_study

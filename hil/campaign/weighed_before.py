@@ -12,7 +12,7 @@ from pathlib import Path
 from hil.campaign.scales import Reading, gains_of, reading_of
 from hil.core.errors import DataError
 from hil.core.typing import StructArray
-from hil.data.completeness import recorded_steps, step_is_complete
+from hil.importers.completeness import recorded_steps, step_is_complete
 from hil.planning.plan import Plan, Step
 from hil.planning.weighing import why_plan_not_weighed
 from hil.robot import Capabilities

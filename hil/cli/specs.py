@@ -169,7 +169,7 @@ def schema(
 ) -> None:
     """Print the JSON Schema of a spec, station, series, schedule or import map, for editors."""
     if kind == "map":
-        from hil.data.importing.map_schema import map_schema
+        from hil.importers.map_schema import map_schema
 
         print_json(map_schema())
         return

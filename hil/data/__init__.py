@@ -1,6 +1,6 @@
 """Aligned arrays with units and conditions.
 
-Importing `hil.data` pulls in no recorder: reading run directories lives in `hil.data.load`,
+Importing `hil.data` pulls in no recorder: reading run directories lives in `hil.importers.load`,
 which only the callers above the identification import (docs/explanation/architecture.md).
 """
 

@@ -13,11 +13,11 @@ from hil.campaign.judged_model import judged_model
 from hil.campaign.parts import Parts, hold_out
 from hil.core.errors import HilError
 from hil.core.files import json_document
-from hil.data.load import load_source, serial_of
 from hil.drift.history import identity
 from hil.dynamics import load_model
 from hil.fitting import fit_dataset, usable_part
 from hil.identify.base import estimator as make_estimator
+from hil.importers.load import load_source, serial_of
 from hil.spec.experiment import Accept
 from hil.spec.load import load_spec
 from hil.validation import EVALUATION_FILE

@@ -87,9 +87,9 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
 
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    from hil.data.load import load_source
     from hil.fitting import usable_part
     from hil.identify.model_file import load_model_file
+    from hil.importers.load import load_source
 
     fitted = load_model_file(model)
     data = usable_part(load_source(run), fitted)

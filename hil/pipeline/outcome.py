@@ -71,9 +71,9 @@ def errors_on(registry: Registry, name: str, done: Done) -> Document | None:
 
 
 def _on(registry: Registry, name: str, label: str, run: Path) -> Evaluation:
-    from hil.data.load import load_source
     from hil.evaluate import evaluate
     from hil.fitting import usable_part
+    from hil.importers.load import load_source
 
     model = registry.load(name, label)
     return evaluate(model, usable_part(load_source(run), model))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.core.errors import DataError
-from hil.data.completeness import completeness_of, rows_of
+from hil.importers.completeness import completeness_of, rows_of
 from hil.planning.plan import Plan
 from hil.recording.continuity import Counts
 from hil.recording.parts import attempt_of

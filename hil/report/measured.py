@@ -1,6 +1,6 @@
 """The measuring series of a run as a dataset, cut from rows that have been read already.
 
-`hil.data.load.load_source` gives the same series and all moves between them. For a long dwell
+`hil.importers.load.load_source` gives the same series and all moves between them. For a long dwell
 program the moves are nearly all rows, and reading and assembling them again would take longer than
 the rest of the report.
 """
@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from hil.core.errors import DataError
 from hil.data.dataset import Dataset, SeriesKind
-from hil.data.described import dwell_rule_of, origin_of_run, steps_of_plan
-from hil.data.series import Origin, Series, assemble, cut
+from hil.importers.described import dwell_rule_of, origin_of_run, steps_of_plan
+from hil.importers.series import Origin, Series, assemble, cut
 from hil.report.facts import RunFacts
 from hil.report.recording import Recording
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from hil.arms import require_same_arm
 from hil.core.errors import DataError, HilError
 from hil.data.dataset import Dataset
-from hil.data.described import robot_of_run
+from hil.importers.described import robot_of_run
 from hil.recording.rundir import RunDirectory
 from hil.report.background import preflight, provenance, timeline
 from hil.report.blocks import Page, Section

@@ -13,7 +13,7 @@ from pathlib import Path
 from hil.runs.origins import Lost
 from hil.core.errors import HilError, RegistryError
 from hil.data.fingerprints import Sketch
-from hil.data.load import load_source
+from hil.importers.load import load_source
 from hil.identify.model_file import load_model_file
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.suggest import did_you_mean
 from hil.core.typing import FloatArray, IntArray
-from hil.data.importing.import_map import Address, ImportMap
-from hil.data.importing.raw import Raw
+from hil.importers.import_map import Address, ImportMap
+from hil.importers.raw import Raw
 
 RTDE_NAMES = {
     "q": "actual_q_{}",

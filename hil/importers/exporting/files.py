@@ -13,7 +13,7 @@ import numpy as np
 from hil.core import plugins
 from hil.core.errors import RecordingError
 from hil.core.files import fsync_directory, json_line
-from hil.data.exporting.table import Table
+from hil.importers.exporting.table import Table
 
 _ROWS = 20_000
 """Rows that are text at a time."""

@@ -7,10 +7,10 @@ import numpy as np
 from hil.arms import arm_names, load_arm
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
-from hil.data.importing.checks import check_jumps, check_time, check_values
-from hil.data.importing.import_map import ImportMap, Quantity
-from hil.data.importing.raw import Raw
-from hil.data.importing.units import SI_SYMBOL, unit_named
+from hil.importers.checks import check_jumps, check_time, check_values
+from hil.importers.import_map import ImportMap, Quantity
+from hil.importers.raw import Raw
+from hil.importers.units import SI_SYMBOL, unit_named
 
 RANGE_MARGIN = 1.1
 

@@ -7,7 +7,7 @@ from bisect import bisect_left
 import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray, IntArray
-from hil.data.importing.raw import Raw
+from hil.importers.raw import Raw
 
 ABSURD = 1e6
 """No joint quantity in SI units is larger."""

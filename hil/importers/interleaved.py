@@ -8,8 +8,8 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
-from hil.data.importing.import_map import ImportMap
-from hil.data.importing.raw import Raw
+from hil.importers.import_map import ImportMap
+from hil.importers.raw import Raw
 
 
 def read_interleaved(path: Path, layout: ImportMap) -> Raw:

@@ -15,14 +15,14 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.core.neighbours import neighbour_of, no_file
 from hil.core.suggest import did_you_mean
-from hil.data.importing.bag import read_bag
-from hil.data.importing.convert import convert
-from hil.data.importing.import_map import FileFormat, ImportMap, Window, load_map
-from hil.data.importing.interleaved import read_interleaved
-from hil.data.importing.mat import read_mat
-from hil.data.importing.raw import Raw
-from hil.data.importing.recording import segments_of, write_recording
-from hil.data.importing.text import read_text
+from hil.importers.bag import read_bag
+from hil.importers.convert import convert
+from hil.importers.import_map import FileFormat, ImportMap, Window, load_map
+from hil.importers.interleaved import read_interleaved
+from hil.importers.mat import read_mat
+from hil.importers.raw import Raw
+from hil.importers.recording import segments_of, write_recording
+from hil.importers.text import read_text
 
 READERS: dict[str, Callable[[Path, ImportMap], Raw]] = {
     "csv": read_text,

@@ -11,8 +11,8 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.suggest import did_you_mean
 from hil.core.typing import FloatArray
-from hil.data.importing.import_map import Address, ImportMap
-from hil.data.importing.raw import Raw
+from hil.importers.import_map import Address, ImportMap
+from hil.importers.raw import Raw
 
 _INDEXED = re.compile(r"(.+)\[(\d+)\]")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hil.arms.payload import Payload
 from hil.core.files import read_json, sha256_of
 from hil.data.dataset import Conditions, Dataset
-from hil.data.load import serial_of
+from hil.importers.load import serial_of
 from hil.recording.provenance import package_versions, utc_now
 
 Values: TypeAlias = NDArray[Any]

@@ -1,7 +1,7 @@
 """Datasets from run directories and MCAP files.
 
-The only module of `hil.data`, beside `hil.data.importing`, that reads recordings; `hil.data` itself
-never imports it, so that estimators stay clear of the recorder (docs/explanation/architecture.md).
+`hil.data` never imports it, so that estimators stay clear of the recorder
+(docs/explanation/architecture.md).
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.core.typing import StructArray
-from hil.data.completeness import base_record, dwell_is_over, rows_of
 from hil.data.dataset import UPRIGHT, Dataset, SeriesKind
-from hil.data.described import (
+from hil.data.dwells import SAMPLES_PER_DWELL
+from hil.data.stays import FOUND_FILE, FoundSteps
+from hil.importers.completeness import base_record, dwell_is_over, rows_of
+from hil.importers.described import (
     dwell_rule_of,
     found_plan,
     mapping,
@@ -35,9 +37,7 @@ from hil.data.described import (
     steps_of_plan,
     vector,
 )
-from hil.data.dwells import SAMPLES_PER_DWELL
-from hil.data.series import TARGET, Series, StepNote, assemble, cut
-from hil.data.stays import FOUND_FILE, FoundSteps
+from hil.importers.series import TARGET, Series, StepNote, assemble, cut
 from hil.planning.plan import DwellRule
 from hil.recording.parts import attempt_of
 from hil.recording.reader import RecordingInfo, read_info, read_topic

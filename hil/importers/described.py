@@ -20,7 +20,7 @@ from hil.core.source import shown
 from hil.core.typing import FloatArray
 from hil.data.dataset import SeriesKind
 from hil.data.dwells import DwellRule as StayRule
-from hil.data.series import Origin, StepNote
+from hil.importers.series import Origin, StepNote
 from hil.planning.plan import DwellRule
 
 _LISTS = ("joint_names", "drive_gains")

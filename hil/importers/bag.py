@@ -13,8 +13,8 @@ from hil.core.errors import DataError
 from hil.core.quick_yaml import look_into
 from hil.core.suggest import did_you_mean
 from hil.core.typing import FloatArray, IntArray
-from hil.data.importing.import_map import ImportMap
-from hil.data.importing.raw import Raw
+from hil.importers.import_map import ImportMap
+from hil.importers.raw import Raw
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 METADATA = "metadata.yaml"

@@ -19,7 +19,7 @@ from pydantic import (
 from hil.arms.payload import Payload
 from hil.core.source import Problem, refuse, shown
 from hil.core.yaml_source import read_source
-from hil.data.importing.units import QUANTITY_DIMENSIONS, unit_named, units_of
+from hil.importers.units import QUANTITY_DIMENSIONS, unit_named, units_of
 from hil.spec.findings import findings_of
 from hil.spec.loads import Load
 from hil.spec.messages import explain

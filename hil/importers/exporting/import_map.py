@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 
 from hil.data.dataset import UPRIGHT, Dataset
-from hil.data.exporting.table import Table, flat_name, load_of
-from hil.data.importing.import_map import QUANTITIES
+from hil.importers.exporting.table import Table, flat_name, load_of
+from hil.importers.import_map import QUANTITIES
 
 
 def why_no_map(dataset: Dataset) -> str:

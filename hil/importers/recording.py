@@ -10,10 +10,10 @@ import numpy as np
 
 from hil.core.typing import IntArray, StructArray
 from hil.data.filters import sample_rate
-from hil.data.importing.import_map import ImportMap, Window
-from hil.data.importing.raw import Raw
-from hil.data.load import WINDOW_PAYLOAD
-from hil.data.series import TARGET
+from hil.importers.import_map import ImportMap, Window
+from hil.importers.load import WINDOW_PAYLOAD
+from hil.importers.raw import Raw
+from hil.importers.series import TARGET
 from hil.recording.writer import McapWriter
 from hil.robot.topic import Topic, state_topic, torque_target_topic
 from hil.spec.loads import Load

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.data.importing.import_map import ImportMap
+from hil.importers.import_map import ImportMap
 from hil.spec.schema import DIALECT
 
 

@@ -10,10 +10,10 @@ from typing import Any
 from hil.core.errors import DataError, RecordingError
 from hil.core.files import json_document, write_once
 from hil.core.suggest import did_you_mean
-from hil.data.exporting.files import csv_file, npz_file, parquet_file
-from hil.data.exporting.import_map import import_map, why_no_map
-from hil.data.exporting.table import Table, table_of
-from hil.data.load import load_source
+from hil.importers.exporting.files import csv_file, npz_file, parquet_file
+from hil.importers.exporting.import_map import import_map, why_no_map
+from hil.importers.exporting.table import Table, table_of
+from hil.importers.load import load_source
 
 __all__ = ["Exported", "export_data"]
 
@@ -56,7 +56,7 @@ class Exported:
 def export_data(source: Path, out: Path) -> Exported:
     """Write the samples of a run or a recording: one row each, with what the robot did then.
 
-    The rows are those that `hil.data.load.load_source` gives: usable ones, each step as it was
+    The rows are those that `hil.importers.load.load_source` gives: usable ones, each step as it was
     recorded last. Nothing is rounded.
 
     Args:
