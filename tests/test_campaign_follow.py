@@ -13,7 +13,7 @@ from hil.campaign.live_state import LiveState
 from hil.cli.watching import WatchLines, end_line, live_line
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
-from hil.live.log_words import words_of
+from hil.engine.live.log_words import words_of
 from hil.recording.rundir import RunDirectory
 
 

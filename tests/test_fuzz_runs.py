@@ -22,8 +22,8 @@ from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError
 from hil.core.yaml_source import parse
+from hil.engine.preflight import CheckResult
 from hil.importers.load import gravity_of, load_source, serial_of
-from hil.preflight import CheckResult
 from hil.recording import Attachment, McapWriter, RunDirectory, read_events
 from hil.report import render_report, summary_lines
 from hil.report.facts import read_facts

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from hil.live.standing import Standing
-from hil.live.words import DEBUG, ERROR, INFO, WARNING, words_of
+from hil.engine.live.standing import Standing
+from hil.engine.live.words import DEBUG, ERROR, INFO, WARNING, words_of
 
 
 def standing(*events: dict[str, Any]) -> Standing:

@@ -20,9 +20,7 @@ from hil.arms.payload import Payload
 from hil.core import plugins
 from hil.core.errors import CommandRefused, PreflightFailed, RobotConnectionError, SpecError
 from hil.core.typing import FloatArray, StructArray
-from hil.excitation.motion import Hold, Line
-from hil.planning.plan import LoadStep, Plan, Step
-from hil.preflight import (
+from hil.engine.preflight import (
     BUILT_IN,
     CheckResult,
     Context,
@@ -31,7 +29,9 @@ from hil.preflight import (
     preflight_context,
     require_preflight,
 )
-from hil.preflight.preflight import NEVER_WAIVED
+from hil.engine.preflight.preflight import NEVER_WAIVED
+from hil.excitation.motion import Hold, Line
+from hil.planning.plan import LoadStep, Plan, Step
 from hil.robot import Capabilities, Finding, HasChecks, Identity, Limits, Status
 
 NAMES = tuple(f"j{i + 1}" for i in range(6))

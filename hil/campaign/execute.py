@@ -22,12 +22,12 @@ from hil.campaign.weighing import Weighing
 from hil.core.errors import HilError
 from hil.engine import Engine, Observers, Prompt
 from hil.engine.pausing import GoOn, nobody_goes_on
+from hil.engine.preflight import preflight_context, require_preflight
 from hil.engine.signals import SignalWatch
 from hil.excitation.setting import Advance
 from hil.planning.plan import Plan
 from hil.planning.robots import close_robot
 from hil.planning.swept import swept
-from hil.preflight import preflight_context, require_preflight
 from hil.recording.parts import name_of_attempt
 from hil.recording.recorder import Recorder
 from hil.robot import Robot

@@ -21,7 +21,7 @@ from hil.core.errors import DataError, RecordingError
 from hil.core.files import json_line, read_json, write_replacing
 from hil.core.live_lock import run_holder
 from hil.core.typing import StructArray
-from hil.live.standing import ENDING, Standing
+from hil.engine.live.standing import ENDING, Standing
 from hil.recording.provenance import utc_now
 
 LIVE_FILE = ".live.json"

@@ -15,9 +15,9 @@ from hil.campaign.extras import require_extras
 from hil.campaign.interlocks import interlocks_for
 from hil.campaign.operator import prompt_on, require_attended
 from hil.core import plugins
+from hil.engine.preflight import require_room_to_begin
 from hil.planning.experiment import Experiment
 from hil.planning.robots import held, plan_for
-from hil.preflight import require_room_to_begin
 from hil.recording.rundir import RunDirectory
 from hil.robot import Robot
 from hil.spec.judgeable import require_judgeable

@@ -166,7 +166,7 @@ def _attended(
 ) -> RunReport:
     """Motion, fit, verdict and report, with signals and observers looked after."""
     from hil.campaign.execute import Attendance
-    from hil.preflight import require_waivable
+    from hil.engine.preflight import require_waivable
 
     require_waivable(waivers)
     watching, at = Observers(tuple(observers)), desk or console_desk(operator)

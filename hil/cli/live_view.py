@@ -51,8 +51,8 @@ def live_view(
     if not (live or port is not None or host):
         yield ()
         return
-    from hil.live import FoxgloveLive
-    from hil.live.server import LAYOUT, LOOPBACK, is_loopback
+    from hil.engine.live import FoxgloveLive
+    from hil.engine.live.server import LAYOUT, LOOPBACK, is_loopback
 
     host = host or LOOPBACK
     with FoxgloveLive(robot(), host=host, port=port) as view:

@@ -13,12 +13,12 @@ from hil.cli.excitation_line import ExcitationLine
 from hil.cli.output import duration, fit_ended, fit_words, fold, width_of
 from hil.cli.study_progress import StudyBar
 from hil.cli.training_line import TrainingLine
+from hil.engine.live.standing import ENDING, PAUSED, Standing
+from hil.engine.live.words import answer_words, share_words, state_words, step_words
 from hil.engine.observers import Event
+from hil.engine.preflight.robot_checks import OWN
 from hil.excitation.setting import Advance
 from hil.identify.training_loop.problem import Told
-from hil.live.standing import ENDING, PAUSED, Standing
-from hil.live.words import answer_words, share_words, state_words, step_words
-from hil.preflight.robot_checks import OWN
 from hil.study.base import Ended
 
 PIPED_EVERY_S = 10.0

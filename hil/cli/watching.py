@@ -11,9 +11,9 @@ from typing import Any
 from hil.campaign.live_state import standing_in
 from hil.cli.output import duration, fold
 from hil.core.holder import plain
-from hil.live.log_words import MOST, words_of
-from hil.live.standing import ENDING, Standing
-from hil.live.words import share_words, state_words, step_words
+from hil.engine.live.log_words import MOST, words_of
+from hil.engine.live.standing import ENDING, Standing
+from hil.engine.live.words import share_words, state_words, step_words
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0

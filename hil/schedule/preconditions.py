@@ -51,7 +51,7 @@ def _trouble(robot: Robot) -> str:
     """What keeps a connected robot from being moved."""
     import numpy as np
 
-    from hil.preflight.robot_checks import REST_RAD_S, own_checks
+    from hil.engine.preflight.robot_checks import REST_RAD_S, own_checks
     from hil.robot import Status
 
     state = robot.read()[-1]

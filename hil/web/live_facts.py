@@ -18,9 +18,9 @@ from hil.campaign.live_state import read_live, standing_in
 from hil.core.errors import HilError
 from hil.core.holder import plain
 from hil.core.live_lock import is_live
-from hil.live.log_words import words_of
-from hil.live.standing import ENDING, PAUSED, Standing
-from hil.live.words import share_words, state_words, step_words
+from hil.engine.live.log_words import words_of
+from hil.engine.live.standing import ENDING, PAUSED, Standing
+from hil.engine.live.words import share_words, state_words, step_words
 from hil.recording.rundir import RunDirectory
 from hil.report.measures import measures
 from hil.report.words import duration

@@ -1,6 +1,6 @@
 """Watching a run while it goes on: where it stands, in words and over the network."""
 
-from hil.live.server import FoxgloveLive
-from hil.live.standing import Standing
+from hil.engine.live.server import FoxgloveLive
+from hil.engine.live.standing import Standing
 
 __all__ = ["FoxgloveLive", "Standing"]

@@ -1,7 +1,7 @@
 """Checks before motion."""
 
-from hil.preflight.check import Check, CheckResult, Context, Situation
-from hil.preflight.preflight import (
+from hil.engine.preflight.check import Check, CheckResult, Context, Situation
+from hil.engine.preflight.preflight import (
     BUILT_IN,
     document_of,
     preflight,

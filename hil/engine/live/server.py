@@ -23,10 +23,10 @@ from hil.core import plugins
 from hil.core.bounded import bounded
 from hil.core.errors import HilError, PluginError
 from hil.core.typing import StructArray
-from hil.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
-from hil.live.decimate import Decimation
-from hil.live.standing import Standing
-from hil.live.words import words_of
+from hil.engine.live.channels import PROGRESS_SCHEMA, PROGRESS_TOPIC, RobotTopics
+from hil.engine.live.decimate import Decimation
+from hil.engine.live.standing import Standing
+from hil.engine.live.words import words_of
 from hil.recording.log_message import EVENT_TOPIC, encode_log
 from hil.robot import Capabilities
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import StructArray
-from hil.live.standing import Standing
+from hil.engine.live.standing import Standing
 from hil.recording.joint_state import (
     JOINT_STATE_SCHEMA,
     JOINT_STATE_TEXT,
