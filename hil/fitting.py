@@ -29,9 +29,9 @@ from hil.identify.base import RobotEstimator
 from hil.identify.base import estimator as make_estimator
 from hil.identify.model_file import load_model_file, model_files, write_whole
 from hil.identify.training import Training
-from hil.identify.training_loop.attached import attach, keeps_checkpoints
-from hil.identify.training_loop.problem import HearsBeginning, Watch
 from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
+from hil.networks.training_loop.attached import attach, keeps_checkpoints
+from hil.networks.training_loop.problem import HearsBeginning, Watch
 from hil.validation import (
     EVALUATION_FILE,
     Validation,

@@ -8,12 +8,12 @@ import pytest
 
 from hil.deploy.export.c_network import network_piece
 from hil.deploy.export.c_program_text import RESTRICT
-from hil.identify.residual.correction import Correction
-from hil.identify.residual.inputs import InputScales, NetworkInputs, group_shape
-from hil.identify.residual.settings import ResidualSettings
-from hil.identify.residual.streaming import CorrectedStream
-from hil.identify.residual.trained import TrainedTcn
-from hil.identify.residual.weights import TcnWeights
+from hil.networks.residual.correction import Correction
+from hil.networks.residual.inputs import InputScales, NetworkInputs, group_shape
+from hil.networks.residual.settings import ResidualSettings
+from hil.networks.residual.streaming import CorrectedStream
+from hil.networks.residual.trained import TrainedTcn
+from hil.networks.residual.weights import TcnWeights
 
 COMPILER = shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]

@@ -13,8 +13,8 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
-from hil.identify.residual.selection import Selection
 from hil.identify.rigid import RigidWls
+from hil.networks.residual.selection import Selection
 from hil.study.inverse_methods import ROWS, Row
 
 SMALL: dict[str, Any] = {

@@ -7,7 +7,7 @@ from functools import cache
 from synthetic_motion import moving, nominal
 
 from hil.data import Dataset
-from hil.identify.residual_network import ResidualNetwork
+from hil.networks.residual_network import ResidualNetwork
 
 SMOOTH = {"estimator": "rigid-wls", "sign_width": 2.0}
 SMALL = {"channels": 6, "dilations": (1, 4), "crop": 32, "split": False}

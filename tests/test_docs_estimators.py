@@ -15,9 +15,9 @@ from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE
 from hil.identify import estimator
 from hil.identify.base import GROUP, HONEST
-from hil.identify.lagrangian.choices import OURS as OURS_LAGRANGIAN
-from hil.identify.residual.settings import TRAINING, ResidualSettings
 from hil.identify.static import PAPER_PROTOCOL
+from hil.networks.lagrangian.choices import OURS as OURS_LAGRANGIAN
+from hil.networks.residual.settings import TRAINING, ResidualSettings
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "estimators.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]

@@ -11,9 +11,9 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data.splits import split
 from hil.identify import load_model_file
-from hil.identify.lm.scaling import ConstantInputWarning
 from hil.identify.static import PAPER_PROTOCOL, StaticWls
-from hil.identify.static_network import StaticMlpLm
+from hil.networks.lm.scaling import ConstantInputWarning
+from hil.networks.static_network import StaticMlpLm
 
 POSITIONS = ["q2", "q3", "q4", "q5"]
 STICTION_NM = 2.0

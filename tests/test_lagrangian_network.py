@@ -9,10 +9,10 @@ from scipy.special import expit
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import SpecError  # noqa: E402
-from hil.identify.lagrangian.network import LagrangianNetwork  # noqa: E402
-from hil.identify.lagrangian.settings import NetworkSettings  # noqa: E402
-from hil.identify.lagrangian.trunk import softplus  # noqa: E402
 from hil.identify.parameters import settings as read_settings  # noqa: E402
+from hil.networks.lagrangian.network import LagrangianNetwork  # noqa: E402
+from hil.networks.lagrangian.settings import NetworkSettings  # noqa: E402
+from hil.networks.lagrangian.trunk import softplus  # noqa: E402
 from tests.lagrangian_reference import SCALE, SETTINGS, Reference, motion, network  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings(  # torch.func.jvp itself, when it is first used

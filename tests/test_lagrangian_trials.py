@@ -6,10 +6,10 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError
 from hil.identify import estimator, load_model_file, save_model
-from hil.identify.lagrangian import choices
+from hil.networks.lagrangian import choices
 
 pytest.importorskip("torch", reason="torch is not installed")
-from hil.identify.lagrangian import fit
+from hil.networks.lagrangian import fit
 
 FAST, SLOW = {"friction": 1.0}, {"friction": 0.2}
 

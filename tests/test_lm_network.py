@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil.identify.lm.arrays import numpy_arrays
-from hil.identify.lm.network import Mlp
+from hil.networks.lm.arrays import numpy_arrays
+from hil.networks.lm.network import Mlp
 
 PAPER = ("linear", "tanh", "tanh", "linear")
 LAYOUTS = [

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hil.core.errors import FitError, SpecError
-from hil.identify.lm.arrays import numpy_arrays
-from hil.identify.lm.network import Mlp
-from hil.identify.lm.rows import averaged, checked_rows, equal_inputs
-from hil.identify.lm.scaling import ConstantInputWarning
-from hil.identify.lm.settings import Damping
-from hil.identify.lm.steps import Dual, Primal, dual_is_faster
-from hil.identify.lm.train import train
+from hil.networks.lm.arrays import numpy_arrays
+from hil.networks.lm.network import Mlp
+from hil.networks.lm.rows import averaged, checked_rows, equal_inputs
+from hil.networks.lm.scaling import ConstantInputWarning
+from hil.networks.lm.settings import Damping
+from hil.networks.lm.steps import Dual, Primal, dual_is_faster
+from hil.networks.lm.train import train
 
 MLP = Mlp((2, 8, 6, 1))
 
@@ -252,8 +252,8 @@ def test_processes_end_when_their_parent_is_killed(tmp_path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(
         "import numpy as np\n"
-        "from hil.identify.lm.network import Mlp\n"
-        "from hil.identify.lm.train import train\n"
+        "from hil.networks.lm.network import Mlp\n"
+        "from hil.networks.lm.train import train\n"
         "def told(epoch):\n"
         "    print(epoch.network, flush=True)\n"
         "if __name__ == '__main__':\n"

@@ -16,10 +16,10 @@ from hil.cli.app import main
 from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.identify import estimator
-from hil.identify.lagrangian.settings import NetworkSettings
 from hil.identify.parameters import settings
-from hil.identify.training_loop.settings import TrainingSettings
 from hil.importers import import_file
+from hil.networks.lagrangian.settings import NetworkSettings
+from hil.networks.training_loop.settings import TrainingSettings
 from hil.study.base import study
 
 OF_NO_USE = [

@@ -11,8 +11,8 @@ from synthetic_motion import nominal
 
 pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.identify.residual_network import ResidualNetwork
-from hil.identify.training_loop.problem import Told
+from hil.networks.residual_network import ResidualNetwork
+from hil.networks.training_loop.problem import Told
 
 QUICK = SHORT | {"epochs": 2, "batch_size": 400}
 NETWORK = {

@@ -8,11 +8,11 @@ import numpy as np
 from residual_models import known
 
 from hil.core.typing import FloatArray
-from hil.identify.residual.fit import Learnt
-from hil.identify.residual.judged import Judged
-from hil.identify.residual.motions import Motions
-from hil.identify.residual.out_of_fold import NO_FOLD, Physics
-from hil.identify.residual.settings import ResidualSettings
+from hil.networks.residual.fit import Learnt
+from hil.networks.residual.judged import Judged
+from hil.networks.residual.motions import Motions
+from hil.networks.residual.out_of_fold import NO_FOLD, Physics
+from hil.networks.residual.settings import ResidualSettings
 
 
 class Wild:

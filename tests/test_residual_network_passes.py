@@ -8,8 +8,8 @@ import pytest
 from residual_parts import OFFSETS, motions, problem, random_network, small
 
 from hil.core.errors import DataError, SpecError
-from hil.identify.residual.ring import RingTcn
-from hil.identify.residual.trained import TrainedTcn
+from hil.networks.residual.ring import RingTcn
+from hil.networks.residual.trained import TrainedTcn
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
@@ -83,7 +83,7 @@ def test_a_long_series_in_pieces_gives_what_it_gives_at_once(monkeypatch) -> Non
     recorded = motions()
     network = random_network(small(), recorded)
     whole = network.predict(recorded)
-    monkeypatch.setattr("hil.identify.residual.weights.CHUNK", 37)
+    monkeypatch.setattr("hil.networks.residual.weights.CHUNK", 37)
     assert network.predict(recorded) == pytest.approx(whole, abs=1e-5)
 
 

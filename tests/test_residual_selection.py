@@ -10,8 +10,8 @@ from hil.core.errors import SpecError
 from hil.data import Dataset
 from hil.data.persistence import persistence, persistence_rmse
 from hil.identify import estimator
-from hil.identify.residual.out_of_fold import fold_of_rows, physics_of
-from hil.identify.residual.selection import select
+from hil.networks.residual.out_of_fold import fold_of_rows, physics_of
+from hil.networks.residual.selection import select
 
 TRAJECTORIES = np.repeat(np.arange(5), 100)
 

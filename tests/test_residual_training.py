@@ -7,14 +7,14 @@ import pytest
 from residual_parts import OFFSETS, ROWS, motions, problem, small
 
 from hil.core.errors import DataError
-from hil.identify.residual.motions import Motions
+from hil.networks.residual.motions import Motions
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.identify.residual.problem import ResidualProblem  # noqa: E402
-from hil.identify.training_loop.loop import train  # noqa: E402
-from hil.identify.training_loop.settings import TrainingSettings  # noqa: E402
-from hil.identify.training_loop.stages import joint_stages  # noqa: E402
+from hil.networks.residual.problem import ResidualProblem  # noqa: E402
+from hil.networks.training_loop.loop import train  # noqa: E402
+from hil.networks.training_loop.settings import TrainingSettings  # noqa: E402
+from hil.networks.training_loop.stages import joint_stages  # noqa: E402
 
 
 def stepped(made, steps: int = 5, rate: float = 3e-3) -> None:

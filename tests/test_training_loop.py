@@ -8,11 +8,11 @@ from hil.core.errors import FitError, SpecError
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.identify.training_loop.device import torch_device  # noqa: E402
-from hil.identify.training_loop.loop import train  # noqa: E402
-from hil.identify.training_loop.settings import TrainingSettings  # noqa: E402
-from hil.identify.training_loop.stages import Stage, hybrid_stages, joint_stages  # noqa: E402
-from hil.identify.training_loop.steps import Steps  # noqa: E402
+from hil.networks.training_loop.device import torch_device  # noqa: E402
+from hil.networks.training_loop.loop import train  # noqa: E402
+from hil.networks.training_loop.settings import TrainingSettings  # noqa: E402
+from hil.networks.training_loop.stages import Stage, hybrid_stages, joint_stages  # noqa: E402
+from hil.networks.training_loop.steps import Steps  # noqa: E402
 from tests.training_parts import LEARN, SmallProblem, Watched, equal, weights  # noqa: E402
 
 SETTINGS = TrainingSettings(epochs=10, batch_size=32, warm_up_steps=5, learning_rate=0.01)

@@ -7,13 +7,13 @@ import pytest
 
 from hil.core.errors import SpecError
 from hil.identify.parameters import settings
-from hil.identify.training_loop.curves import Curves, sparkline
-from hil.identify.training_loop.problem import Told
-from hil.identify.training_loop.settings import TrainingSettings
+from hil.networks.training_loop.curves import Curves, sparkline
+from hil.networks.training_loop.problem import Told
+from hil.networks.training_loop.settings import TrainingSettings
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil.identify.training_loop.loss import Loss  # noqa: E402
+from hil.networks.training_loop.loss import Loss  # noqa: E402
 
 SCALE = np.array([10.0, 2.0])
 

@@ -15,15 +15,15 @@ import torch
 
 from benchmarks.identification.mock_gap import observed
 from hil.dynamics import load_model
-from hil.identify.lagrangian.choices import Design, design, stages, training_settings
-from hil.identify.lagrangian.fit import problem
-from hil.identify.lagrangian.model import NetworkModel
-from hil.identify.lagrangian.settings import NetworkSettings
-from hil.identify.lagrangian.task import Preparation, Task
-from hil.identify.lagrangian.tensors import Rows, tensor_rows
-from hil.identify.training_loop.loop import train
-from hil.identify.training_loop.problem import Told
-from hil.identify.training_loop.settings import TrainingSettings
+from hil.networks.lagrangian.choices import Design, design, stages, training_settings
+from hil.networks.lagrangian.fit import problem
+from hil.networks.lagrangian.model import NetworkModel
+from hil.networks.lagrangian.settings import NetworkSettings
+from hil.networks.lagrangian.task import Preparation, Task
+from hil.networks.lagrangian.tensors import Rows, tensor_rows
+from hil.networks.training_loop.loop import train
+from hil.networks.training_loop.problem import Told
+from hil.networks.training_loop.settings import TrainingSettings
 
 ARM, TRAJECTORIES, QUICK_TRAJECTORIES = "ur5", 9, 3
 SIGN_WIDTH = 0.01

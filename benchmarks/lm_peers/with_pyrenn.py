@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.lm_peers.course import LAYERS, Problem, Stopwatch, Terms, contest, skip
 from hil.core.typing import FloatArray
-from hil.identify.lm.network import Mlp
+from hil.networks.lm.network import Mlp
 
 
 def pyrenn_module() -> Any:

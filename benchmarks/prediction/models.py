@@ -12,7 +12,7 @@ from benchmarks.identification.mock_gap import observed
 from hil.dynamics import load_model
 from hil.identify import estimator
 from hil.identify.base import RobotEstimator
-from hil.identify.residual.trained import TrainedTcn
+from hil.networks.residual.trained import TrainedTcn
 
 ARM, SEED = "ur5", 1
 TRAJECTORIES, QUICK_TRAJECTORIES = 8, 3

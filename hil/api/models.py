@@ -13,7 +13,7 @@ from hil.core.errors import SpecError
 if TYPE_CHECKING:
     from hil.fitting import FitReport
     from hil.identify.payload_estimate import PayloadEstimate
-    from hil.identify.training_loop.problem import Watch
+    from hil.networks.training_loop.problem import Watch
 
 
 def fit(

@@ -22,7 +22,7 @@ from hil.identify.model_file import json_bytes
 from hil.spec.experiment import Fit
 
 if TYPE_CHECKING:
-    from hil.identify.training_loop.problem import Told
+    from hil.networks.training_loop.problem import Told
 
 FOLDER = ".training"
 

@@ -18,7 +18,7 @@ from hil.engine.live.words import answer_words, share_words, state_words, step_w
 from hil.engine.observers import Event
 from hil.engine.preflight.robot_checks import OWN
 from hil.excitation.setting import Advance
-from hil.identify.training_loop.problem import Told
+from hil.networks.training_loop.problem import Told
 from hil.study.base import Ended
 
 PIPED_EVERY_S = 10.0

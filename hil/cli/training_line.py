@@ -7,8 +7,8 @@ import time
 
 from hil.cli.output import duration, width_of
 from hil.core.throttle import Throttle
-from hil.identify.training_loop.curves import sparkline
-from hil.identify.training_loop.problem import Told
+from hil.networks.training_loop.curves import sparkline
+from hil.networks.training_loop.problem import Told
 
 EVERY_S = 0.2
 ALIVE_EVERY_S = 120.0

@@ -8,8 +8,8 @@ from typing import Any
 
 from hil.data.filters import FilterSettings
 from hil.identify.base import RobotEstimator, estimator
-from hil.identify.lagrangian import choices
-from hil.identify.residual.settings import TRAINING, ResidualSettings
+from hil.networks.lagrangian import choices
+from hil.networks.residual.settings import TRAINING, ResidualSettings
 from hil.study.dynamic_methods import METHODS as CLASSICAL
 
 LATENCY_S = 0.02

@@ -11,7 +11,7 @@ from hil.data.dataset import Dataset
 from hil.data.filters import nyquist_fraction, sample_rate, zero_phase
 from hil.data.prediction import Prediction
 from hil.identify.base import RobotEstimator
-from hil.identify.training_loop.curves import Curves
+from hil.networks.training_loop.curves import Curves
 from hil.study.dynamic_data import MOVING
 from hil.study.dynamic_methods import SHOWN, percent_where, rmse_where
 from hil.study.inverse_cases import Case, forgotten

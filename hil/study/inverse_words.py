@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.identify.lagrangian import choices
+from hil.networks.lagrangian import choices
 from hil.study.inverse_found import Found
 from hil.study.inverse_methods import LITERAL, ONE_TO_SIX, ROWS
 from hil.study.inverse_ranks import FEWEST_SEEDS, apart, beside, doubt

@@ -21,7 +21,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.identify.base import estimator
-from hil.identify.lm.scaling import ConstantInputWarning
+from hil.networks.lm.scaling import ConstantInputWarning
 from hil.study.separation_data import dwell_means
 from hil.study.separation_tasks import Task
 

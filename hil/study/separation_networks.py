@@ -11,9 +11,9 @@ from functools import partial
 import numpy as np
 
 from hil.core.typing import FloatArray, IntArray
-from hil.identify.lm.network import Mlp
-from hil.identify.lm.scaling import ConstantInputWarning
-from hil.identify.lm.train import train
+from hil.networks.lm.network import Mlp
+from hil.networks.lm.scaling import ConstantInputWarning
+from hil.networks.lm.train import train
 from hil.study.separation_tasks import Task
 
 S_PER_PRODUCT = 3e-11

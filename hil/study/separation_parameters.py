@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.core.errors import SpecError
-from hil.identify.lm.network import Mlp
 from hil.identify.parameters import choice, number, whole
+from hil.networks.lm.network import Mlp
 
 INPUTS = 4
 

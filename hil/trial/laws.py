@@ -12,7 +12,7 @@ from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.predictor import Predictor
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator
-from hil.identify.residual.fitted import CorrectedModel
+from hil.networks.residual.fitted import CorrectedModel
 from hil.trial.arm import RATE_HZ
 from hil.trial.reference import Reference
 

@@ -1,7 +1,7 @@
 """A Lagrangian network as C: M(q), its rate along the motion and the gradients, written out.
 
 One pass forwards carries the raw outputs and their rates, one backwards the gradient of T − V by q,
-as in `hil.identify.lagrangian.network`. Layers are in the precision of the training, the few
+as in `hil.networks.lagrangian.network`. Layers are in the precision of the training, the few
 products with L in double.
 """
 

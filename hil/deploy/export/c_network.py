@@ -1,6 +1,6 @@
 """A residual network as C: one sample at a time, every layer remembers what its taps reach to.
 
-It says what `hil.identify.residual.streaming` says, at rest as well.
+It says what `hil.networks.residual.streaming` says, at rest as well.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from hil.core.errors import FitError
 from hil.deploy.export import c_network_text as text
 from hil.deploy.export.c_network_weights import BLOCK, CellWeights, cell_weights
 from hil.deploy.export.c_text import Kind, Piece, array, number
-from hil.identify.residual.correction import Correction
-from hil.identify.residual.settings import ResidualSettings
+from hil.networks.residual.correction import Correction
+from hil.networks.residual.settings import ResidualSettings
 
 ARRAYS: dict[str, tuple[str, Kind]] = {
     "mean": ("means", "double"),

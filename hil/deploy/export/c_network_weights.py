@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.core.typing import FloatArray
-from hil.identify.residual.correction import Correction
-from hil.identify.residual.trained import TrainedTcn
+from hil.networks.residual.correction import Correction
+from hil.networks.residual.trained import TrainedTcn
 
 BLOCK = 4
 """Channels and inputs are filled up to a multiple with zeros: loops go by so many at once."""

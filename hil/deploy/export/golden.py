@@ -10,7 +10,7 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.identify.base import RobotEstimator
-from hil.identify.residual.fitted import CorrectedModel
+from hil.networks.residual.fitted import CorrectedModel
 
 RATE_HZ = 250.0
 SAMPLES = 300

@@ -17,11 +17,11 @@ from hil.deploy.export.json_rest import at_rest
 from hil.deploy.export.program import bodies
 from hil.dynamics import base_parameters
 from hil.identify.base import RobotEstimator
-from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_linear import RigidLinear
 from hil.identify.static_model import StaticModel
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.residual.fitted import CorrectedModel
 
 EXACT = 1e-9
 """Largest difference as a share of each joint's largest value: numbers are written in full."""
@@ -149,7 +149,7 @@ def _computed(
 
 def _curve(physics: LagrangianModel) -> Compared:
     """Friction alone, at steady speeds: in efforts its rounding is that of the whole network."""
-    from hil.identify.lagrangian.stored import network_of
+    from hil.networks.lagrangian.stored import network_of
 
     network = network_of(physics.design_, physics.torque_std_, physics.weights_)
     qd = _creeping(physics.robot_.n)[1]

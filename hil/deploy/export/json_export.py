@@ -21,7 +21,7 @@ from hil.deploy.export.json_robot import (
 )
 from hil.identify.base import RobotEstimator
 from hil.identify.model_file import json_bytes
-from hil.identify.residual.fitted import CorrectedModel
+from hil.networks.residual.fitted import CorrectedModel
 
 FORMAT = 1
 """Grows when a reader of older documents would misread a new one."""

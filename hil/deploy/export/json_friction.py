@@ -11,8 +11,6 @@ from hil.deploy.export.lagrangian_terms import LEAST_SPEED as LEAST_NETWORK_SPEE
 from hil.identify.base import RobotEstimator
 from hil.identify.diffnea.forms import LEAST_SPEED
 from hil.identify.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
-from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import NARROWEST, RigidIrls
@@ -21,7 +19,9 @@ from hil.identify.static_friction import StaticFriction
 from hil.identify.static_hysteresis import StaticHysteresis
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
-from hil.identify.static_network import StaticMlpLm
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.residual.fitted import CorrectedModel
+from hil.networks.static_network import StaticMlpLm
 
 STORED = "model.safetensors"
 

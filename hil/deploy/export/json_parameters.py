@@ -38,8 +38,6 @@ from hil.identify.base import RobotEstimator
 from hil.identify.friction.law import FrictionLaw
 from hil.identify.friction.library import column_names
 from hil.identify.gravity import PaperGravity
-from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_diffnea import RigidDiffnea
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.rigid_irls import RigidIrls
@@ -48,6 +46,8 @@ from hil.identify.static_friction import StaticFriction
 from hil.identify.static_inverse import StaticInverse
 from hil.identify.static_model import StaticModel
 from hil.identify.wls import WlsEstimator
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.residual.fitted import CorrectedModel
 
 
 def parameters_of(model: RobotEstimator) -> list[Entry]:

@@ -14,13 +14,13 @@ from hil.deploy.export.reading import flange_in_last_joint
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre
 from hil.identify.base import RobotEstimator
-from hil.identify.lagrangian.fitted import LagrangianModel
 from hil.identify.model_file import model_files
 from hil.identify.model_folder import MODEL_FILE
-from hil.identify.residual.fitted import CorrectedModel
 from hil.identify.rigid_hysteresis import RigidHysteresis
 from hil.identify.static_hysteresis import StaticHysteresis
-from hil.identify.static_network import StaticMlpLm
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.residual.fitted import CorrectedModel
+from hil.networks.static_network import StaticMlpLm
 
 CHOICE = (
     "one set of links that can exist and has these torques: a single link's mass is a choice among "

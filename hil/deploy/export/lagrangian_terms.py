@@ -11,13 +11,13 @@ import numpy as np
 from hil.core.typing import FloatArray
 from hil.deploy.export.program import PlainFriction
 from hil.deploy.export.shaped import ShapedFriction
-from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.lagrangian.friction_settings import FrictionKind
-from hil.identify.lagrangian.settings import Activation
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.lagrangian.friction_settings import FrictionKind
+from hil.networks.lagrangian.settings import Activation
 
 LEAST_REST_SPEED = 1e-4
 LEAST_SPEED = 1e-6
-"""As the friction of `hil.identify.lagrangian` has them, which torch is needed to read."""
+"""As the friction of `hil.networks.lagrangian` has them, which torch is needed to read."""
 
 Kind = Literal["float", "double"]
 
@@ -37,7 +37,7 @@ class Layers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LagrangianTerms:
-    """τ = M(q)·q̈ + C(q, q̇)·q̇ + g(q) of one network, see `hil.identify.lagrangian.network`.
+    """τ = M(q)·q̈ + C(q, q̇)·q̇ + g(q) of one network, see `hil.networks.lagrangian.network`.
 
     Attributes:
         trunk: From features of q to raw outputs: L's diagonal, its rows below, V or g(q).
@@ -85,7 +85,7 @@ class NetworkFriction:
 
 def lagrangian_terms(model: LagrangianModel) -> LagrangianTerms:
     """Those of a fitted `lagrangian`."""
-    from hil.identify.lagrangian.stored import network_of
+    from hil.networks.lagrangian.stored import network_of
 
     settings = model.design_.network
     of_factor = settings.epsilon_of == "factor"

@@ -18,9 +18,9 @@ from hil.core.typing import BoolArray, FloatArray
 from hil.deploy.export.exported import effort_unit
 from hil.deploy.export.lagrangian_terms import LagrangianTerms, lagrangian_terms
 from hil.identify.base import RobotEstimator
-from hil.identify.lagrangian.fitted import LagrangianModel
-from hil.identify.network_inputs import position_inputs, positions_only
-from hil.identify.static_network import StaticMlpLm
+from hil.networks.lagrangian.fitted import LagrangianModel
+from hil.networks.network_inputs import position_inputs, positions_only
+from hil.networks.static_network import StaticMlpLm
 
 OPERATORS = {"softplus": "Softplus", "relu": "Relu", "tanh": "Tanh", "sin": "Sin", "linear": ""}
 """Activations that all runtimes of this kind know, as ONNX calls them; a chain adds no others."""
@@ -185,7 +185,7 @@ def _trunk_says(model: LagrangianModel, scale: FloatArray) -> Callable[[FloatArr
     def says(q: FloatArray) -> FloatArray:
         import torch
 
-        from hil.identify.lagrangian.stored import network_of
+        from hil.networks.lagrangian.stored import network_of
 
         network = network_of(model.design_, model.torque_std_, model.weights_).double()
         with torch.no_grad():

@@ -19,7 +19,7 @@ import numpy as np
 from hil.core.typing import FloatArray
 from hil.dynamics.build import JointGeometry
 from hil.identify.friction.law import FrictionLaw
-from hil.identify.residual.correction import Correction
+from hil.networks.residual.correction import Correction
 
 if TYPE_CHECKING:
     from hil.deploy.export.lagrangian_terms import LagrangianTerms, NetworkFriction

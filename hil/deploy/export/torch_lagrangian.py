@@ -1,6 +1,6 @@
 """Lagrangian networks in PyTorch, with loads and with friction by a network of its own.
 
-The network is that of `hil.identify.lagrangian.network`, in single precision whatever it was
+The network is that of `hil.networks.lagrangian.network`, in single precision whatever it was
 trained in: runtimes lack some of its functions in double. What goes in and comes out is double.
 Nothing scatters, gathers or branches.
 """
@@ -17,8 +17,8 @@ from hil.deploy.export.program import Program
 from hil.deploy.export.torch_constants import hold
 from hil.deploy.export.torch_friction import Carried
 from hil.deploy.export.torch_rigid import RigidTorque
-from hil.identify.lagrangian.network import LagrangianNetwork
-from hil.identify.lagrangian.settings import NetworkSettings
+from hil.networks.lagrangian.network import LagrangianNetwork
+from hil.networks.lagrangian.settings import NetworkSettings
 
 SINGLE = torch.float32
 

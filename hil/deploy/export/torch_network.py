@@ -14,7 +14,7 @@ from hil.core.typing import FloatArray
 from hil.deploy.export.c_network_weights import CellWeights, cell_weights
 from hil.deploy.export.torch_constants import hold
 from hil.deploy.export.torch_friction import Carried
-from hil.identify.residual.correction import Correction
+from hil.networks.residual.correction import Correction
 
 
 class StreamingTcn(nn.Module):
