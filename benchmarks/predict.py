@@ -24,7 +24,7 @@ from benchmarks.prediction.runtimes import timed_runtimes
 from hil.deploy.export.c_build import compiler
 from hil.deploy.predictor import Predictor
 from hil.dynamics import load_model
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 CALLS, QUICK_CALLS = 100_000, 2_000
 SLOW_SHARE = 20

@@ -28,9 +28,9 @@ from hil.data.dataset import Dataset, SeriesKind
 from hil.data.dwells import dwells_of, series_means
 from hil.data.splits import Split, split
 from hil.dynamics import load_model
-from hil.identify import estimator
-from hil.identify.gravity import PaperGravity
-from hil.identify.static_linear import StaticLinear
+from hil.estimators import estimator
+from hil.estimators.gravity import PaperGravity
+from hil.estimators.static_linear import StaticLinear
 from hil.importers.load import load_source
 
 SEEDS, QUICK_SEEDS = (1, 2, 3), (1,)

@@ -23,12 +23,12 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.splits import assert_disjoint
 from hil.dynamics import RobotModel, load_model
+from hil.estimators.base import RobotEstimator
+from hil.estimators.base import estimator as make_estimator
+from hil.estimators.gains_file import DriveGains
+from hil.estimators.model_file import load_model_file, model_files, write_whole
+from hil.estimators.training import Training
 from hil.evaluate import evaluate
-from hil.gains_file import DriveGains
-from hil.identify.base import RobotEstimator
-from hil.identify.base import estimator as make_estimator
-from hil.identify.model_file import load_model_file, model_files, write_whole
-from hil.identify.training import Training
 from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
 from hil.networks.training_loop.attached import attach, keeps_checkpoints
 from hil.networks.training_loop.problem import HearsBeginning, Watch

@@ -13,14 +13,14 @@ from threadpoolctl import threadpool_limits
 from hil.core.errors import DataError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics.weighing import CALIBRATED_SHARE, GAIN_SHARE
+from hil.estimators.base import RobotEstimator
+from hil.estimators.gain_lines import calibrated
+from hil.estimators.model_file import load_model_file
+from hil.estimators.payload_estimate import PayloadEstimate
+from hil.estimators.payload_fit import estimate_payload, require_friction, require_one_load
+from hil.estimators.payload_problem import Friction
+from hil.estimators.payload_rest import estimate_payload_at_rest
 from hil.fitting import usable_part
-from hil.identify.base import RobotEstimator
-from hil.identify.gain_lines import calibrated
-from hil.identify.model_file import load_model_file
-from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import estimate_payload, require_friction, require_one_load
-from hil.identify.payload_problem import Friction
-from hil.identify.payload_rest import estimate_payload_at_rest
 from hil.importers.load import load_source
 from hil.validation import require_unseen, serial_notes
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.errors import SpecError
 from hil.core.suggest import did_you_mean
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.planning.experiment import BUILT_IN, find_station
 from hil.spec.station import StationRobot
 

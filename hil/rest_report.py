@@ -19,9 +19,9 @@ from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.rest_pose import RestPose, described, rest_poses
 from hil.deploy.resting import RestingArm
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import load_model_file
-from hil.identify.standstill import gravity_torque, holding_friction, require_torque
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import load_model_file
+from hil.estimators.standstill import gravity_torque, holding_friction, require_torque
 from hil.planning.surroundings import collision_model
 from hil.rest_place import place_of
 

@@ -16,9 +16,9 @@ from hil.core.errors import DataError
 from hil.data.dataset import Dataset
 from hil.data.fingerprints import revisited
 from hil.data.splits import SAME_SHARE
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import json_bytes, write_whole
 from hil.evaluate import Evaluation
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import json_bytes, write_whole
 from hil.importers.load import serial_of
 from hil.validation_load import UnderLoad
 

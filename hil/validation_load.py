@@ -17,13 +17,13 @@ from hil.arms.payload import Payload
 from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
+from hil.estimators.base import RobotEstimator
+from hil.estimators.payload_declared import Declaration, check_declarations
+from hil.estimators.payload_estimate import PayloadEstimate
+from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.payload_halves import halves, payload_halves
+from hil.estimators.payload_problem import with_identified
 from hil.evaluate.evaluation import filtered_effort
-from hil.identify.base import RobotEstimator
-from hil.identify.payload_declared import Declaration, check_declarations
-from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import estimate_payload
-from hil.identify.payload_halves import halves, payload_halves
-from hil.identify.payload_problem import with_identified
 
 
 @dataclass(frozen=True, slots=True, eq=False)

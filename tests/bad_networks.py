@@ -9,8 +9,8 @@ import numpy as np
 from synthetic_motion import moving, nominal
 
 from hil.data import Dataset
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 TRAINING = {"epochs": 1, "batch_size": 300, "device": "cpu"}
 PHYSICS = {"estimator": "rigid-wls", "sign_width": 2.0}

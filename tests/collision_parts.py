@@ -11,7 +11,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.sensors import Sensors
 from hil_mock_robot.simulation import Setting, Simulation

@@ -10,8 +10,8 @@ from test_dynamics_momentum import SLIDING
 
 from hil.data import Conditions, Dataset
 from hil.dynamics import RobotModel, load_model
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 ARMS = ("tx40@motors", "panda", "sliding")
 """Coupled motors; seven joints; joints that slide. TURNED of the last so that all is exciting."""

@@ -14,8 +14,8 @@ from synthetic_motion import nominal
 from hil.deploy.export.c_columns import GROUPS
 from hil.deploy.export.c_export import export_c
 from hil.deploy.export.exported import Exported
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 KINDS = ("friction with memory", "residual network", "Lagrangian network")
 COMPILERS = ("gcc", "clang")

@@ -9,8 +9,8 @@ from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 from test_export_c import KINDS
 
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 
 @cache

@@ -530,7 +530,7 @@ def registry_log(folder: Path) -> str:
     """Damage a log in five ways: each is named, blocks promotion, and is undone by `repair`."""
     from synthetic_motion import moving, nominal
 
-    from hil.identify import estimator
+    from hil.estimators import estimator
     from hil.registry.registry import Registry
 
     registry = Registry(folder / "whole")

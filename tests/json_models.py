@@ -10,8 +10,8 @@ from synthetic_memory import remembering
 from synthetic_motion import arriving, dwelling, moving, nominal
 
 from hil.data import Dataset
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 TRAINING = {"epochs": 3, "batch_size": 300, "device": "cpu"}
 

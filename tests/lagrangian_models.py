@@ -7,7 +7,7 @@ from typing import Any
 
 from synthetic_motion import moving, nominal
 
-from hil.identify import estimator
+from hil.estimators import estimator
 
 QUICK: dict[str, Any] = {"epochs": 1, "batch_size": 300, "device": "cpu"}
 DOUBLE: dict[str, Any] = {"training": {**QUICK, "precision": "float64"}}

@@ -10,9 +10,9 @@ from synthetic_motion import moving, nominal, raw
 
 from hil.arms.payload import Payload
 from hil.data.dataset import Dataset
-from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import estimate_payload
-from hil.identify.rigid import RigidWls
+from hil.estimators.payload_estimate import PayloadEstimate
+from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.rigid import RigidWls
 
 NOISE_A = 0.03
 GAIN_SHARE = 0.03

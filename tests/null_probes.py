@@ -9,8 +9,8 @@ import numpy as np
 
 from hil import api
 from hil.drift.features import Features, features_of
+from hil.estimators.model_file import load_model_file
 from hil.fitting import load_source, usable_part
-from hil.identify.model_file import load_model_file
 from hil.pipeline.adapted import with_options
 from hil.planning.experiment import Experiment, load_experiment
 

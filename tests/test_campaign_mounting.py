@@ -14,8 +14,8 @@ from hil.campaign.run import RunReport
 from hil.core.errors import DataError, SpecError
 from hil.data.dwells import series_means
 from hil.dynamics import load_model
-from hil.identify import load_model_file
-from hil.identify.static import StaticWls
+from hil.estimators import load_model_file
+from hil.estimators.static import StaticWls
 from hil.importers.load import gravity_of, load_source
 from hil.recording.rundir import RunDirectory
 

@@ -19,10 +19,10 @@ from hil.cli.app import app
 from hil.core import plugins
 from hil.core.errors import FitError, SpecError
 from hil.dynamics import load_model
-from hil.identify.base import needs_of
-from hil.identify.checks import Needs
-from hil.identify.rigid_linear import RigidLinear
-from hil.identify.static import StaticWls
+from hil.estimators.base import needs_of
+from hil.estimators.checks import Needs
+from hil.estimators.rigid_linear import RigidLinear
+from hil.estimators.static import StaticWls
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import load_experiment
 
@@ -222,7 +222,7 @@ def test_needs_of_a_correction_are_those_of_its_physics_as_well() -> None:
 @pytest.mark.parametrize("name", ["rigid-wls", "rigid-diffnea", "static-wls"])
 def test_as_many_rows_as_parameters_are_stated(name: str) -> None:
     """The fit counts its parameters itself, by names."""
-    from hil.identify.base import estimator
+    from hil.estimators.base import estimator
 
     robot = load_model("ur5", gravity=GRAVITY)
     model: Any = estimator(name)

@@ -20,7 +20,7 @@ from hil.core import plugins
 from hil.core.errors import CheckpointRefused, DataError, Stopped
 from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.identify.static import StaticWls
+from hil.estimators.static import StaticWls
 from hil.networks.training_loop.problem import KeptIfPossible, Told
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import Fit

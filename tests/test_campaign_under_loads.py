@@ -19,8 +19,8 @@ from hil.campaign.studies import entries_for, run_studies
 from hil.campaign.under_loads import as_in_spec, of_other_arms
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
-from hil.identify.model_file import load_model_file
-from hil.identify.rigid import RigidWls
+from hil.estimators.model_file import load_model_file
+from hil.estimators.rigid import RigidWls
 from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec

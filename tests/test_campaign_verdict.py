@@ -14,7 +14,7 @@ from hil.campaign.judging import judge_recording, judge_run
 from hil.campaign.verdict import verdict_word
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
-from hil.identify.static import StaticWls
+from hil.estimators.static import StaticWls
 from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.registry.facts import facts_of
 from hil.registry.pointers import FILE, leave_pointer, pointed
 from hil.registry.registry import Registry

@@ -460,7 +460,7 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
 ) -> None:
     from synthetic_motion import moving, nominal
 
-    from hil.identify import estimator
+    from hil.estimators import estimator
     from hil.registry.facts import facts_of
 
     run = run_number(runs, 4)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.core.typing import FloatArray, IntArray
-from hil.identify.conformal import SpeedBands
+from hil.estimators.conformal import SpeedBands
 
 Simulated = tuple[FloatArray, FloatArray, IntArray]
 Draw = Callable[[np.random.Generator, int], Simulated]

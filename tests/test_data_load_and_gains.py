@@ -9,10 +9,10 @@ import pytest
 
 from hil.data import Dataset
 from hil.dynamics import load_model
-from hil.identify.controller_gains import controller_gains
-from hil.identify.payload_halves import payload_halves
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_hysteresis import RigidHysteresis
+from hil.estimators.controller_gains import controller_gains
+from hil.estimators.payload_halves import payload_halves
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.importers import import_file
 from hil.importers.load import load_source
 

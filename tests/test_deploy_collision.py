@@ -24,7 +24,7 @@ from hil.deploy.collision import CollisionDetector
 from hil.deploy.collision_thresholds import CollisionThresholds
 from hil.deploy.rest_margin import FADES_S, RestMargin, resting_friction
 from hil.dynamics import load_model
-from hil.identify.conformal import SpeedBands
+from hil.estimators.conformal import SpeedBands
 from hil_mock_robot.draw import draw_truth
 
 LOAD = Payload(3.0, (0.0, 0.0, 0.06), (0.005, 0.005, 0.004, 0.0, 0.0, 0.0))

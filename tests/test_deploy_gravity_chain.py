@@ -8,8 +8,8 @@ from synthetic_motion import LOAD, dwelling, nominal, plant
 
 from hil.deploy.gravity_chain import GravityChain
 from hil.dynamics import RobotModel
-from hil.identify.standstill import gravity_torque
-from hil.identify.static import StaticWls
+from hil.estimators.standstill import gravity_torque
+from hil.estimators.static import StaticWls
 
 POSES = np.random.default_rng(8).uniform(-3.0, 3.0, (20, 6))
 

@@ -8,9 +8,9 @@ from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nom
 
 from hil.core.errors import DataError, FitError, SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.static import StaticWls
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.static import StaticWls
 
 Q = np.array([0.3, -1.2, 0.9, -0.4, 0.7, 0.2])
 STILL = np.zeros(6)

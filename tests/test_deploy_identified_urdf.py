@@ -21,7 +21,7 @@ from hil.deploy.urdf_edit import edited
 from hil.deploy.urdf_text import roll_pitch_yaw
 from hil.dynamics import RobotModel
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.identify.rigid import RigidWls
+from hil.estimators.rigid import RigidWls
 
 COVERED = """<?xml version="1.0"?>
 <robot name="two &amp; more"><!-- kept -->

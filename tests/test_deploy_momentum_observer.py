@@ -10,7 +10,7 @@ from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal
 from hil.core.errors import DataError, FitError, SpecError
 from hil.deploy.identified_parameters import rigid_parameters
 from hil.deploy.momentum_observer import GAP_S, MomentumObserver
-from hil.identify import estimator
+from hil.estimators import estimator
 
 PUSH = np.array([12.0, -20.0, 8.0, 3.0, -2.0, 1.0])
 FIRST = 300

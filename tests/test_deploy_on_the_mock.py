@@ -15,7 +15,7 @@ import hil
 from hil.cli.app import app
 from hil.core.errors import FitError, PlanError, SpecError
 from hil.deploy.hand_guiding import HandGuiding
-from hil.identify import load_model_file
+from hil.estimators import load_model_file
 from hil_mock_robot.driver import MockRobot
 
 ROOT = Path(__file__).parent.parent

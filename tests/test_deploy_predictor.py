@@ -18,8 +18,8 @@ from hil.deploy.export.c_program import c_source
 from hil.deploy.export.golden import motion
 from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
-from hil.identify import estimator
-from hil.identify.base import prepared
+from hil.estimators import estimator
+from hil.estimators.base import prepared
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 Q, QD, QDD = motion(nominal(), 200, 250.0)

@@ -18,8 +18,8 @@ from hil.deploy import identified_parameters, identified_urdf, urdf_text
 from hil.deploy.identified_urdf import export_urdf
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre, body_parameters
-from hil.identify import estimator
-from hil.identify.rigid import RigidWls
+from hil.estimators import estimator
+from hil.estimators.rigid import RigidWls
 
 WALL = (9.81, 0.0, 0.0)
 

@@ -14,7 +14,7 @@ from hil.arms.payload import Payload
 from hil.deploy.collision_thresholds import DEBOUNCE_S, QUANTILE
 from hil.deploy.momentum_observer import GAIN
 from hil.deploy.rest_margin import FADES_S
-from hil.identify import estimator
+from hil.estimators import estimator
 
 PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "detect-collisions.md").read_text("utf-8")
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -28,7 +28,7 @@ def model():
 
 
 def test_the_examples_do_what_the_page_says(model, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("hil.identify.load_model_file", lambda path: model)
+    monkeypatch.setattr("hil.estimators.load_model_file", lambda path: model)
     quiet = moving(*range(10, 28), noise_a=0.1, load=LOAD, samples=60)
     monkeypatch.setattr(hil, "dataset", lambda path: quiet)
     data = moving(40, noise_a=0.1, load=LOAD, samples=300)

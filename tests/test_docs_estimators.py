@@ -13,9 +13,9 @@ from hil.core import plugins
 from hil.core.yaml_values import scalar
 from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE
-from hil.identify import estimator
-from hil.identify.base import GROUP, HONEST
-from hil.identify.static import PAPER_PROTOCOL
+from hil.estimators import estimator
+from hil.estimators.base import GROUP, HONEST
+from hil.estimators.static import PAPER_PROTOCOL
 from hil.networks.lagrangian.choices import OURS as OURS_LAGRANGIAN
 from hil.networks.residual.settings import TRAINING, ResidualSettings
 

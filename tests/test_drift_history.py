@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
 from hil.drift.history import PROBES_FILE, assess, identity, probes_of
+from hil.estimators.model_file import plain
 from hil.fitting import fit_sources
-from hil.identify.model_file import plain
 from hil.registry.pointers import pointed
 from hil.registry.registry import Registry
 

@@ -18,8 +18,8 @@ from hil.deploy.export.c_program import c_source
 from hil.deploy.export.c_text import array, number
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.reading import program_of
-from hil.identify import estimator
-from hil.identify.friction.library import groups
+from hil.estimators import estimator
+from hil.estimators.friction.library import groups
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -20,7 +20,7 @@ from hil.deploy.export.c_program import c_source
 from hil.deploy.export.golden import motion
 from hil.deploy.export.reading import program_of
 from hil.deploy.predictor import Predictor
-from hil.identify import estimator
+from hil.estimators import estimator
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

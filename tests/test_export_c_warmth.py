@@ -14,8 +14,8 @@ from hil.deploy.compiled import CompiledProgram, Pointer
 from hil.deploy.export.c_build import compiler
 from hil.deploy.export.c_program import c_source
 from hil.deploy.export.reading import program_of
-from hil.identify import estimator
-from hil.identify.base import prepared
+from hil.estimators import estimator
+from hil.estimators.base import prepared
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 GROUPS = ["core", "load", "temperature"]

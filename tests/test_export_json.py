@@ -39,10 +39,10 @@ from hil.deploy.export.json_read import rigid_torque
 from hil.deploy.export.json_robot import robot_part
 from hil.deploy.export.json_terms import adapted, library_term
 from hil.dynamics import RobotModel, base_parameters
-from hil.identify import estimator, load_model_file, save_model
-from hil.identify.base import GROUP
-from hil.identify.friction.library import groups
-from hil.identify.model_file import json_bytes
+from hil.estimators import estimator, load_model_file, save_model
+from hil.estimators.base import GROUP
+from hil.estimators.friction.library import groups
+from hil.estimators.model_file import json_bytes
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "reference" / "export-json.md").read_text("utf-8")

@@ -24,7 +24,7 @@ from hil.deploy.export.agreement import load_row, streamed  # noqa: E402
 from hil.deploy.export.golden import LOAD, golden_of  # noqa: E402
 from hil.deploy.export.onnx_export import export_onnx, loaded  # noqa: E402
 from hil.deploy.export.onnx_graph import OPERATORS, nodes_of, require_plain  # noqa: E402
-from hil.identify import estimator  # noqa: E402
+from hil.estimators import estimator  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

@@ -13,7 +13,7 @@ from hil.core.errors import FitError, PluginError, RecordingError
 from hil.deploy.export import mlp_export
 from hil.deploy.export.mlp_export import export_onnx_mlp, onnxruntime_says
 from hil.deploy.export.mlp_nets import Chain, chain_of
-from hil.identify import estimator
+from hil.estimators import estimator
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")

@@ -19,8 +19,8 @@ from hil.deploy.export.agreement import largest_difference, load_row, scale_of  
 from hil.deploy.export.golden import Golden  # noqa: E402
 from hil.deploy.export.torch_export import export_torch  # noqa: E402
 from hil.deploy.export.torch_model import module_of  # noqa: E402
-from hil.identify import estimator  # noqa: E402
-from hil.identify.friction import predicted  # noqa: E402
+from hil.estimators import estimator  # noqa: E402
+from hil.estimators.friction import predicted  # noqa: E402
 
 SLIDES = ["rad", "m", "rad"]
 

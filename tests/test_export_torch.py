@@ -30,7 +30,7 @@ from hil.deploy.export.torch_model import module_of  # noqa: E402
 from hil.deploy.export.torch_network import StreamingTcn  # noqa: E402
 from hil.deploy.export.torch_rigid import RigidTorque  # noqa: E402
 from hil.dynamics import RobotModel  # noqa: E402
-from hil.identify import estimator  # noqa: E402
+from hil.estimators import estimator  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

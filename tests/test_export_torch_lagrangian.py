@@ -15,8 +15,8 @@ from hil.deploy.export.agreement import largest_difference  # noqa: E402
 from hil.deploy.export.golden import golden_of  # noqa: E402
 from hil.deploy.export.torch_export import export_torch  # noqa: E402
 from hil.deploy.export.torch_model import module_of  # noqa: E402
-from hil.identify import estimator  # noqa: E402
-from hil.identify.diffnea.forms import FORMS  # noqa: E402
+from hil.estimators import estimator  # noqa: E402
+from hil.estimators.diffnea.forms import FORMS  # noqa: E402
 
 
 def stepping(module):

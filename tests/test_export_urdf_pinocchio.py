@@ -15,8 +15,8 @@ from synthetic_motion import fourier, moving, nominal
 import hil
 from hil.core.errors import FitError
 from hil.deploy.identified_urdf import UrdfExport, export_urdf
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_fourier_2.yaml"
 EXACT = 1e-9

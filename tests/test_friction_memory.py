@@ -9,8 +9,8 @@ from synthetic_memory import dahl_loop
 from synthetic_motion import dwelling, moving, raw
 
 from hil.data.filters import FilterSettings, prepare
-from hil.identify.friction.memory import advanced, dahl_slopes, dahl_states, path_steps
-from hil.identify.friction.varpro import _linearised, variable_projection
+from hil.estimators.friction.memory import advanced, dahl_slopes, dahl_states, path_steps
+from hil.estimators.friction.varpro import _linearised, variable_projection
 
 LENGTH = np.array([1e-4, 3e-3, 0.1])
 T = np.linspace(0.05, 3.0, 80)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from synthetic_motion import arriving, moving, nominal
 
-from hil.identify.base import RobotEstimator, estimator
-from hil.identify.gain_lines import calibrated, gain_lines
-from hil.identify.rigid import RigidWls
+from hil.estimators.base import RobotEstimator, estimator
+from hil.estimators.gain_lines import calibrated, gain_lines
+from hil.estimators.rigid import RigidWls
 from hil.load_fit import usual_gain_share
 
 

@@ -7,9 +7,9 @@ import pytest
 from collision_parts import fitted
 
 from hil.deploy.brakes_fail import COUNTED
-from hil.identify.friction.law import FrictionLaw
-from hil.identify.friction.motion import Shapes
-from hil.identify.standstill import holding_friction
+from hil.estimators.friction.law import FrictionLaw
+from hil.estimators.friction.motion import Shapes
+from hil.estimators.standstill import holding_friction
 from hil.rest_report import find_rest_poses
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.friction import COLD_C, STRIBECK_GONE_C

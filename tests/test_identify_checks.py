@@ -9,9 +9,9 @@ from synthetic_motion import GAINS, dwelling, moving, nominal
 
 from hil.core.errors import DataError, FitError
 from hil.dynamics import RobotModel
-from hil.identify import estimator
-from hil.identify.motor import current_of
-from hil.identify.plausible import require_plausible
+from hil.estimators import estimator
+from hil.estimators.motor import current_of
+from hil.estimators.plausible import require_plausible
 
 FITS = [
     ("static-wls", {}),

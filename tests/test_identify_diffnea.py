@@ -23,10 +23,10 @@ from hil.core.typing import FloatArray
 from hil.data import Dataset
 from hil.dynamics import base_parameters
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.identify import estimator
-from hil.identify.model_file import load_model_file
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_diffnea import RigidDiffnea
+from hil.estimators import estimator
+from hil.estimators.model_file import load_model_file
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_diffnea import RigidDiffnea
 
 SEEDS = (1, 2, 3)
 

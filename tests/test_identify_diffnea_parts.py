@@ -10,16 +10,16 @@ from synthetic_motion import nominal
 from hil.core.typing import FloatArray
 from hil.dynamics import base_parameters
 from hil.dynamics.pseudo_inertia import divergence, is_consistent
-from hil.identify.compress import JointwiseQR
-from hil.identify.diffnea.bodies import Bodies
-from hil.identify.diffnea.forms import FORMS, spread
-from hil.identify.diffnea.minimise import Local, minimise
-from hil.identify.diffnea.motion import ArmMotion, sign_of
-from hil.identify.diffnea.path import Pieces
-from hil.identify.diffnea.problem import Problem
-from hil.identify.diffnea.rows import BendingRows
-from hil.identify.diffnea.unknowns import Unknowns, folding
-from hil.identify.friction.memory import dahl_slopes, dahl_states
+from hil.estimators.compress import JointwiseQR
+from hil.estimators.diffnea.bodies import Bodies
+from hil.estimators.diffnea.forms import FORMS, spread
+from hil.estimators.diffnea.minimise import Local, minimise
+from hil.estimators.diffnea.motion import ArmMotion, sign_of
+from hil.estimators.diffnea.path import Pieces
+from hil.estimators.diffnea.problem import Problem
+from hil.estimators.diffnea.rows import BendingRows
+from hil.estimators.diffnea.unknowns import Unknowns, folding
+from hil.estimators.friction.memory import dahl_slopes, dahl_states
 
 BENDING = [name for name, form in FORMS.items() if form.shapes]
 BASE = base_parameters(nominal(), rotor=True)

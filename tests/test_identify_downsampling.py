@@ -5,7 +5,7 @@ import pytest
 from synthetic_motion import moving, nominal, raw
 
 from hil.core.errors import DataError
-from hil.identify import estimator
+from hil.estimators import estimator
 
 
 @pytest.mark.parametrize("name", ["rigid-wls", "rigid-linear"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from hil.identify.condition_report import condition_report
-from hil.identify.essential import essential_parameters
+from hil.estimators.condition_report import condition_report
+from hil.estimators.essential import essential_parameters
 
 
 def test_condition_numbers_are_numpys_raw_and_scaled() -> None:

@@ -10,8 +10,8 @@ from test_identify_static_inverse import K2, bent
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.identify.gains import Gains, calibrate_gains
-from hil.identify.motor import torque_of
+from hil.estimators.gains import Gains, calibrate_gains
+from hil.estimators.motor import torque_of
 
 BESIDE = Payload(3.0, (0.05, 0.0, 0.05))
 ON_AXIS = Payload(3.0, (0.0, 0.0, 0.05))

@@ -5,7 +5,7 @@ import pytest
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, GroupKFold
 
-from hil.identify.grouped_ridge import FARTHEST, FOLDS, PENALTIES, GroupedRidge
+from hil.estimators.grouped_ridge import FARTHEST, FOLDS, PENALTIES, GroupedRidge
 
 
 def problem(noise=0.3, seed=0, groups=60, features=12):

@@ -10,10 +10,10 @@ from synthetic_motion import LOAD, nominal
 from hil.arms.payload import Payload
 from hil.data import Dataset
 from hil.data.filters import prepare
-from hil.identify.friction.memory import carried_step, dahl_states
-from hil.identify.inertial_bounds import InertialBounds
-from hil.identify.payload_problem import _filtered
-from hil.identify.rigid_hysteresis import RigidHysteresis
+from hil.estimators.friction.memory import carried_step, dahl_states
+from hil.estimators.inertial_bounds import InertialBounds
+from hil.estimators.payload_problem import _filtered
+from hil.estimators.rigid_hysteresis import RigidHysteresis
 
 GROUPS = ["load", "speed p"]
 WARM_NM_A = 0.02

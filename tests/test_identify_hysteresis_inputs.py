@@ -10,9 +10,9 @@ from test_identify_rigid_hysteresis import made, rms
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.identify import estimator
-from hil.identify.friction.library import LOADED
-from hil.identify.hysteresis_settings import BANDWIDTHS, MOTION_HZ, filters_for
+from hil.estimators import estimator
+from hil.estimators.friction.library import LOADED
+from hil.estimators.hysteresis_settings import BANDWIDTHS, MOTION_HZ, filters_for
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import pytest
 from synthetic_motion import LOAD, dwelling, moving, nominal
 
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.identify import estimator, load_model_file, save_model
-from hil.identify.rigid import RigidWls
-from hil.identify.static import StaticWls
+from hil.estimators import estimator, load_model_file, save_model
+from hil.estimators.rigid import RigidWls
+from hil.estimators.static import StaticWls
 
 
 @pytest.fixture(scope="module")

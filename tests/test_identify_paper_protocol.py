@@ -8,9 +8,9 @@ import pytest
 from synthetic_motion import GAINS, LOAD, dataset, dwelling, nominal, plant
 
 from hil.core.errors import FitError, SpecError
-from hil.identify import load_model_file, save_model
-from hil.identify.gravity import paper_functions
-from hil.identify.static import CURRENT_PART, StaticWls, signed_square
+from hil.estimators import load_model_file, save_model
+from hil.estimators.gravity import paper_functions
+from hil.estimators.static import CURRENT_PART, StaticWls, signed_square
 
 K2, K1, K0 = 0.6, 11.0, 0.8
 

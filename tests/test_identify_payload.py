@@ -16,11 +16,11 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Conditions, Dataset
 from hil.dynamics import payload_parameters
 from hil.dynamics.pseudo_inertia import is_consistent, pseudo_inertia
-from hil.identify.load_body import central, central_jacobian, nearest_body, payload_of
-from hil.identify.payload_fit import estimate_payload, true_values
-from hil.identify.payload_halves import payload_halves
-from hil.identify.payload_problem import with_identified
-from hil.identify.rigid import RigidWls
+from hil.estimators.load_body import central, central_jacobian, nearest_body, payload_of
+from hil.estimators.payload_fit import estimate_payload, true_values
+from hil.estimators.payload_halves import payload_halves
+from hil.estimators.payload_problem import with_identified
+from hil.estimators.rigid import RigidWls
 
 NOISE_A = 0.02
 SHARE = 0.07

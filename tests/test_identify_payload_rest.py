@@ -12,10 +12,10 @@ from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal, plant
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
-from hil.identify.payload_fit import true_values
-from hil.identify.payload_rest import estimate_payload_at_rest
-from hil.identify.rigid import RigidWls
-from hil.identify.static import StaticWls
+from hil.estimators.payload_fit import true_values
+from hil.estimators.payload_rest import estimate_payload_at_rest
+from hil.estimators.rigid import RigidWls
+from hil.estimators.static import StaticWls
 
 FRICTION_NM = 4.0
 ON_AXIS = replace(LOAD, com=(0.0, 0.0, 0.06))

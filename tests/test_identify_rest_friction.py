@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from synthetic_motion import arrivals_of
 
 from hil.data.arrival import POINTS, QD, Q
-from hil.identify.rest_friction import (
+from hil.estimators.rest_friction import (
     Rest,
     correction_features,
     coulomb_terms,

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 
-from hil.identify.friction_exponent import best_exponent, power_of_speed
-from hil.identify.reweighting import Reweighting
-from hil.identify.robust_loss import influence_slope, robust_scale, robust_weights
-from hil.identify.robust_rows import RobustRows, gram_root
+from hil.estimators.friction_exponent import best_exponent, power_of_speed
+from hil.estimators.reweighting import Reweighting
+from hil.estimators.robust_loss import influence_slope, robust_scale, robust_weights
+from hil.estimators.robust_rows import RobustRows, gram_root
 
 NORMS = {"huber": sm.robust.norms.HuberT(), "tukey": sm.robust.norms.TukeyBiweight()}
 

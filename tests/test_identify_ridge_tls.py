@@ -6,8 +6,8 @@ from scipy.optimize import minimize
 from sklearn.linear_model import Ridge as SkRidge
 
 from hil.core.errors import FitError
-from hil.identify.ridge import GRID, left_out_ridge, ridge
-from hil.identify.total_least_squares import rough, total_least_squares
+from hil.estimators.ridge import GRID, left_out_ridge, ridge
+from hil.estimators.total_least_squares import rough, total_least_squares
 
 
 def problem(seed=0, N=120):

@@ -25,8 +25,8 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.data import Dataset
 from hil.data.filters import FilterSettings, zero_phase
 from hil.dynamics import base_parameters
-from hil.identify import estimator, load_model_file
-from hil.identify.rigid import RigidWls
+from hil.estimators import estimator, load_model_file
+from hil.estimators.rigid import RigidWls
 
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05

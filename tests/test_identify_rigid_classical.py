@@ -9,8 +9,8 @@ from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.dynamics.pseudo_inertia import pseudo_inertia
-from hil.identify import estimator, load_model_file
-from hil.identify.friction_exponent import power_of_speed
+from hil.estimators import estimator, load_model_file
+from hil.estimators.friction_exponent import power_of_speed
 
 TRAIN = (1, 2, 3)
 NOISE_A = 0.05

@@ -12,7 +12,7 @@ from synthetic_motion import GAINS, LOAD, nominal, plant
 from hil.core.errors import DataError
 from hil.data.filters import filter_columns, prepare
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.identify import estimator, load_model_file
+from hil.estimators import estimator, load_model_file
 
 NOISE_A = 0.02
 GROUPS = ("core", "load", "speed p", "memory 30")

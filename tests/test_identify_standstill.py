@@ -12,10 +12,10 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque
-from hil.identify.static import StaticWls
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque
+from hil.estimators.static import StaticWls
 
 POSES = np.random.default_rng(4).uniform(-3.0, 3.0, (30, 6))
 

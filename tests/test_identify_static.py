@@ -8,8 +8,8 @@ from synthetic_motion import GAINS, LOAD, OFFSET, dwelling, fourier, moving, nom
 
 from hil.core.errors import FitError, SpecError
 from hil.data import Conditions, Dataset
-from hil.identify.gravity import paper_functions
-from hil.identify.static import StaticWls
+from hil.estimators.gravity import paper_functions
+from hil.estimators.static import StaticWls
 
 POSES = np.random.default_rng(9).uniform(-2.5, 2.5, (200, 6))
 

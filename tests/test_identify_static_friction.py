@@ -20,9 +20,9 @@ from hil.data import Dataset
 from hil.data.arrival import Q
 from hil.data.dwells import series_means
 from hil.data.splits import split
-from hil.identify import estimator, load_model_file, save_model
-from hil.identify.static_coulomb import StaticCoulomb
-from hil.identify.static_hysteresis import StaticHysteresis
+from hil.estimators import estimator, load_model_file, save_model
+from hil.estimators.static_coulomb import StaticCoulomb
+from hil.estimators.static_hysteresis import StaticHysteresis
 
 STILL = np.zeros(6)
 

@@ -10,8 +10,8 @@ from synthetic_motion import GAINS, dwelling, nominal
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, SpecError
 from hil.data.splits import split
-from hil.identify import load_model_file
-from hil.identify.static import PAPER_PROTOCOL, StaticWls
+from hil.estimators import load_model_file
+from hil.estimators.static import PAPER_PROTOCOL, StaticWls
 from hil.networks.lm.scaling import ConstantInputWarning
 from hil.networks.static_network import StaticMlpLm
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_motion import moving, nominal, raw
 
-from hil.identify import estimator
+from hil.estimators import estimator
 
 
 @pytest.mark.parametrize("filters", [{}, {"unit": "hz", "velocity": 10, "effort": 3}])

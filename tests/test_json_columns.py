@@ -23,9 +23,9 @@ from hil.deploy.export.json_columns import CONSTANTS, column, friction_torque, s
 from hil.deploy.export.json_export import document_of
 from hil.deploy.export.json_read import rigid_torque, torque_per_effort
 from hil.deploy.export.json_terms import FORMS, NETWORK, library_term
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
-from hil.identify.friction.library import column_names, groups
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
+from hil.estimators.friction.library import column_names, groups
 
 SAMPLES = 60
 HIDDEN = {

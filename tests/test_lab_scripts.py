@@ -159,7 +159,7 @@ def test_a_mass_that_does_not_show_was_not_checked(
     found = SimpleNamespace(values=[1.5], interval=[mass, *[centre] * 3], other_arm="", notes=())
     report = SimpleNamespace(error=None, run=Path("run"))
     monkeypatch.setattr("hil.api.run", lambda *given, **options: report)
-    monkeypatch.setattr("hil.identify.load_model_file", lambda model: None)
+    monkeypatch.setattr("hil.estimators.load_model_file", lambda model: None)
     monkeypatch.setattr("hil.api.estimate_payload", lambda *given, **options: found)
     result = ended("payload_check", "model", "--spec", ROOT / "experiments" / "ur5_weigh.yaml")
     assert result.exit_code == code, result.output
@@ -302,7 +302,7 @@ def test_wrong_input_of_a_payload_check_is_told_before_anything_moves(
     two = ended("payload_check", tmp_path / "none", "--spec", tmp_path / "two.yaml")
     assert two.exit_code == 2
     assert "has several loads" in two.output
-    monkeypatch.setattr("hil.identify.load_model_file", lambda model: None)
+    monkeypatch.setattr("hil.estimators.load_model_file", lambda model: None)
     no_bare = ended("payload_check", "model", "--spec", spec, "--bare", tmp_path / "none")
     assert no_bare.exit_code == 8
     assert "does not exist" in no_bare.output

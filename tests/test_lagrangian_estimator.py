@@ -12,9 +12,9 @@ from synthetic_motion import LOAD, moving, nominal
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, PluginError, SpecError
 from hil.data.parts import JUDGE, LEARN, VALIDATE, with_part
-from hil.identify import estimator, load_model_file, save_model
-from hil.identify.base import HONEST, prepared
-from hil.identify.model_file import json_bytes, model_files
+from hil.estimators import estimator, load_model_file, save_model
+from hil.estimators.base import HONEST, prepared
+from hil.estimators.model_file import json_bytes, model_files
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 

@@ -9,7 +9,7 @@ from scipy.special import expit
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
 from hil.core.errors import SpecError  # noqa: E402
-from hil.identify.parameters import settings as read_settings  # noqa: E402
+from hil.estimators.parameters import settings as read_settings  # noqa: E402
 from hil.networks.lagrangian.network import LagrangianNetwork  # noqa: E402
 from hil.networks.lagrangian.settings import NetworkSettings  # noqa: E402
 from hil.networks.lagrangian.trunk import softplus  # noqa: E402

@@ -5,7 +5,7 @@ import pytest
 from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError
-from hil.identify import estimator, load_model_file, save_model
+from hil.estimators import estimator, load_model_file, save_model
 from hil.networks.lagrangian import choices
 
 pytest.importorskip("torch", reason="torch is not installed")

@@ -19,7 +19,7 @@ from safetensors.numpy import load, save
 from synthetic_motion import moving
 
 from hil.core.errors import DataError, FitError, HilError, PluginError
-from hil.identify import load_model_file, save_model
+from hil.estimators import load_model_file, save_model
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 

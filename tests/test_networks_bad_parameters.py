@@ -15,8 +15,8 @@ from test_identify_sources import layout, recording
 from hil.cli.app import main
 from hil.core import plugins
 from hil.core.errors import SpecError
-from hil.identify import estimator
-from hil.identify.parameters import settings
+from hil.estimators import estimator
+from hil.estimators.parameters import settings
 from hil.importers import import_file
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.training_loop.settings import TrainingSettings

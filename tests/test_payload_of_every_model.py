@@ -15,8 +15,8 @@ from hil.core import plugins
 from hil.core.typing import FloatArray
 from hil.data import Dataset
 from hil.dynamics import RobotModel
-from hil.identify import estimator
-from hil.identify.base import GROUP, RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import GROUP, RobotEstimator
 
 QUICK = {"epochs": 1, "batch_size": 300, "device": "cpu"}
 PARAMETERS: Mapping[str, dict[str, Any]] = {

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core import plugins
 from hil.core.errors import SpecError
-from hil.identify.base import estimator
+from hil.estimators.base import estimator
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind
 from hil.spec.load import load_station

@@ -13,7 +13,7 @@ from pipeline_parts import CAMPAIGN, PROBE, write_schedule
 from synthetic_motion import moving, nominal
 
 from hil.core.errors import PreflightFailed, RobotError
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.pipeline.adapted import with_options
 from hil.pipeline.measuring import Measuring, run_of
 from hil.planning.experiment import Experiment, load_experiment

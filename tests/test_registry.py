@@ -11,7 +11,7 @@ import pytest
 from synthetic_motion import moving, nominal
 
 from hil.core.errors import DataError, RegistryError
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
 from hil.registry.registry import Registry
 from hil.registry.version import folder_of

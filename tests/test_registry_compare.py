@@ -11,9 +11,9 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import RegistryError
 from hil.data import Dataset
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
-from hil.identify.training import Training
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
+from hil.estimators.training import Training
 from hil.registry.blocks import BLOCK_S
 from hil.registry.compare import Comparison, compare, fresh_part
 

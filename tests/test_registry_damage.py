@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import RegistryError, exit_code_of
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, append_line
 from hil.registry.registry import Registry
 

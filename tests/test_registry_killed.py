@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from synthetic_motion import moving, nominal
 
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.registry.log import Aliases, read_log
 from hil.registry.registry import Registry
 from hil.registry.version import numbers_in

@@ -19,11 +19,11 @@ from synthetic_motion import (
 )
 
 from hil.campaign.judging import judge_run
-from hil.identify.diffnea.forms import FORMS
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.identify.rigid_irls import RigidIrls
-from hil.identify.static import StaticWls
+from hil.estimators.diffnea.forms import FORMS
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_irls import RigidIrls
+from hil.estimators.static import StaticWls
 from hil.report import friction_plots
 from hil.report.blocks import Page, Plots
 from hil.report.predictions import Shown, shown

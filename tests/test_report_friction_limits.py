@@ -10,11 +10,11 @@ from synthetic_motion import dwelling, moving, nominal
 
 from hil.data.dataset import PREPARED, Dataset
 from hil.data.prediction import Prediction
-from hil.identify.rigid import RigidWls
-from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.identify.rigid_irls import RigidIrls
-from hil.identify.rigid_methods import RigidLeastSquares
-from hil.identify.static import StaticWls
+from hil.estimators.rigid import RigidWls
+from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_irls import RigidIrls
+from hil.estimators.rigid_methods import RigidLeastSquares
+from hil.estimators.static import StaticWls
 from hil.report import friction_plots, friction_words
 from hil.report.friction_seen import at_rest, in_motion
 from hil.report.predictions import Shown, shown, velocity

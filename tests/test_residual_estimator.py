@@ -15,9 +15,9 @@ pytest.importorskip("torch", reason="torch is not installed")
 from hil.core.errors import DataError, FitError
 from hil.data import Dataset
 from hil.data.parts import BY_SAMPLE, JUDGE, LEARN, VALIDATE, with_part
+from hil.estimators import estimator
+from hil.estimators.base import HONEST
 from hil.evaluate import evaluate
-from hil.identify import estimator
-from hil.identify.base import HONEST
 
 
 def test_it_lowers_the_error_on_trajectories_nobody_has_seen() -> None:

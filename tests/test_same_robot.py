@@ -13,10 +13,10 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.dynamics import load_model
 from hil.dynamics.same_robot import may_be
+from hil.estimators.model_file import load_model_file
+from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.rigid import RigidWls
 from hil.evaluate import evaluate
-from hil.identify.model_file import load_model_file
-from hil.identify.payload_fit import estimate_payload
-from hil.identify.rigid import RigidWls
 from hil.validation_load import under_load
 
 ARM = """<robot name="arm">

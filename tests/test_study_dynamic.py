@@ -20,8 +20,8 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, prepare
 from hil.data.splits import assert_disjoint, groups
 from hil.dynamics import base_parameters, coulomb_viscous_columns
-from hil.identify.base import GROUP
-from hil.identify.model_file import json_bytes
+from hil.estimators.base import GROUP
+from hil.estimators.model_file import json_bytes
 from hil.study import dynamic_methods
 from hil.study.base import study
 from hil.study.dynamic_data import (

@@ -15,8 +15,8 @@ from synthetic_motion import LOAD, nominal, plant
 from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
-from hil.identify.base import estimator
-from hil.identify.model_file import json_bytes
+from hil.estimators.base import estimator
+from hil.estimators.model_file import json_bytes
 from hil.study import inverse_dynamics, inverse_fits, inverse_found
 from hil.study.base import Ended, study
 from hil.study.inverse_cases import honest_case, recorded

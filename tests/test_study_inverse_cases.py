@@ -15,7 +15,7 @@ from hil.data.dataset import Dataset
 from hil.data.parts import JUDGE, PART
 from hil.data.prediction import Prediction
 from hil.data.splits import groups
-from hil.identify.rigid import RigidWls
+from hil.estimators.rigid import RigidWls
 from hil.study import inverse_fits
 from hil.study.inverse_cases import Case, honest_case, paper_case, recorded
 from hil.study.inverse_noise import persistence_of, white_noise_left

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.arms.payload import Payload
-from hil.identify.payload_estimate import NAMES
+from hil.estimators.payload_estimate import NAMES
 from hil.study.load_score import TOLD
 from hil.study.load_tables import TORQUES, WAYS, declarations, errors, figures, identified
 

@@ -20,8 +20,8 @@ from hil.campaign import studies as campaign
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
-from hil.identify.payload_declared import Declaration
-from hil.identify.rigid import RigidWls
+from hil.estimators.payload_declared import Declaration
+from hil.estimators.rigid import RigidWls
 from hil.study.base import study
 from hil.study.inverse_cases import recorded as recorded_from
 from hil.study.load_cases import LoadCase, load_cases, unseen
@@ -122,7 +122,7 @@ def test_the_worst_load_is_said_of_every_estimator() -> None:
 
 
 def test_an_estimator_that_fails_costs_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil.identify.rigid_irls import RigidIrls
+    from hil.estimators.rigid_irls import RigidIrls
 
     def failing(self: RigidIrls, data: Any, robot: Any) -> Any:
         raise FitError("it does not converge")

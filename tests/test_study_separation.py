@@ -15,8 +15,8 @@ from sklearn.linear_model import LinearRegression
 import hil
 from hil.data.dataset import Dataset
 from hil.data.splits import group_of
-from hil.identify.gravity import paper_functions
-from hil.identify.model_file import json_bytes
+from hil.estimators.gravity import paper_functions
+from hil.estimators.model_file import json_bytes
 from hil.study.base import silent, study
 from hil.study.result import Figure, Part, StudyResult, Table
 from hil.study.separation_data import dwells_in, one_per_pose, recording_of, rows_in

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.errors import SpecError
-from hil.identify.parameters import settings
+from hil.estimators.parameters import settings
 from hil.networks.training_loop.curves import Curves, sparkline
 from hil.networks.training_loop.problem import Told
 from hil.networks.training_loop.settings import TrainingSettings

@@ -16,8 +16,8 @@ from hil.arms.payload import Payload
 from hil.cli.under_load import print_under_load
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
+from hil.estimators.rigid import RigidWls
 from hil.evaluate import evaluate
-from hil.identify.rigid import RigidWls
 from hil.validation_load import UnderLoad, under_load
 
 BARE = [Payload()]

@@ -18,7 +18,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
-from hil.identify import estimator
+from hil.estimators import estimator
 from hil.spec.station import StationRobot
 from hil.trial.arm import RATE_HZ, Bench
 from hil.trial.reference import Leading, Reference

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from subprocess import Popen
 
+from hil.estimators.base import estimator
 from hil.fleet.fit_task import FitResult
-from hil.identify.base import estimator
 
 Fits = Sequence[FitResult]
 

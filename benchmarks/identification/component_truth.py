@@ -18,7 +18,7 @@ from hil.arms import load_arm
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil_mock_robot.plant import Plant, build_plant
 from hil_mock_robot.truth import Truth
 

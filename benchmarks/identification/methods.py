@@ -15,8 +15,8 @@ from hil.core.errors import HilError, PluginError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
+from hil.estimators.base import GROUP, RobotEstimator, estimator
 from hil.evaluate import Errors, evaluate
-from hil.identify.base import GROUP, RobotEstimator, estimator
 
 DEFAULT = "default"
 """Title of the model `hil fit` should be given when nobody has reasons for another."""

@@ -24,7 +24,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import prepare
 from hil.dynamics import RobotModel, load_model
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.study.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
 from hil.study.dynamic_methods import METHODS, missing, score, unfitted
 from hil_mock_robot.draw import draw_truth

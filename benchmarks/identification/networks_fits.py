@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.study.base import silent
 from hil.study.inverse_fits import COSTS
 from hil.study.inverse_methods import ROWS, families

@@ -26,7 +26,7 @@ from benchmarks.identification.networks_fits import (
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.study.dynamic_data import held_out
 from hil.study.inverse_cases import Case, honest_case, recorded
 from hil.study.inverse_fits import fitted_family

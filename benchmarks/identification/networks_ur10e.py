@@ -22,7 +22,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import load_model
-from hil.identify.base import RobotEstimator, estimator
+from hil.estimators.base import RobotEstimator, estimator
 from hil.study.inverse_fits import fitted_family
 from hil.study.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
 from hil.study.separation_tasks import Task

@@ -11,7 +11,7 @@ from hil.core.errors import FitError
 from hil.deploy.export.agreement import scale_of
 from hil.deploy.export.golden import AGREES, LOAD, golden_of
 from hil.deploy.predictor import Predictor
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 TIMED, OFF_BY = "_p50_ns", "_off_by"
 

@@ -12,7 +12,7 @@ from benchmarks.prediction.clock import told
 from hil.core.typing import FloatArray
 from hil.deploy.export.c_build import asked, built
 from hil.deploy.export.c_export import export_c
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 FLAGS = {"portable": ("-O2",), "native": ("-O3", "-march=native")}
 

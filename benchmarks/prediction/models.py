@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.identification.mock_gap import observed
 from hil.dynamics import load_model
-from hil.identify import estimator
-from hil.identify.base import RobotEstimator
+from hil.estimators import estimator
+from hil.estimators.base import RobotEstimator
 from hil.networks.residual.trained import TrainedTcn
 
 ARM, SEED = "ur5", 1

@@ -20,7 +20,7 @@ from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import Step, largest_difference, load_row
 from hil.deploy.export.golden import golden_of
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 if TYPE_CHECKING:
     from hil.deploy.export.torch_model import TorchModel

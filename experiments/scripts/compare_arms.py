@@ -23,7 +23,7 @@ import typer
 import hil
 from hil.core.errors import DataError, HilError, SpecError
 from hil.core.notebook import card, number
-from hil.identify import load_model_file
+from hil.estimators import load_model_file
 
 SURE = 0.99
 TELLING = ("rigid-wls", "rigid-linear", "rigid-lmi", "rigid-irls", "rigid-diffnea")

@@ -20,7 +20,7 @@ import typer
 
 import hil
 from hil.core.errors import HilError, SpecError
-from hil.identify import load_model_file
+from hil.estimators import load_model_file
 
 WRONG, NOT_CHECKED = 10, 20
 

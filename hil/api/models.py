@@ -11,8 +11,8 @@ from hil.api.arguments import AnyPath, AnyPayload, mapping, path, paths, payload
 from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
+    from hil.estimators.payload_estimate import PayloadEstimate
     from hil.fitting import FitReport
-    from hil.identify.payload_estimate import PayloadEstimate
     from hil.networks.training_loop.problem import Watch
 
 
@@ -47,8 +47,8 @@ def fit(
             which they take it up again.
         watch: Told every epoch of such a training.
     """
+    from hil.estimators.gains_file import read_gains
     from hil.fitting import fit_sources
-    from hil.gains_file import read_gains
 
     held_out, given = paths(validate), mapping(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(given.keys() & signature(fit_sources).parameters.keys()):

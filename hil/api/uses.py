@@ -39,7 +39,7 @@ def export_model(
         SpecError: There is no such target, or an option is none of it.
     """
     from hil.deploy.export.targets import export_model as export
-    from hil.identify.model_file import load_model_file
+    from hil.estimators.model_file import load_model_file
 
     stored = load_model_file(path(model))
     return export(stored, path(out), to, prefix=prefix, unchecked=unchecked)
@@ -125,7 +125,7 @@ def try_out(
         RecordingError: The folder exists, or cannot be written.
     """
     from hil.deploy.export.exported import require_new, write_folder
-    from hil.identify.model_file import json_bytes
+    from hil.estimators.model_file import json_bytes
     from hil.report.render import page_html
     from hil.report.trial_page import REPORT_FILE, trial_page
     from hil.trial.trial import run_trial

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.core.extras import Named, missing, require_installed
-from hil.identify.base import estimator
+from hil.estimators.base import estimator
 from hil.spec.experiment import ExperimentSpec
 from hil.study.base import study
 

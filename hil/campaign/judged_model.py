@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.parts import Parts
+from hil.estimators.base import HONEST
 from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
 from hil.evaluate.verdict import Metric
 from hil.fitting import Fitted
-from hil.identify.base import HONEST
 from hil.spec.experiment import Accept
 
 

@@ -15,8 +15,8 @@ from hil.core.errors import DataError, FitError, HilError
 from hil.core.files import read_json
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
+from hil.estimators.base import HONEST, estimator
 from hil.fitting import Fitted, fit_dataset, usable_part
-from hil.identify.base import HONEST, estimator
 from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit

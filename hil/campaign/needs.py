@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from hil.core.errors import HilError
 from hil.core.source import Path
 from hil.dynamics import RobotModel, load_model
-from hil.identify.base import HONEST, estimator, needs_of
-from hil.identify.checks import Needs, gains_fault
+from hil.estimators.base import HONEST, estimator, needs_of
+from hil.estimators.checks import Needs, gains_fault
 from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec, Fourier
 from hil.spec.judgeable import Excess

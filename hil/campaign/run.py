@@ -14,7 +14,7 @@ from hil.core.errors import HilError
 from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
-from hil.identify.model_folder import models_below
+from hil.estimators.model_folder import models_below
 from hil.planning.experiment import Experiment
 from hil.recording.rundir import RunDirectory
 

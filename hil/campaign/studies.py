@@ -15,7 +15,7 @@ from hil.core.executor import cores
 from hil.core.live_lock import is_live
 from hil.core.throttle import Throttle
 from hil.dynamics import RobotModel, load_model
-from hil.identify.model_file import plain
+from hil.estimators.model_file import plain
 from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, StudyEntry

@@ -43,7 +43,7 @@ def gains(
     from typing import cast
 
     from hil.calibration import gains_of_sources
-    from hil.gains_file import write_gains
+    from hil.estimators.gains_file import write_gains
 
     result = gains_of_sources(found(sources, runs), robot or None, cast("GainsMethod", method))
     told = result.to_dict()

@@ -175,7 +175,7 @@ def found_model(named: str, runs: Path) -> Path:
     Raises:
         DataError: There is none, or there are several.
     """
-    from hil.identify.model_folder import only_model
+    from hil.estimators.model_folder import only_model
 
     try:
         (path,) = found([named], runs)

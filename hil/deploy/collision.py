@@ -19,7 +19,7 @@ from hil.core.typing import FloatArray
 from hil.deploy.collision_thresholds import CollisionThresholds
 from hil.deploy.momentum_observer import MomentumObserver
 from hil.deploy.rest_margin import RestMargin
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 TIME_S = 1e-6
 """Time stamps are no more exact than this."""

@@ -24,9 +24,9 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
 from hil.deploy.momentum_observer import GAIN, MomentumObserver
 from hil.deploy.rest_margin import RestMargin, resting_friction
-from hil.identify.base import RobotEstimator, load_of
-from hil.identify.conformal import SpeedBands
-from hil.identify.parameters import number
+from hil.estimators.base import RobotEstimator, load_of
+from hil.estimators.conformal import SpeedBands
+from hil.estimators.parameters import number
 
 QUANTILE = 6.0
 """Deviations. Motions without load reach 3.2 on the mock, declared loads and rests need more."""

@@ -19,7 +19,7 @@ from hil.deploy.export.golden import LOAD, golden_of
 from hil.deploy.export.program import Program
 from hil.deploy.export.reading import program_of
 from hil.deploy.sample import HINT, REFUSED, as_sample
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

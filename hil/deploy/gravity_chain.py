@@ -22,8 +22,8 @@ from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import PARAMETERS
-from hil.identify.base import RobotEstimator
-from hil.identify.standstill import gravity_torque
+from hil.estimators.base import RobotEstimator
+from hil.estimators.standstill import gravity_torque
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]

@@ -38,8 +38,8 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.gravity_chain import GravityChain
 from hil.deploy.rest_margin import resting_friction
-from hil.identify.base import RobotEstimator
-from hil.identify.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
+from hil.estimators.base import RobotEstimator
+from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
 
 
 class HandGuiding:

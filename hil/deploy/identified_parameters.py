@@ -2,8 +2,8 @@
 
 Some estimators carry such parameters (`inertial_`). Others know base parameters only, or none by
 name; then their rigid torques at sampled motions are reproduced by physically consistent links
-nearest to the nominal ones (`hil.identify.consistent`). Where links that can exist have the model's
-base parameters, these come out exactly, and what torques do not show is all that is chosen.
+nearest to the nominal ones (`hil.estimators.consistent`). Where links that can exist have the
+model's base parameters, these come out exactly, and what torques do not show is all that is chosen.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.data.prediction import Prediction
-from hil.deploy.asked import motion_of
 from hil.dynamics import base_parameters, friction_terms
 from hil.dynamics.base import BaseParameters
 from hil.dynamics.pseudo_inertia import is_consistent
-from hil.identify.base import RobotEstimator
-from hil.identify.consistent import consistent_least_squares
-from hil.identify.inertial_bounds import InertialBounds
+from hil.estimators.base import RobotEstimator
+from hil.estimators.consistent import consistent_least_squares
+from hil.estimators.inertial_bounds import InertialBounds
+from hil.estimators.torque_request import motion_of
 
 SAMPLES = 400
 SPEED_RAD_S = 1.0

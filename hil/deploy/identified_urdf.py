@@ -17,7 +17,7 @@ from hil.deploy.urdf_edit import edited
 from hil.deploy.urdf_text import dynamics, inertial, plain, written
 from hil.dynamics import RobotModel
 from hil.dynamics.robot_model import GRAVITY
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

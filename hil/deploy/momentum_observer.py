@@ -19,9 +19,9 @@ from hil.arms.payload import Payload
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
 from hil.deploy.identified_parameters import rigid_parameters
-from hil.identify.base import RobotEstimator
-from hil.identify.parameters import number
-from hil.identify.standstill import require_torque
+from hil.estimators.base import RobotEstimator
+from hil.estimators.parameters import number
+from hil.estimators.standstill import require_torque
 
 GAIN = 40.0
 """K [1/s]: a push shows by 63 % after 25 ms."""

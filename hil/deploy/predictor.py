@@ -9,7 +9,7 @@ from hil.deploy.compiled import CompiledProgram
 from hil.deploy.export.c_build import compiler
 from hil.deploy.export.reading import NotExported
 from hil.deploy.sample import as_sample, require_within
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 
 class Predictor:

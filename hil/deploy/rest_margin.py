@@ -13,9 +13,9 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.deploy.identified_parameters import plain_friction
-from hil.identify.base import RobotEstimator
-from hil.identify.conformal import STANDSTILL
-from hil.identify.standstill import dry_friction
+from hil.estimators.base import RobotEstimator
+from hil.estimators.conformal import STANDSTILL
+from hil.estimators.standstill import dry_friction
 
 FADES_S = 0.1
 """Time constant after a start: the way in which friction comes round, and the observer's lag."""

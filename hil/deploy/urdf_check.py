@@ -19,7 +19,7 @@ from hil.deploy.identified_parameters import (
     rigid_asked,
 )
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 EXACT = 1e-9
 """Largest miss where links have the model's parameters, as a share of a joint's largest torque."""

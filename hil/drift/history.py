@@ -22,9 +22,9 @@ from hil.core.files import read_json, sha256_of
 from hil.drift.causes import Cause, causes, told
 from hil.drift.chart import FALSE_ALARM, Charted, charted
 from hil.drift.features import Features, features_of
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import plain
 from hil.fitting import usable_part
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import plain
 from hil.importers.load import load_source
 from hil.registry.lock import writing
 from hil.registry.log import append_line, read_lines

@@ -7,7 +7,7 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 
 def friction_change(

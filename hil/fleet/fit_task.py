@@ -15,8 +15,8 @@ from hil.core.errors import HilError
 from hil.core.files import json_document
 from hil.drift.history import identity
 from hil.dynamics import load_model
+from hil.estimators.base import estimator as make_estimator
 from hil.fitting import fit_dataset, usable_part
-from hil.identify.base import estimator as make_estimator
 from hil.importers.load import load_source, serial_of
 from hil.spec.experiment import Accept
 from hil.spec.load import load_spec

@@ -10,8 +10,8 @@ from typing import Any
 from hil.campaign.verdict import VerdictWord, verdict_word
 from hil.core.errors import DataError
 from hil.core.files import read_json
+from hil.estimators.model_file import write_whole
 from hil.fleet.fit_task import FitResult
-from hil.identify.model_file import write_whole
 from hil.registry.registry import Registry
 
 

@@ -12,9 +12,9 @@ from hil.campaign.series import Ended
 from hil.campaign.verdict import verdict_word
 from hil.core import errors
 from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
+from hil.estimators.model_folder import models_below
 from hil.fleet.folder import FleetFolder
 from hil.fleet.workers import Manner, Workers
-from hil.identify.model_folder import models_below
 from hil.recording.rundir import RunDirectory
 
 Document = dict[str, Any]

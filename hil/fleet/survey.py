@@ -12,12 +12,12 @@ import numpy as np
 from hil.core.errors import DataError, HilError
 from hil.core.typing import FloatArray
 from hil.drift.history import probes_of
+from hil.estimators.model_folder import models_below
 from hil.fleet.fitting import computed
 from hil.fleet.folder import MODELS, FleetFolder, completed
 from hil.fleet.outliers import FAMILY_WISE, Standing, standing
 from hil.fleet.robot_fit import robot_of
 from hil.fleet.surveyed import Surveyed, surveyed
-from hil.identify.model_folder import models_below
 from hil.registry.registry import Registry
 
 

@@ -87,8 +87,8 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
 
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    from hil.estimators.model_file import load_model_file
     from hil.fitting import usable_part
-    from hil.identify.model_file import load_model_file
     from hil.importers.load import load_source
 
     fitted = load_model_file(model)

@@ -18,16 +18,10 @@ from hil.data.dataset import Dataset, SeriesKind, rows_of
 from hil.data.filters import FilterSettings
 from hil.data.parts import BY_SAMPLE, told_by_sample
 from hil.dynamics import RobotModel
-from hil.identify.base import HONEST, prepared
-from hil.identify.checks import (
-    Needs,
-    require_clean,
-    require_motion,
-    require_robot,
-    torque_scale,
-)
-from hil.identify.parameters import MOST_SEED, choice, mapping, number, settings, share, whole
-from hil.identify.plausible import require_plausible
+from hil.estimators.base import HONEST, prepared
+from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
+from hil.estimators.parameters import MOST_SEED, choice, mapping, number, settings, share, whole
+from hil.estimators.plausible import require_plausible
 from hil.networks.lagrangian import choices
 from hil.networks.lagrangian.direction import DIRECTION
 from hil.networks.lagrangian.fitted import LagrangianModel

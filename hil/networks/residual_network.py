@@ -21,16 +21,10 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.parts import told_by_sample
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator, needs_of, prepared
-from hil.identify.checks import (
-    Needs,
-    require_clean,
-    require_motion,
-    require_robot,
-    torque_scale,
-)
-from hil.identify.parameters import MOST_SEED, mapping, number, settings, share, whole
-from hil.identify.plausible import require_plausible
+from hil.estimators.base import RobotEstimator, needs_of, prepared
+from hil.estimators.checks import Needs, require_clean, require_motion, require_robot, torque_scale
+from hil.estimators.parameters import MOST_SEED, mapping, number, settings, share, whole
+from hil.estimators.plausible import require_plausible
 from hil.networks.residual.fit import Course, learn, require_one_rate
 from hil.networks.residual.fitted import CorrectedModel
 from hil.networks.residual.judged import Judged

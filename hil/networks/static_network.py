@@ -23,10 +23,10 @@ from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.prediction import Prediction, Stream
 from hil.dynamics import RobotModel
-from hil.identify.dwell_rows import one_row_each
-from hil.identify.parameters import choice, flag, number, whole
-from hil.identify.static_model import Form, StaticModel
-from hil.identify.stream import MemorylessStream
+from hil.estimators.dwell_rows import one_row_each
+from hil.estimators.parameters import choice, flag, number, whole
+from hil.estimators.static_model import Form, StaticModel
+from hil.estimators.stream import MemorylessStream
 from hil.networks.lm.arrays import Precision
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.settings import Settings

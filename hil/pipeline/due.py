@@ -14,8 +14,8 @@ from pathlib import Path
 
 from hil.core.errors import FitError
 from hil.core.files import read_json
-from hil.identify.base import HONEST
-from hil.identify.model_folder import models_below
+from hil.estimators.base import HONEST
+from hil.estimators.model_folder import models_below
 from hil.pipeline.bound import Bound
 from hil.pipeline.deciding import Decision, decided
 from hil.pipeline.fitting_together import not_honest

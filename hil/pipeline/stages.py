@@ -18,7 +18,7 @@ from typing import Any
 
 from hil.core.errors import RecordingError
 from hil.core.files import json_document, json_line, sha256_of
-from hil.identify.model_file import write_whole
+from hil.estimators.model_file import write_whole
 
 Document = dict[str, Any]
 Do = Callable[[Mapping[str, Document]], Mapping[str, Any]]

@@ -20,9 +20,9 @@ from hil.core.errors import RegistryError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.splits import SAME_SHARE
+from hil.estimators.base import RobotEstimator
 from hil.evaluate.evaluation import filtered_effort
 from hil.fitting import usable_part
-from hil.identify.base import RobotEstimator
 from hil.importers.load import load_source
 from hil.registry.blocks import BLOCK_S, blocks, by_place
 from hil.validation import require_unseen, seen_share

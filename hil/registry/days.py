@@ -15,8 +15,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from hil.core.typing import FloatArray
+from hil.estimators.base import RobotEstimator
 from hil.evaluate import evaluate
-from hil.identify.base import RobotEstimator
 from hil.registry.compare import SURE, unseen_parts
 
 

@@ -21,7 +21,7 @@ from typing import Any, Literal, get_args
 from hil.core.errors import RegistryError
 from hil.core.files import fsync_directory
 from hil.core.text import json_text, shell_word
-from hil.identify.model_file import json_bytes, write_whole
+from hil.estimators.model_file import json_bytes, write_whole
 from hil.recording.provenance import operator, utc_now
 from hil.registry.version import folder_of, numbers_in, read_version
 

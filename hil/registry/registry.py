@@ -15,8 +15,8 @@ from typing import Any
 
 from hil.core.errors import RegistryError, SpecError
 from hil.core.suggest import closest
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import load_model_file
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import load_model_file
 from hil.recording.provenance import operator, utc_now
 from hil.registry.facts import facts_of
 from hil.registry.lock import writing

@@ -14,7 +14,7 @@ from typing import Any
 
 from hil.core.errors import RegistryError
 from hil.core.files import fsync_directory
-from hil.identify.model_file import json_bytes
+from hil.estimators.model_file import json_bytes
 
 VERSION_FILE = "version.json"
 FORMAT = 1

@@ -17,7 +17,7 @@ from hil.report.words import number, short_source
 Part = Literal["held_out", "trained"]
 
 HONEST = "honest"
-"""As in `hil.identify.base`, which would load Pinocchio to show a few numbers."""
+"""As in `hil.estimators.base`, which would load Pinocchio to show a few numbers."""
 
 
 @dataclass(frozen=True, slots=True)

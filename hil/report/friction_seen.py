@@ -45,7 +45,7 @@ class Law:
 
     Attributes:
         qd: Velocities of each joint, rising [rad/s].
-        torque, dry, std_error, terms: See `hil.identify.friction_curve`.
+        torque, dry, std_error, terms: See `hil.estimators.friction_curve`.
     """
 
     qd: FloatArray
@@ -90,8 +90,8 @@ class Friction:
 
 def scale_of(model: Model) -> tuple[FloatArray, str]:
     """What turns efforts of a model into its friction's unit, (n,) or (1,), and that unit."""
-    from hil.identify.base import RobotEstimator
-    from hil.identify.standstill import knows_torque
+    from hil.estimators.base import RobotEstimator
+    from hil.estimators.standstill import knows_torque
 
     if isinstance(model, RobotEstimator) and knows_torque(model):
         return model.torque_scale_, "N·m"
@@ -156,7 +156,7 @@ def _told(prediction: Prediction) -> FloatArray:
 
 
 def _law(model: Model, qd: FloatArray) -> Law | None:
-    from hil.identify.friction_curve import HasFrictionCurve
+    from hil.estimators.friction_curve import HasFrictionCurve
 
     if not isinstance(model, HasFrictionCurve):
         return None

@@ -102,8 +102,8 @@ def show(folder: Path, data: Dataset) -> Shown:
     Raises:
         HilError: The model cannot be loaded, or does not fit the data.
     """
+    from hil.estimators.model_file import load_model_file
     from hil.fitting import usable_part
-    from hil.identify.model_file import load_model_file
 
     model = load_model_file(folder)
     return shown(model, usable_part(data, model))

@@ -12,7 +12,7 @@ from hil.core.errors import DataError, HilError
 from hil.core.files import read_json
 from hil.core.live_lock import is_live
 from hil.core.text import shell_word
-from hil.identify.model_folder import models_below
+from hil.estimators.model_folder import models_below
 from hil.runs.listing import RunListing
 from hil.runs.listing import list_runs as listings_of
 from hil.recording.parts import name_of_attempt

@@ -14,7 +14,7 @@ from hil.runs.origins import Lost
 from hil.core.errors import HilError, RegistryError
 from hil.data.fingerprints import Sketch
 from hil.importers.load import load_source
-from hil.identify.model_file import load_model_file
+from hil.estimators.model_file import load_model_file
 
 
 def why_by_rows(lost: Iterable[Lost]) -> Callable[[Path], str]:

@@ -11,8 +11,8 @@ from hil.core import plugins
 from hil.core.errors import SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.checks import Needs
-from hil.identify.parameters import Parametrised, require_known
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import Parametrised, require_known
 from hil.study.result import StudyResult
 
 GROUP = "hil.studies"

@@ -21,7 +21,7 @@ from hil.data.filters import (
 )
 from hil.data.splits import Split, groups, paper_sample_split, split
 from hil.dynamics import RobotModel
-from hil.identify.checks import Needs, require_robot, torque_scale
+from hil.estimators.checks import Needs, require_robot, torque_scale
 
 NEEDS = Needs({"trajectories": 3}, gains=True)
 """Trajectories to fit on, for methods that choose something, and to judge on."""

@@ -14,8 +14,8 @@ from hil.core.errors import FitError
 from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.identify.checks import Needs
-from hil.identify.parameters import flag, number, whole
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import flag, number, whole
 from hil.study import dynamic_tables as tables
 from hil.study.base import Progress, Study, silent
 from hil.study.dynamic_data import NEEDS, trajectories_of

@@ -16,7 +16,7 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.metrics import mep, rmse
 from hil.dynamics import RobotModel
-from hil.identify.base import GROUP, RobotEstimator, estimator
+from hil.estimators.base import GROUP, RobotEstimator, estimator
 from hil.study.dynamic_data import MOVING, REVERSAL, Parts
 
 SHOWN = 250

@@ -14,8 +14,8 @@ from hil.core.errors import FitError
 from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.identify.checks import Needs
-from hil.identify.parameters import MOST_SEED, flag, number, whole
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import MOST_SEED, flag, number, whole
 from hil.study import inverse_drawn as drawn
 from hil.study import inverse_tables as tables
 from hil.study.base import Progress, Study, silent

@@ -11,7 +11,7 @@ from hil.core import plugins
 from hil.core.errors import HilError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.base import GROUP, RobotEstimator, estimator
+from hil.estimators.base import GROUP, RobotEstimator, estimator
 from hil.study.inverse_cases import Case
 from hil.study.inverse_methods import ROWS, Row, unfitted
 from hil.study.inverse_score import Judged, judged, nothing

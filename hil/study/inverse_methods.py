@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hil.data.filters import FilterSettings
-from hil.identify.base import RobotEstimator, estimator
+from hil.estimators.base import RobotEstimator, estimator
 from hil.networks.lagrangian import choices
 from hil.networks.residual.settings import TRAINING, ResidualSettings
 from hil.study.dynamic_methods import METHODS as CLASSICAL

@@ -10,7 +10,7 @@ from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.filters import nyquist_fraction, sample_rate, zero_phase
 from hil.data.prediction import Prediction
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.networks.training_loop.curves import Curves
 from hil.study.dynamic_data import MOVING
 from hil.study.dynamic_methods import SHOWN, percent_where, rmse_where

@@ -12,8 +12,8 @@ from hil.core.errors import DataError, FitError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, downsample
 from hil.data.splits import SAME_SHARE, Group, group_of, groups
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import load_model_file
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import load_model_file
 from hil.study.inverse_cases import Recorded, load_names
 from hil.study.separation_text import listed
 

@@ -16,7 +16,7 @@ from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.data.splits import Group, assert_disjoint, group_of, groups
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator, estimator
+from hil.estimators.base import RobotEstimator, estimator
 from hil.networks.training_loop.attached import keeps_checkpoints
 from hil.study.inverse_cases import Recorded
 from hil.study.load_cases import knows, motions_of, unseen

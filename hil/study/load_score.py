@@ -12,11 +12,11 @@ from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
-from hil.identify.base import RobotEstimator
-from hil.identify.payload_declared import Declaration, check_declarations
-from hil.identify.payload_estimate import PayloadEstimate
-from hil.identify.payload_fit import estimate_payload
-from hil.identify.payload_problem import Friction, with_identified
+from hil.estimators.base import RobotEstimator
+from hil.estimators.payload_declared import Declaration, check_declarations
+from hil.estimators.payload_estimate import PayloadEstimate
+from hil.estimators.payload_fit import estimate_payload
+from hil.estimators.payload_problem import Friction, with_identified
 from hil.study.dynamic_methods import rmse_where
 from hil.study.load_cases import LoadCase
 from hil.study.separation_text import mean_of

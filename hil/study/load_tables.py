@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hil.identify.payload_estimate import NAMES
-from hil.identify.payload_fit import true_values
+from hil.estimators.payload_estimate import NAMES
+from hil.estimators.payload_fit import true_values
 from hil.study.load_score import TOLD, Scored, UnderLoads
 from hil.study.result import Curve, Figure, Panel, Table, Value
 from hil.study.separation_text import joint_titles, mean_of, value, values, with_mean

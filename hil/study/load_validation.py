@@ -15,11 +15,11 @@ from typing import Any, ClassVar, Literal
 from hil.core.errors import HilError, SpecError
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.identify.base import HONEST
-from hil.identify.checks import Needs
-from hil.identify.parameters import choice, flag, number, whole
-from hil.identify.payload_declared import FALSE_ALARM
-from hil.identify.payload_problem import Friction
+from hil.estimators.base import HONEST
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import choice, flag, number, whole
+from hil.estimators.payload_declared import FALSE_ALARM
+from hil.estimators.payload_problem import Friction
 from hil.study import load_tables as tables
 from hil.study.base import Progress, Study, silent
 from hil.study.dynamic_data import NEEDS, highest_cutoff

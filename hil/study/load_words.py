@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hil.core.errors import HilError
-from hil.identify.payload_declared import Declaration
+from hil.estimators.payload_declared import Declaration
 from hil.study.load_score import TOLD, Scored, UnderLoads
 from hil.study.load_tables import average
 from hil.study.separation_text import listed, mean_of

@@ -12,8 +12,8 @@ from hil.data.dataset import Conditions, Dataset
 from hil.data.dwells import SAMPLES_PER_DWELL, dwells_of, series_means
 from hil.data.splits import group_of
 from hil.dynamics import RobotModel
-from hil.identify.checks import STILL_RAD, Needs, require_robot
-from hil.identify.dwell_rows import scatter
+from hil.estimators.checks import STILL_RAD, Needs, require_robot
+from hil.estimators.dwell_rows import scatter
 
 NEEDS = Needs({"poses": 4})
 """Two to fit on and two to judge on; what each model needs it states itself."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from hil.core.errors import HilError
 from hil.core.typing import FloatArray
-from hil.identify.linear_methods import Weights
-from hil.identify.static_linear import StaticLinear
+from hil.estimators.linear_methods import Weights
+from hil.estimators.static_linear import StaticLinear
 from hil.study.result import Figure
 from hil.study.separation_band import SHORT, Bands, friction_of
 from hil.study.separation_data import Recording

@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.metrics import correlation
-from hil.identify.static_linear import StaticLinear
+from hil.estimators.static_linear import StaticLinear
 from hil.study.result import Curve, Figure, Panel, Style
 from hil.study.separation_text import joint_titles
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.identify.base import HONEST
+from hil.estimators.base import HONEST
 from hil.study.result import Figure, Part, Table
 from hil.study.separation_band import Bands, band_tables
 from hil.study.separation_data import pose_key

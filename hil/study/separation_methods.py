@@ -20,7 +20,7 @@ from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.base import estimator
+from hil.estimators.base import estimator
 from hil.networks.lm.scaling import ConstantInputWarning
 from hil.study.separation_data import dwell_means
 from hil.study.separation_tasks import Task

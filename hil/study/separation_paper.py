@@ -13,8 +13,8 @@ import numpy as np
 
 from hil.core.errors import DataError, FitError
 from hil.core.typing import FloatArray
-from hil.identify.linear_methods import Method, Weights
-from hil.identify.static_linear import StaticLinear
+from hil.estimators.linear_methods import Method, Weights
+from hil.estimators.static_linear import StaticLinear
 from hil.study.separation_data import Recording, dwell_means, one_per_pose
 from hil.study.separation_networks import (
     NetworkResult,

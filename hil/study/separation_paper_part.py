@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.identify.linear_methods import Method
-from hil.identify.static_model import PAPER_PROTOCOL
+from hil.estimators.linear_methods import Method
+from hil.estimators.static_model import PAPER_PROTOCOL
 from hil.study.result import Figure, Part
 from hil.study.separation_data import sample_noise
 from hil.study.separation_paper_run import PaperRun

@@ -10,8 +10,8 @@ import numpy as np
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.metrics import rmse
-from hil.identify.linear_methods import Method
-from hil.identify.static_linear import StaticLinear
+from hil.estimators.linear_methods import Method
+from hil.estimators.static_linear import StaticLinear
 from hil.study.separation_data import sample_noise
 from hil.study.separation_networks import Networks
 from hil.study.separation_split import Partition

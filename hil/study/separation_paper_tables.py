@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.identify.linear_methods import Method
+from hil.estimators.linear_methods import Method
 from hil.study.result import Table, Value
 from hil.study.separation_paper import METHODS
 from hil.study.separation_paper_run import Layout, PaperRun

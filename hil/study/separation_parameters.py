@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.core.errors import SpecError
-from hil.identify.parameters import choice, number, whole
+from hil.estimators.parameters import choice, number, whole
 from hil.networks.lm.network import Mlp
 
 INPUTS = 4

@@ -13,9 +13,9 @@ from hil.core.errors import FitError
 from hil.core.executor import cores
 from hil.data.dataset import Dataset, SeriesKind
 from hil.dynamics import RobotModel
-from hil.identify.checks import Needs
-from hil.identify.linear_methods import Weights
-from hil.identify.parameters import choice, flag, number, whole
+from hil.estimators.checks import Needs
+from hil.estimators.linear_methods import Weights
+from hil.estimators.parameters import choice, flag, number, whole
 from hil.study.base import Progress, Study, silent
 from hil.study.result import Part, StudyResult
 from hil.study.separation_band import bands

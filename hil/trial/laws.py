@@ -11,7 +11,7 @@ from hil.core.typing import FloatArray
 from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.predictor import Predictor
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.networks.residual.fitted import CorrectedModel
 from hil.trial.arm import RATE_HZ
 from hil.trial.reference import Reference

@@ -10,7 +10,7 @@ from hil.core.errors import FitError
 from hil.core.typing import FloatArray
 from hil.deploy.hand_guiding import HandGuiding
 from hil.deploy.low_pass import LowPass
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.trial import laws, leading
 from hil.trial.arm import RATE_HZ, Arm, Bench
 from hil.trial.gains import Spring

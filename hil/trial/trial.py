@@ -10,9 +10,9 @@ import numpy as np
 
 from hil.arms.payload import Payload
 from hil.core.errors import SpecError
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import load_model_file
-from hil.identify.standstill import require_torque
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import load_model_file
+from hil.estimators.standstill import require_torque
 from hil.rest_place import place_of
 from hil.spec.station import StationRobot
 from hil.trial.arm import RATE_HZ, Bench, require_simulated

@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.core.files import sha256_of
 from hil.core.text import shell_word
-from hil.identify.model_folder import MODEL_FILE, models_below
+from hil.estimators.model_folder import MODEL_FILE, models_below
 from hil.report.blocks import Badge
 from hil.report.documents import Document, as_objects
 from hil.report.facts import RunFacts, read_facts

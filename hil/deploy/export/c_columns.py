@@ -1,6 +1,6 @@
 """Columns of the friction library as C expressions.
 
-Every group of `hil.identify.friction.library` has its columns here as C expressions of what a
+Every group of `hil.estimators.friction.library` has its columns here as C expressions of what a
 joint has at this sample: `v`, `speed` = |v|, `z3` (Dahl's state of three times the shortest
 length), `tau` (torque through the gear) and `load` = |tau|, `peak03` (Stribeck's exponential, 0.3
 as wide), `law025` (sign(v)·|v|^0.25), `sin4`, `cos4` (four times per motor turn).
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hil.identify.friction.library import ORDERS
-from hil.identify.friction.motion import MULTIPLES
+from hil.estimators.friction.library import ORDERS
+from hil.estimators.friction.motion import MULTIPLES
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "core": ("1.0", "v", "z1"),

@@ -12,7 +12,7 @@ from hil.deploy.export.c_test import cmake, self_test
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_folder
 from hil.deploy.export.golden import golden_of
 from hil.deploy.export.reading import program_of
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 
 def export_c(

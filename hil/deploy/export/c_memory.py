@@ -11,9 +11,9 @@ from hil.core.typing import FloatArray
 from hil.deploy.export.c_columns import GROUPS, LAWS, PEAKS, SUMS
 from hil.deploy.export.c_text import Piece, number
 from hil.deploy.export.program import terms_of
-from hil.identify.friction.law import PARTS, FrictionLaw
-from hil.identify.friction.library import ORDERS
-from hil.identify.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.estimators.friction.law import PARTS, FrictionLaw
+from hil.estimators.friction.library import ORDERS
+from hil.estimators.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
 
 SLOWEST = 1e-12
 """Below this speed [rad/s] a power of it is 0: no logarithm of 0."""

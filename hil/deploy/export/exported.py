@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import RecordingError
-from hil.identify.model_file import write_whole
+from hil.estimators.model_file import write_whole
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.dynamics import RobotModel
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.networks.residual.fitted import CorrectedModel
 
 RATE_HZ = 250.0

@@ -9,17 +9,17 @@ import numpy as np
 
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
-from hil.deploy.asked import motion_of
 from hil.deploy.export.golden import LOAD, RATE_HZ, golden_of
 from hil.deploy.export.json_columns import Document, friction_torque
 from hil.deploy.export.json_read import combined, links_of, rigid_torque, torque_per_effort
 from hil.deploy.export.json_rest import at_rest
 from hil.deploy.export.program import bodies
 from hil.dynamics import base_parameters
-from hil.identify.base import RobotEstimator
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.rigid_linear import RigidLinear
-from hil.identify.static_model import StaticModel
+from hil.estimators.base import RobotEstimator
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_linear import RigidLinear
+from hil.estimators.static_model import StaticModel
+from hil.estimators.torque_request import motion_of
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.residual.fitted import CorrectedModel
 

@@ -14,11 +14,11 @@ import numpy as np
 from hil.core.typing import FloatArray
 from hil.deploy.export.json_terms import Term
 from hil.dynamics import BaseParameters, RobotModel
-from hil.identify.base import RobotEstimator
-from hil.identify.rigid_classical import RigidClassical
-from hil.identify.static_inverse import StaticInverse
-from hil.identify.static_model import StaticModel
-from hil.identify.wls import WlsEstimator
+from hil.estimators.base import RobotEstimator
+from hil.estimators.rigid_classical import RigidClassical
+from hil.estimators.static_inverse import StaticInverse
+from hil.estimators.static_model import StaticModel
+from hil.estimators.wls import WlsEstimator
 
 Entry = dict[str, Any]
 
@@ -170,7 +170,7 @@ def of_base(
 def paper_entry(
     model: StaticModel, name: str, value: float, torque: str, known: tuple[float, list[float], str]
 ) -> Entry:
-    """One of eq. 15's parameters, named as `hil.identify.gravity.PaperGravity` names them."""
+    """One of eq. 15's parameters, named as `hil.estimators.gravity.PaperGravity` names them."""
     joint = model.joint_names_[int(name[5]) - 1]
     waves = PAPER[name]
     text = "·".join(f"{f}({'+'.join(f'q{i}' for i in joints)})" for f, joints in waves)

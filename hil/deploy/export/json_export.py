@@ -19,8 +19,8 @@ from hil.deploy.export.json_robot import (
     robot_part,
     sigma_part,
 )
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import json_bytes
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import json_bytes
 from hil.networks.residual.fitted import CorrectedModel
 
 FORMAT = 1

@@ -8,17 +8,17 @@ import numpy as np
 
 from hil.deploy.export.json_terms import NETWORK
 from hil.deploy.export.lagrangian_terms import LEAST_SPEED as LEAST_NETWORK_SPEED
-from hil.identify.base import RobotEstimator
-from hil.identify.diffnea.forms import LEAST_SPEED
-from hil.identify.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
-from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.rigid_irls import NARROWEST, RigidIrls
-from hil.identify.rigid_linear import RigidLinear
-from hil.identify.static_friction import StaticFriction
-from hil.identify.static_hysteresis import StaticHysteresis
-from hil.identify.static_inverse import StaticInverse
-from hil.identify.static_model import StaticModel
+from hil.estimators.base import RobotEstimator
+from hil.estimators.diffnea.forms import LEAST_SPEED
+from hil.estimators.friction.motion import REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_irls import NARROWEST, RigidIrls
+from hil.estimators.rigid_linear import RigidLinear
+from hil.estimators.static_friction import StaticFriction
+from hil.estimators.static_hysteresis import StaticHysteresis
+from hil.estimators.static_inverse import StaticInverse
+from hil.estimators.static_model import StaticModel
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.residual.fitted import CorrectedModel
 from hil.networks.static_network import StaticMlpLm

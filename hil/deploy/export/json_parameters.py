@@ -34,18 +34,18 @@ from hil.deploy.export.json_terms import (
     rest_term,
 )  # fmt: skip
 from hil.dynamics import base_parameters
-from hil.identify.base import RobotEstimator
-from hil.identify.friction.law import FrictionLaw
-from hil.identify.friction.library import column_names
-from hil.identify.gravity import PaperGravity
-from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.rigid_irls import RigidIrls
-from hil.identify.rigid_linear import RigidLinear
-from hil.identify.static_friction import StaticFriction
-from hil.identify.static_inverse import StaticInverse
-from hil.identify.static_model import StaticModel
-from hil.identify.wls import WlsEstimator
+from hil.estimators.base import RobotEstimator
+from hil.estimators.friction.law import FrictionLaw
+from hil.estimators.friction.library import column_names
+from hil.estimators.gravity import PaperGravity
+from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_irls import RigidIrls
+from hil.estimators.rigid_linear import RigidLinear
+from hil.estimators.static_friction import StaticFriction
+from hil.estimators.static_inverse import StaticInverse
+from hil.estimators.static_model import StaticModel
+from hil.estimators.wls import WlsEstimator
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.residual.fitted import CorrectedModel
 

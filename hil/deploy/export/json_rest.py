@@ -11,15 +11,15 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.typing import FloatArray
 from hil.data.arrival import POINTS, STEP_S
-from hil.deploy.asked import dwells_of
 from hil.deploy.export.golden import LOAD, RATE_HZ, SAMPLES, motion
 from hil.deploy.export.json_columns import Document, friction_torque, rest_states
 from hil.deploy.export.json_read import of_joints, paper_gravity, rigid_torque, torque_per_effort
-from hil.identify.base import estimator
-from hil.identify.motor import has_current
-from hil.identify.static_friction import StaticFriction
-from hil.identify.static_inverse import StaticInverse
-from hil.identify.static_model import StaticModel
+from hil.estimators.base import estimator
+from hil.estimators.motor import has_current
+from hil.estimators.static_friction import StaticFriction
+from hil.estimators.static_inverse import StaticInverse
+from hil.estimators.static_model import StaticModel
+from hil.estimators.torque_request import dwells_of
 
 CELSIUS = 40.0
 LOAD_ROW = np.array([LOAD.mass, *LOAD.com, *LOAD.inertia])

@@ -13,11 +13,11 @@ from hil.deploy.export.json_parameters import torque_unit
 from hil.deploy.export.reading import flange_in_last_joint
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre
-from hil.identify.base import RobotEstimator
-from hil.identify.model_file import model_files
-from hil.identify.model_folder import MODEL_FILE
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.static_hysteresis import StaticHysteresis
+from hil.estimators.base import RobotEstimator
+from hil.estimators.model_file import model_files
+from hil.estimators.model_folder import MODEL_FILE
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.static_hysteresis import StaticHysteresis
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.residual.fitted import CorrectedModel
 from hil.networks.static_network import StaticMlpLm

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hil.identify.friction.motion import REFERENCE_C
+from hil.estimators.friction.motion import REFERENCE_C
 
 TORQUE, DAMPING = "N·m", "N·m·s/rad"
 
@@ -89,7 +89,7 @@ SHAPES = {
     "power": Term("1", "p", "exponent of the concave speed law"),
     "turns": Term("1", "N", "motor turns per joint turn, as given; not fitted"),
 }
-"""Of `rigid-hysteresis`: `hil.identify.friction.motion.Shapes`."""
+"""Of `rigid-hysteresis`: `hil.estimators.friction.motion.Shapes`."""
 
 _HERE = f"{REFERENCE_C:g} °C"
 _PEAK = "exp(−|v|/vs)"
@@ -120,7 +120,7 @@ _LIBRARY = {
 
 
 def library_term(column: str) -> Term:
-    """A column of `hil.identify.friction.library`, by the name its coefficient has.
+    """A column of `hil.estimators.friction.library`, by the name its coefficient has.
 
     Raises:
         KeyError: There is none of that name.
@@ -153,7 +153,7 @@ def _ripple(rest: list[str], number: str) -> Term:
 
 
 def rest_term(name: str) -> Term:
-    """A term of friction at rest (`hil.identify.rest_friction`) by name.
+    """A term of friction at rest (`hil.estimators.rest_friction`) by name.
 
     Raises:
         KeyError: There is none of that name.

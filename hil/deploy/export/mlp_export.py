@@ -21,7 +21,7 @@ from hil.deploy.export.agreement import FAULT, scale_of
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
 from hil.deploy.export.golden import AGREES, RATE_HZ, SAMPLES, motion
 from hil.deploy.export.mlp_nets import OPERATORS, Chain, Layer, chain_of
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 OPSET, IR_VERSION = 13, 7
 """The oldest that have every operator as it is used here: converters lag behind ONNX."""

@@ -17,7 +17,7 @@ from hil.core.errors import FitError
 from hil.core.typing import BoolArray, FloatArray
 from hil.deploy.export.exported import effort_unit
 from hil.deploy.export.lagrangian_terms import LagrangianTerms, lagrangian_terms
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.network_inputs import position_inputs, positions_only
 from hil.networks.static_network import StaticMlpLm

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.dynamics.build import JointGeometry
-from hil.identify.friction.law import FrictionLaw
+from hil.estimators.friction.law import FrictionLaw
 from hil.networks.residual.correction import Correction
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class PlainFriction:
         viscous: (n,) [N·m·s/rad].
         offset: (n,) [N·m].
         sign_width: Of tanh(qd/width) [rad/s]; 0 for the hard sign.
-        exponent: (n,) of the viscous part, see `hil.identify.friction_exponent.power_of_speed`.
+        exponent: (n,) of the viscous part, see `hil.estimators.friction_exponent.power_of_speed`.
         power_width: Of that [rad/s].
     """
 

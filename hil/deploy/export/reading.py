@@ -16,13 +16,13 @@ from hil.deploy.export.lagrangian_terms import (
 from hil.deploy.export.program import BODY, PlainFriction, Program, bodies
 from hil.deploy.export.shaped import ShapedFriction, shaped_of
 from hil.dynamics import RobotModel, base_parameters
-from hil.identify.base import RobotEstimator
-from hil.identify.friction.law import FrictionLaw
-from hil.identify.rigid_diffnea import RigidDiffnea
-from hil.identify.rigid_hysteresis import RigidHysteresis
-from hil.identify.rigid_irls import NARROWEST
-from hil.identify.rigid_linear import TERMS, RigidLinear
-from hil.identify.static_model import StaticModel
+from hil.estimators.base import RobotEstimator
+from hil.estimators.friction.law import FrictionLaw
+from hil.estimators.rigid_diffnea import RigidDiffnea
+from hil.estimators.rigid_hysteresis import RigidHysteresis
+from hil.estimators.rigid_irls import NARROWEST
+from hil.estimators.rigid_linear import TERMS, RigidLinear
+from hil.estimators.static_model import StaticModel
 from hil.networks.lagrangian.fitted import LagrangianModel
 from hil.networks.residual.fitted import CorrectedModel
 

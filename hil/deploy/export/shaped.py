@@ -15,8 +15,8 @@ import numpy as np
 
 from hil.core.typing import FloatArray
 from hil.deploy.export.program import PlainFriction
-from hil.identify.diffnea.forms import FORMS, LEAST_SPEED
-from hil.identify.rigid_diffnea import RigidDiffnea
+from hil.estimators.diffnea.forms import FORMS, LEAST_SPEED
+from hil.estimators.rigid_diffnea import RigidDiffnea
 
 
 @dataclass(frozen=True, slots=True, eq=False)

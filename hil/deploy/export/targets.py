@@ -10,7 +10,7 @@ from hil.core.errors import DataError, SpecError
 from hil.core.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from hil.identify.base import RobotEstimator
+    from hil.estimators.base import RobotEstimator
 
 TARGETS = {
     "c": ("hil.deploy.export.c_export", "export_c"),

@@ -16,7 +16,7 @@ from hil.core.typing import FloatArray
 from hil.deploy.export.agreement import Step, require_agreement
 from hil.deploy.export.exported import Exported, effort_unit, require_new, write_file
 from hil.deploy.export.golden import golden_of
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 if TYPE_CHECKING:
     from hil.deploy.export.torch_model import TorchModel

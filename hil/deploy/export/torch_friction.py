@@ -12,8 +12,8 @@ from hil.core.typing import FloatArray
 from hil.deploy.export.c_columns import GROUPS, LAWS, PEAKS
 from hil.deploy.export.program import PlainFriction, terms_of
 from hil.deploy.export.torch_constants import hold
-from hil.identify.friction.law import FrictionLaw
-from hil.identify.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
+from hil.estimators.friction.law import FrictionLaw
+from hil.estimators.friction.motion import MULTIPLES, REFERENCE_C, RIPPLE_FADES_RAD_S
 
 SLOWEST = 1e-12
 """Below this speed [rad/s] a power of it is 0: no logarithm of 0."""

@@ -10,7 +10,7 @@ from torch import nn
 from hil.deploy.export.exported import effort_unit
 from hil.deploy.export.reading import program_of
 from hil.deploy.export.torch_program import ProgramModule
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 LOAD = ("kg", *["m"] * 3, *["kg*m2"] * 6)
 """Units of mass, centre of mass x y z and inertia about it xx yy zz xy xz yz."""

@@ -9,7 +9,7 @@ from typing import Any
 from hil.core.errors import SpecError
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings, motion_rates
-from hil.identify.parameters import settings
+from hil.estimators.parameters import settings
 from hil.networks.lagrangian.friction_settings import FrictionKind, FrictionSettings
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.training_loop.settings import TrainingSettings

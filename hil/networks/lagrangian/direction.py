@@ -12,8 +12,8 @@ import numpy as np
 from hil.core.typing import FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, base_parameters
-from hil.identify.base import CHUNK
-from hil.identify.friction.memory import dahl_states, path_steps
+from hil.estimators.base import CHUNK
+from hil.estimators.friction.memory import dahl_states, path_steps
 
 DIRECTION = "direction"
 """Column (N, n) of a dataset: the smooth sign of the motion, or Dahl's state."""

@@ -13,9 +13,9 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
-from hil.identify.base import RobotEstimator, payload_torque, prepared
-from hil.identify.checks import require_sizes
-from hil.identify.friction_curve import COULOMB, OFFSET, STATIC, VISCOUS, FrictionCurve
+from hil.estimators.base import RobotEstimator, payload_torque, prepared
+from hil.estimators.checks import require_sizes
+from hil.estimators.friction_curve import COULOMB, OFFSET, STATIC, VISCOUS, FrictionCurve
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.direction import smooth_sign
 from hil.networks.lagrangian.task import MOTION, directions

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from hil.core.typing import FloatArray
-from hil.identify.parameters import choice
+from hil.estimators.parameters import choice
 from hil.networks.lagrangian.dissipative import Dissipative, NoFriction, Unconstrained
 from hil.networks.lagrangian.friction_settings import FRICTIONS, FrictionKind, FrictionSettings
 from hil.networks.lagrangian.intrinsic import Between, Free, NotNegative

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
 from hil.core.errors import SpecError
-from hil.identify.parameters import choice, flag, number, require_known, whole
+from hil.estimators.parameters import choice, flag, number, require_known, whole
 
 FrictionKind: TypeAlias = Literal["none", "coulomb", "stribeck", "dissipative", "unconstrained"]
 

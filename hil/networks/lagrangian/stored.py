@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from hil.core.typing import FloatArray
-from hil.identify.array_names import with_prefix, without_prefix
+from hil.estimators.array_names import with_prefix, without_prefix
 from hil.networks.lagrangian.choices import Design
 from hil.networks.lagrangian.model import NetworkModel
 

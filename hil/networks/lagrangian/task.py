@@ -11,7 +11,7 @@ from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings, downsample
 from hil.data.parts import learn_and_validate, rows_to_fit
 from hil.dynamics import RobotModel
-from hil.identify.base import payload_torque
+from hil.estimators.base import payload_torque
 from hil.networks.lagrangian.direction import (
     DIRECTION,
     carried_directions,

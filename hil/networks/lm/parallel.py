@@ -18,7 +18,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hil.core.typing import FloatArray
-from hil.identify.parameters import whole
+from hil.estimators.parameters import whole
 from hil.networks.lm.network import Mlp
 from hil.networks.lm.rows import Rows
 from hil.networks.lm.scaling import Scaling

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, get_args
 
 from hil.core.errors import SpecError
-from hil.identify.parameters import choice, number, require_known, whole
+from hil.estimators.parameters import choice, number, require_known, whole
 from hil.networks.lm.arrays import Precision
 from hil.networks.lm.steps import Solver
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
-from hil.identify.array_names import with_prefix, without_prefix
+from hil.estimators.array_names import with_prefix, without_prefix
 from hil.networks.residual.fit import in_motion
 from hil.networks.residual.motions import Motions
 from hil.networks.residual.settings import ResidualSettings

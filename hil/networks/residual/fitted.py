@@ -12,10 +12,10 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.data.prediction import Prediction, Stream
-from hil.identify.base import RobotEstimator, prepared
-from hil.identify.conformal import SpeedBands
-from hil.identify.friction_curve import FrictionCurve, HasFrictionCurve
-from hil.identify.parameters import whole
+from hil.estimators.base import RobotEstimator, prepared
+from hil.estimators.conformal import SpeedBands
+from hil.estimators.friction_curve import FrictionCurve, HasFrictionCurve
+from hil.estimators.parameters import whole
 from hil.networks.residual.correction import Correction
 from hil.networks.residual.selection import Selection
 from hil.networks.residual.settings import ResidualSettings

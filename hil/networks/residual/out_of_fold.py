@@ -16,7 +16,7 @@ from hil.core.typing import BoolArray, FloatArray, IntArray
 from hil.data.dataset import Dataset
 from hil.data.parts import rows_to_fit, told_by_sample
 from hil.data.splits import group_of, groups
-from hil.identify.base import RobotEstimator
+from hil.estimators.base import RobotEstimator
 
 NO_FOLD = -1
 

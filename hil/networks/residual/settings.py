@@ -7,7 +7,7 @@ from math import gcd
 from typing import Any, Literal, get_args
 
 from hil.core.errors import SpecError
-from hil.identify.parameters import choice, flag, number, require_known, whole
+from hil.estimators.parameters import choice, flag, number, require_known, whole
 
 Heard = Literal["motion", "history", "measured"]
 Layout = Literal["grouped", "joint"]

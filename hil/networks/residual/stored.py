@@ -10,9 +10,9 @@ from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.identify.array_names import with_prefix, without_prefix
-from hil.identify.base import RobotEstimator, estimator
-from hil.identify.sound import require_sound
+from hil.estimators.array_names import with_prefix, without_prefix
+from hil.estimators.base import RobotEstimator, estimator
+from hil.estimators.sound import require_sound
 
 BASE = "base."
 """Arrays of the base model begin with it."""

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 from hil.core.errors import CheckpointRefused, DataError
-from hil.identify.model_file import json_bytes, plain, write_whole
+from hil.estimators.model_file import json_bytes, plain, write_whole
 
 FORMAT = 2
 FILE = "checkpoint.json"

@@ -9,7 +9,7 @@ import torch
 from torch.nn.functional import smooth_l1_loss
 
 from hil.core.typing import FloatArray
-from hil.identify.parameters import choice
+from hil.estimators.parameters import choice
 from hil.networks.training_loop.settings import LossKind
 
 KINDS: tuple[str, ...] = get_args(LossKind)

@@ -1,0 +1,171 @@
+"""Gravity and the drive's curve from currents: Gauss–Newton on the error of the predicted current.
+
+i = f⁻¹(X·β + τ_load; K₁, K₂) of eq. 16, with K₁ given. X holds the offset, which is −K₀.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray, IntArray
+from hil.estimators.clustered import Clustered, ClusterSums, clustered_covariance
+from hil.estimators.linear import WeightedLeastSquares
+from hil.estimators.motor import has_current, nearest_current, slope_at
+
+MOST_STEPS = 50
+MOST_HALVINGS = 30
+SMALL_STEP = 1e-10
+"""Change of the predicted currents, relative to the largest one, at which the fit has arrived."""
+
+
+VISIBLE = 0.1
+"""Share of K₁; at a drive's largest current K₂·i is a few percent of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Currents:
+    """One regression: currents at rest and what they hold.
+
+    Attributes:
+        X: (N, p) regressor of the torque [N·m], offsets included.
+        load: (N,) torque of the declared load [N·m].
+        current: (N,) measured [A].
+        k1: (N,) K₁ of the row's joint [N·m/A].
+        joint: (N,) joint of each row.
+        pose: (N,) pose of each row, what is clustered.
+        weight: (N,).
+    """
+
+    X: FloatArray
+    load: FloatArray
+    current: FloatArray
+    k1: FloatArray
+    joint: IntArray
+    pose: IntArray
+    weight: FloatArray
+
+
+class CurrentFit(NamedTuple):
+    """What Gauss–Newton arrived at.
+
+    Attributes:
+        coefficients: (p,) torque [N·m] per column of X.
+        squares: (k,) K₂ [N·m/A²] of the joints asked for.
+        clustered: Covariance (p + k, p + k), the coefficients first, and degrees of freedom.
+        residual: (N,) measured less predicted current [A].
+        rank, condition: Of the Jacobian, columns scaled.
+        jacobian: (N, p + k) of the predicted current.
+    """
+
+    coefficients: FloatArray
+    squares: FloatArray
+    clustered: Clustered
+    residual: FloatArray
+    rank: int
+    condition: float
+    jacobian: FloatArray
+
+
+def fit_currents(data: Currents, squares: list[int]) -> CurrentFit:
+    """Least squares on the predicted current.
+
+    Args:
+        data: The rows.
+        squares: Joints whose K₂ is estimated; it is 0 for the others.
+
+    Raises:
+        FitError: It does not settle.
+    """
+    theta, solver = _settled(data, squares)
+    J, residual = _linearised(data, theta, squares)
+    sums = ClusterSums.of(J, residual, data.weight, data.pose)
+    found = clustered_covariance(solver.bread_, sums)
+    condition, p = float(solver.condition_), data.X.shape[1]
+    return CurrentFit(theta[:p], theta[p:], found, residual, int(solver.rank_), condition, J)
+
+
+def linear_residual(data: Currents) -> FloatArray:
+    """(N,) error of the currents of a drive that does not bend."""
+    return _linearised(data, _settled(data, [])[0], [])[1]
+
+
+def _settled(data: Currents, squares: list[int]) -> tuple[FloatArray, WeightedLeastSquares]:
+    """Coefficients and K₂ at which the error is least, and the last step's solver."""
+    torque = data.k1 * data.current - data.load
+    start = WeightedLeastSquares().fit(data.X, torque, data.weight / data.k1**2)
+    theta = np.append(start.coef_, np.zeros(len(squares)))
+    largest = float(np.max(np.abs(data.current), initial=0.0))
+    for _ in range(MOST_STEPS):
+        J, residual = _linearised(data, theta, squares)
+        solver = WeightedLeastSquares().fit(J, residual, data.weight)
+        theta = _shortened(data, theta, solver.coef_, squares, residual)
+        if float(np.max(np.abs(J @ solver.coef_))) <= SMALL_STEP * largest:
+            return theta, solver
+    raise FitError(
+        "the drive's curve (K₂ of eq. 16) did not settle: the data tell too little about it",
+        hint="fit with square: zero, or record poses with larger gravity torques",
+    )
+
+
+def visible_squares(data: Currents, joints: list[int]) -> list[int]:
+    """Those of the joints whose K₂ the data could show if the drive bent strongly.
+
+    To first order about a linear drive: the standard error of K₂·i at the joint's largest current
+    must be below `VISIBLE` of K₁. With less, the curve is fitted to friction.
+    """
+    theta = np.append(_settled(data, [])[0], 0.0) if joints else np.empty(0)
+    return [joint for joint in joints if _is_visible(data, theta, joint)]
+
+
+def _is_visible(data: Currents, theta: FloatArray, joint: int) -> bool:
+    J, residual = _linearised(data, theta, [joint])
+    solver = WeightedLeastSquares().fit(J, residual, data.weight)
+    sums = ClusterSums.of(J, residual - J @ solver.coef_, data.weight, data.pose)
+    error = np.sqrt(clustered_covariance(solver.bread_, sums, "CR1").covariance[-1, -1])
+    rows = data.joint == joint
+    largest = float(np.max(np.abs(data.current[rows])))
+    determined = solver.rank_ == len(theta)
+    return bool(determined and error * largest < VISIBLE * data.k1[rows][0])
+
+
+def _linearised(
+    data: Currents, theta: FloatArray, squares: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Jacobian (N, p + k) of the predicted current, and the residual (N,)."""
+    torque, k2 = _torque_and_k2(data, theta, squares)
+    current = nearest_current(torque, data.k1, k2)
+    slope = slope_at(current, data.k1, k2)
+    own = data.joint[:, None] == np.array(squares, dtype=np.int64)
+    by_k2 = np.where(own, -(current * np.abs(current))[:, None], 0.0)
+    J: FloatArray = np.hstack([data.X, by_k2]) / slope[:, None]
+    return J, data.current - current
+
+
+def _shortened(
+    data: Currents, theta: FloatArray, step: FloatArray, squares: list[int], residual: FloatArray
+) -> FloatArray:
+    """The step, halved until every torque has a current and the error does not grow."""
+    cost = float(data.weight @ residual**2)
+    for halving in range(MOST_HALVINGS):
+        tried: FloatArray = theta + step / 2.0**halving
+        torque, k2 = _torque_and_k2(data, tried, squares)
+        if not np.all(has_current(torque, data.k1, k2)):
+            continue
+        error = data.current - nearest_current(torque, data.k1, k2)
+        if float(data.weight @ error**2) <= cost * (1 + 1e-12):
+            return tried
+    return theta
+
+
+def _torque_and_k2(
+    data: Currents, theta: FloatArray, squares: list[int]
+) -> tuple[FloatArray, FloatArray]:
+    p = data.X.shape[1]
+    k2 = np.zeros(len(data.current))
+    for number, joint in enumerate(squares):
+        k2[data.joint == joint] = theta[p + number]
+    return data.X @ theta[:p] + data.load, k2
