@@ -10,7 +10,7 @@ import numpy as np
 from hil import api
 from hil.drift.features import Features, features_of
 from hil.estimators.model_file import load_model_file
-from hil.fitting import load_source, usable_part
+from hil.evaluation.fitting import load_source, usable_part
 from hil.pipeline.adapted import with_options
 from hil.planning.experiment import Experiment, load_experiment
 

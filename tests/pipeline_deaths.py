@@ -14,7 +14,7 @@ import numpy as np
 from pipeline_parts import occasion
 
 from hil.core.typing import FloatArray
-from hil.fitting import usable_part
+from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
 from hil.pipeline.stages import FOLDER
 from hil.recording.rundir import RunDirectory

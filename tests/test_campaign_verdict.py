@@ -11,10 +11,10 @@ import pytest
 from report_runs import dwell_plan, write_run
 
 from hil.campaign.judging import judge_recording, judge_run
-from hil.campaign.verdict import verdict_word
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.estimators.static import StaticWls
+from hil.evaluation.verdict_document import verdict_word
 from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.cli.training_line import EVERY_S, TrainingLine
 from hil.core.errors import SpecError
-from hil.fitting import fit_sources
+from hil.evaluation.fitting import fit_sources
 from hil.networks.training_loop.problem import Told
 
 SMALL = {

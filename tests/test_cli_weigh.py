@@ -145,7 +145,7 @@ def test_a_file_that_is_not_there_is_no_run(weighed: Weighed) -> None:
 
 
 def test_another_individual_is_said_first_and_gives_nothing_to_paste(weighed: Weighed) -> None:
-    with patch("hil.validation.serial_of", lambda source: "another"):
+    with patch("hil.evaluation.validation.serial_of", lambda source: "another"):
         text = told(weighed.static, weighed.tool, "--bare", weighed.bare)
     first, *others = text.splitlines()
     assert first.startswith("NOT TO BE RELIED ON: recorded on another robot (serial another)")

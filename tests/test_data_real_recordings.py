@@ -10,8 +10,8 @@ from hil.core.errors import DataError
 from hil.data.splits import split
 from hil.dynamics import load_model
 from hil.estimators.rigid import RigidWls
-from hil.evaluate import evaluate
-from hil.fitting import fit_sources
+from hil.evaluation import evaluate
+from hil.evaluation.fitting import fit_sources
 from hil.importers import import_file
 from hil.importers.load import load_source
 

@@ -17,7 +17,7 @@ import hil
 from hil import api
 from hil.campaign.run import RunReport
 from hil.cli.app import app
-from hil.fitting import FitReport, Fitted
+from hil.evaluation.fitting import FitReport, Fitted
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")

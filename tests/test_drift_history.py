@@ -15,7 +15,7 @@ from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
 from hil.drift.history import PROBES_FILE, assess, identity, probes_of
 from hil.estimators.model_file import plain
-from hil.fitting import fit_sources
+from hil.evaluation.fitting import fit_sources
 from hil.registry.pointers import pointed
 from hil.registry.registry import Registry
 

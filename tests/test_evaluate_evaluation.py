@@ -10,7 +10,7 @@ from synthetic_motion import dwelling, moving, raw
 
 from hil.core.errors import SpecError
 from hil.data import Dataset, Prediction
-from hil.evaluate import Criterion, evaluate, judge
+from hil.evaluation import Criterion, evaluate, judge
 
 
 @dataclass

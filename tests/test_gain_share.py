@@ -9,7 +9,7 @@ from synthetic_motion import arriving, moving, nominal
 from hil.estimators.base import RobotEstimator, estimator
 from hil.estimators.gain_lines import calibrated, gain_lines
 from hil.estimators.rigid import RigidWls
-from hil.load_fit import usual_gain_share
+from hil.evaluation.load_fit import usual_gain_share
 
 
 def fitted(source: str, kind: str = "current") -> RobotEstimator:

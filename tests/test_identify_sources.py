@@ -9,7 +9,7 @@ from synthetic_motion import GAINS, LOAD, fourier, nominal, true_torque
 import hil
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.fitting import evaluate_sources, fit_sources, parse_payload
+from hil.evaluation.fitting import evaluate_sources, fit_sources, parse_payload
 from hil.importers import ImportMap, import_file
 from hil.importers.load import load_source
 

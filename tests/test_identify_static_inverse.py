@@ -12,7 +12,7 @@ from hil.estimators import load_model_file, save_model
 from hil.estimators.motor import current_of, has_current, nearest_current, torque_of
 from hil.estimators.static_inverse import LINEAR, NO_GRAVITY, StaticInverse
 from hil.estimators.static_linear import StaticLinear
-from hil.evaluate import evaluate
+from hil.evaluation import evaluate
 
 K2 = np.array([0.0, -0.25, -0.3, 0.5, 0.0, 0.0])
 

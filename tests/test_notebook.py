@@ -16,13 +16,13 @@ from hil.campaign.run import RunReport
 from hil.core import notebook
 from hil.core.errors import DataError
 from hil.data.dataset import Conditions, Dataset
-from hil.evaluate.evaluation import Errors, Evaluation
-from hil.fitting import FitReport, Fitted
+from hil.evaluation.evaluation import Errors, Evaluation
+from hil.evaluation.fitting import FitReport, Fitted
+from hil.evaluation.validation import Validation
 from hil.registry.compare import Comparison
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
 from hil.study.result import StudyResult, Table
-from hil.validation import Validation
 
 ROOT = Path(__file__).parents[1]
 NASTY = "<script>alert('1')</script>&"

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, Rejected, SpecError
-from hil.fitting import fit_sources
+from hil.evaluation.fitting import fit_sources
 from hil.registry.facts import facts_of
 from hil.registry.registry import Registry
 

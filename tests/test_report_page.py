@@ -405,7 +405,7 @@ def test_a_run_of_a_newer_hil_is_refused_and_gets_no_page(tmp_path):
 
 
 def test_a_model_judged_outside_a_run_gets_the_same_page(fourier, tmp_path):
-    from hil.fitting import fit_sources
+    from hil.evaluation.fitting import fit_sources
 
     found = fit_sources([fourier.path], estimator="rigid-wls", validate=[], out=tmp_path / "models")
     folder = found.fitted.folder

@@ -17,7 +17,7 @@ from hil.data import Dataset
 from hil.data.parts import BY_SAMPLE, JUDGE, LEARN, VALIDATE, with_part
 from hil.estimators import estimator
 from hil.estimators.base import HONEST
-from hil.evaluate import evaluate
+from hil.evaluation import evaluate
 
 
 def test_it_lowers_the_error_on_trajectories_nobody_has_seen() -> None:

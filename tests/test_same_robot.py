@@ -16,8 +16,8 @@ from hil.dynamics.same_robot import may_be
 from hil.estimators.model_file import load_model_file
 from hil.estimators.payload_fit import estimate_payload
 from hil.estimators.rigid import RigidWls
-from hil.evaluate import evaluate
-from hil.validation_load import under_load
+from hil.evaluation import evaluate
+from hil.evaluation.validation_load import under_load
 
 ARM = """<robot name="arm">
 <link name="base"/><link name="upper"/><link name="lower"/>

@@ -24,7 +24,7 @@ from ur_mock import MockUr, mock_ur
 from hil import benchmarking
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
-from hil.fitting import fit_sources
+from hil.evaluation.fitting import fit_sources
 from hil.importers.load import load_source
 from hil.robot import Listens, Status
 from hil_drivers.ur.receiver import Receiver

@@ -17,8 +17,8 @@ from hil.cli.under_load import print_under_load
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.estimators.rigid import RigidWls
-from hil.evaluate import evaluate
-from hil.validation_load import UnderLoad, under_load
+from hil.evaluation import evaluate
+from hil.evaluation.validation_load import UnderLoad, under_load
 
 BARE = [Payload()]
 LOAD = OFF_AXIS[1]
@@ -68,7 +68,7 @@ def test_a_correct_declaration_agrees_and_a_turned_tool_is_named() -> None:
 
 
 def test_no_half_is_judged_with_what_it_told_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil import validation_load
+    from hil.evaluation import validation_load
 
     real = validation_load.payload_halves
 
@@ -133,7 +133,7 @@ def test_what_gains_may_explain_is_neither_contradicted_nor_confirmed(
 def test_a_load_that_does_not_show_leaves_the_other_errors(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hil import validation_load
+    from hil.evaluation import validation_load
 
     def failing(*of: Any) -> Any:
         raise FitError("the load did not settle")

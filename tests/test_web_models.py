@@ -13,7 +13,7 @@ from drift_parts import probe
 from web_parts import SLY, dashboard, plain, seen
 
 from hil.drift.history import PROBES_FILE, assess
-from hil.fitting import fit_sources
+from hil.evaluation.fitting import fit_sources
 from hil.registry.log import Entry
 from hil.registry.registry import Registry
 from hil.web.drawing import LEFT, RIGHT, WIDTH, timeline

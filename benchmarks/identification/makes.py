@@ -19,7 +19,7 @@ from hil.core.errors import HilError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel, load_model
-from hil.evaluate import Errors
+from hil.evaluation import Errors
 
 NAMES = {
     "ur10": "Universal Robots UR10 (CB3)",

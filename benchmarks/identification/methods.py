@@ -16,7 +16,7 @@ from hil.core.typing import FloatArray
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
 from hil.estimators.base import GROUP, RobotEstimator, estimator
-from hil.evaluate import Errors, evaluate
+from hil.evaluation import Errors, evaluate
 
 DEFAULT = "default"
 """Title of the model `hil fit` should be given when nobody has reasons for another."""

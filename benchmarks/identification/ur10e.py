@@ -17,7 +17,7 @@ from benchmarks.identification.table import Section, Table, joints, numbers, slu
 from hil.core.errors import HilError
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
-from hil.evaluate import Errors
+from hil.evaluation import Errors
 
 ANCHORS = {"OLS": 0.1470, "WLS": 0.1450, "IRLS": 0.1451, "LMI, weighted": 0.1448}
 """Mean raw RMSE [A] of the same methods by other code, measured once outside this project."""

@@ -73,7 +73,7 @@ def payload_of(given: AnyPayload | None) -> Payload | None:
     if given is None:
         return None
     from hil.arms.payload import Payload
-    from hil.fitting import parse_payload
+    from hil.evaluation.fitting import parse_payload
 
     if isinstance(given, Payload):
         read = parse_payload(",".join(f"{number}" for number in (given.mass, *given.com)))

@@ -12,7 +12,7 @@ from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
     from hil.estimators.payload_estimate import PayloadEstimate
-    from hil.fitting import FitReport
+    from hil.evaluation.fitting import FitReport
     from hil.networks.training_loop.problem import Watch
 
 
@@ -48,7 +48,7 @@ def fit(
         watch: Told every epoch of such a training.
     """
     from hil.estimators.gains_file import read_gains
-    from hil.fitting import fit_sources
+    from hil.evaluation.fitting import fit_sources
 
     held_out, given = paths(validate), mapping(parameters, "parameters", "{'weighted': True}")
     if taken := sorted(given.keys() & signature(fit_sources).parameters.keys()):
@@ -78,7 +78,7 @@ def fit(
 
 
 def _fit_page(result: FitReport, held_out: Iterable[Path], page: Path) -> None:
-    from hil.fitting import usable_part
+    from hil.evaluation.fitting import usable_part
     from hil.importers.load import load_source
     from hil.report import render_fit_report
 
@@ -93,7 +93,7 @@ def evaluate(model: AnyPath, sources: AnyPath | Iterable[AnyPath]) -> list[dict[
     Raises:
         DataError: A source cannot be read, or was among the model's training data.
     """
-    from hil.fitting import evaluate_sources
+    from hil.evaluation.fitting import evaluate_sources
 
     return evaluate_sources(path(model), sources_of(sources))
 
@@ -127,7 +127,7 @@ def estimate_payload(
     """
     from typing import cast
 
-    from hil.load_fit import payload_of_sources
+    from hil.evaluation.load_fit import payload_of_sources
 
     return payload_of_sources(
         path(model), paths(sources), cast("Any", friction),

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.live_state import read_live
-from hil.campaign.verdict import verdict_word
 from hil.core.errors import DataError, Rejected
 from hil.core.live_lock import is_live
+from hil.evaluation.verdict_document import verdict_word
 from hil.recording.rundir import RunDirectory
 from hil.runs.listing import list_runs
 

@@ -6,21 +6,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.judged_model import Judged, judged_model
-from hil.campaign.parts import hold_out
 from hil.campaign.trainings import FitNews, Tell, fit_or_go_on, forget, nobody
 from hil.campaign.under_loads import Row, judge_under_loads
-from hil.campaign.verdict import FailedFit, recording_rows, verdict_document
 from hil.core.errors import DataError, FitError, HilError
 from hil.core.files import read_json
 from hil.data.dataset import Dataset
 from hil.dynamics import load_model
 from hil.estimators.base import HONEST, estimator
-from hil.fitting import Fitted, fit_dataset, usable_part
+from hil.evaluation.fitting import Fitted, fit_dataset, usable_part
+from hil.evaluation.hold_out import hold_out
+from hil.evaluation.judged_model import Judged, judged_model
+from hil.evaluation.validation import EVALUATION_FILE
+from hil.evaluation.verdict_document import FailedFit, recording_rows, verdict_document
 from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, Fit
-from hil.validation import EVALUATION_FILE
 
 
 def judge_run(

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.campaign.desk import Desk, console_desk
-from hil.campaign.verdict import VerdictWord, verdict_word
 from hil.core.errors import HilError
 from hil.engine import Observer, Observers
 from hil.engine.pausing import nobody_goes_on
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.estimators.model_folder import models_below
+from hil.evaluation.verdict_document import VerdictWord, verdict_word
 from hil.planning.experiment import Experiment
 from hil.recording.rundir import RunDirectory
 

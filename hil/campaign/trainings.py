@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hil.core.errors import CheckpointRefused, HilError
 from hil.core.throttle import Throttle
 from hil.estimators.model_file import json_bytes
-from hil.fitting import DIGEST_LENGTH, Fitted
+from hil.evaluation.fitting import DIGEST_LENGTH, Fitted
 from hil.spec.experiment import Fit
 
 if TYPE_CHECKING:

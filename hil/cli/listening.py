@@ -47,7 +47,7 @@ def record(
     from hil.campaign.listened import Wanted
     from hil.campaign.listening import listen
     from hil.engine.signals import ignore_from_now_on
-    from hil.fitting import parse_payload
+    from hil.evaluation.fitting import parse_payload
 
     wanted = Wanted(
         robot=robot,

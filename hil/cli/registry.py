@@ -169,7 +169,7 @@ def promote(
     The first one needs none: there is nothing to compare it with.
     """
     from hil.core.errors import SpecError
-    from hil.evaluate.verdict import Criterion
+    from hil.evaluation.verdict import Criterion
     from hil.registry.promotion import challenge, require_promoted
     from hil.registry.registry import Registry
 

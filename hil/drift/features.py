@@ -23,7 +23,7 @@ from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.estimators.base import RobotEstimator
-from hil.evaluate.evaluation import filtered_effort
+from hil.evaluation.evaluation import filtered_effort
 
 JOINT_FEATURES = ("friction", "gain", "offset")
 LOAD_FEATURES = ("mass", "mass·x", "mass·y", "mass·z")

@@ -24,13 +24,13 @@ from hil.drift.chart import FALSE_ALARM, Charted, charted
 from hil.drift.features import Features, features_of
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import plain
-from hil.fitting import usable_part
+from hil.evaluation.fitting import usable_part
+from hil.evaluation.validation import require_unseen
 from hil.importers.load import load_source
 from hil.registry.lock import writing
 from hil.registry.log import append_line, read_lines
 from hil.registry.pointers import leave_pointer
 from hil.registry.registry import Registry
-from hil.validation import require_unseen
 
 PROBES_FILE = "probes.jsonl"
 

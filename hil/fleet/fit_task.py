@@ -9,18 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.judged_model import judged_model
-from hil.campaign.parts import Parts, hold_out
 from hil.core.errors import HilError
 from hil.core.files import json_document
 from hil.drift.history import identity
 from hil.dynamics import load_model
 from hil.estimators.base import estimator as make_estimator
-from hil.fitting import fit_dataset, usable_part
+from hil.evaluation.fitting import fit_dataset, usable_part
+from hil.evaluation.hold_out import Parts, hold_out
+from hil.evaluation.judged_model import judged_model
+from hil.evaluation.validation import EVALUATION_FILE
 from hil.importers.load import load_source, serial_of
 from hil.spec.experiment import Accept
 from hil.spec.load import load_spec
-from hil.validation import EVALUATION_FILE
 
 
 @dataclass(frozen=True, slots=True)

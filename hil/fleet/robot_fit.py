@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.verdict import VerdictWord, verdict_word
 from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.estimators.model_file import write_whole
+from hil.evaluation.verdict_document import VerdictWord, verdict_word
 from hil.fleet.fit_task import FitResult
 from hil.registry.registry import Registry
 

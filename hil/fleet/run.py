@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.campaign.series import Ended
-from hil.campaign.verdict import verdict_word
 from hil.core import errors
 from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
 from hil.estimators.model_folder import models_below
+from hil.evaluation.verdict_document import verdict_word
 from hil.fleet.folder import FleetFolder
 from hil.fleet.workers import Manner, Workers
 from hil.recording.rundir import RunDirectory

@@ -88,7 +88,7 @@ def surveyed(run: Path, model: Path | None) -> Surveyed:
 
 def _friction(run: Path, model: Path) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
     from hil.estimators.model_file import load_model_file
-    from hil.fitting import usable_part
+    from hil.evaluation.fitting import usable_part
     from hil.importers.load import load_source
 
     fitted = load_model_file(model)

@@ -10,7 +10,7 @@ from hil.pipeline.stages import Document
 from hil.registry.registry import Registry
 
 if TYPE_CHECKING:
-    from hil.evaluate import Evaluation
+    from hil.evaluation import Evaluation
 
 Done = Mapping[str, Document]
 
@@ -71,8 +71,8 @@ def errors_on(registry: Registry, name: str, done: Done) -> Document | None:
 
 
 def _on(registry: Registry, name: str, label: str, run: Path) -> Evaluation:
-    from hil.evaluate import evaluate
-    from hil.fitting import usable_part
+    from hil.evaluation import evaluate
+    from hil.evaluation.fitting import usable_part
     from hil.importers.load import load_source
 
     model = registry.load(name, label)

@@ -23,7 +23,7 @@ from hil.core.errors import SpecError
 from hil.core.files import json_document, write_replacing
 from hil.core.typing import FloatArray
 from hil.drift.warmth import friction_change
-from hil.fitting import usable_part
+from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind

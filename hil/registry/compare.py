@@ -21,11 +21,11 @@ from hil.core.typing import BoolArray, FloatArray
 from hil.data.dataset import Dataset
 from hil.data.splits import SAME_SHARE
 from hil.estimators.base import RobotEstimator
-from hil.evaluate.evaluation import filtered_effort
-from hil.fitting import usable_part
+from hil.evaluation.evaluation import filtered_effort
+from hil.evaluation.fitting import usable_part
+from hil.evaluation.validation import require_unseen, seen_share
 from hil.importers.load import load_source
 from hil.registry.blocks import BLOCK_S, blocks, by_place
-from hil.validation import require_unseen, seen_share
 
 SURE = 0.95
 FEWEST_BLOCKS = 4

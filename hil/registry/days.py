@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
-from hil.evaluate import evaluate
+from hil.evaluation import evaluate
 from hil.registry.compare import SURE, unseen_parts
 
 

@@ -10,9 +10,9 @@ from typing import Any
 from hil.core.errors import DataError, RegistryError
 from hil.core.files import read_json, sha256_of
 from hil.estimators.model_folder import MODEL_FILE
+from hil.evaluation.validation import EVALUATION_FILE
 from hil.recording.provenance import package_versions, source_revision
 from hil.recording.writer import PARTIAL_SUFFIX
-from hil.validation import EVALUATION_FILE
 
 FIT_FOLDER = "fit"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import Rejected
-from hil.evaluate import evaluate
-from hil.evaluate.verdict import Criterion, Verdict, judge
+from hil.evaluation import evaluate
+from hil.evaluation.verdict import Criterion, Verdict, judge
 from hil.registry.compare import Comparison, compare_sources, unseen_parts
 from hil.registry.days import Days, over_days
 from hil.registry.registry import Registry

@@ -103,7 +103,7 @@ def show(folder: Path, data: Dataset) -> Shown:
         HilError: The model cannot be loaded, or does not fit the data.
     """
     from hil.estimators.model_file import load_model_file
-    from hil.fitting import usable_part
+    from hil.evaluation.fitting import usable_part
 
     model = load_model_file(folder)
     return shown(model, usable_part(data, model))

@@ -23,7 +23,7 @@ from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_fit import estimate_payload
 from hil.estimators.payload_halves import halves, payload_halves
 from hil.estimators.payload_problem import with_identified
-from hil.evaluate.evaluation import filtered_effort
+from hil.evaluation.evaluation import filtered_effort
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,8 +1,7 @@
 """Errors per joint, trajectory and load, and the verdict against a spec's criteria."""
 
-from hil.callable_module import make_callable
-from hil.evaluate.evaluation import Errors, Evaluation, evaluate, filtered_effort
-from hil.evaluate.verdict import Criterion, Verdict, VerdictRow, judge
+from hil.evaluation.evaluation import Errors, Evaluation, evaluate, filtered_effort
+from hil.evaluation.verdict import Criterion, Verdict, VerdictRow, judge
 
 __all__ = [
     "Criterion",
@@ -15,4 +14,3 @@ __all__ = [
     "judge",
 ]
 
-make_callable(__name__)

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from hil.core.errors import SpecError
-from hil.evaluate.evaluation import Errors, Evaluation
+from hil.evaluation.evaluation import Errors, Evaluation
 
 Metric = Literal["rmse_raw", "rmse_filtered", "nrmse", "mep"]
 """What can be limited from above."""

@@ -18,9 +18,9 @@ from hil.data.fingerprints import revisited
 from hil.data.splits import SAME_SHARE
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import json_bytes, write_whole
-from hil.evaluate import Evaluation
+from hil.evaluation import Evaluation
+from hil.evaluation.validation_load import UnderLoad
 from hil.importers.load import serial_of
-from hil.validation_load import UnderLoad
 
 EVALUATION_FILE = "evaluation.json"
 

@@ -28,11 +28,8 @@ from hil.estimators.base import estimator as make_estimator
 from hil.estimators.gains_file import DriveGains
 from hil.estimators.model_file import load_model_file, model_files, write_whole
 from hil.estimators.training import Training
-from hil.evaluate import evaluate
-from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
-from hil.networks.training_loop.attached import attach, keeps_checkpoints
-from hil.networks.training_loop.problem import HearsBeginning, Watch
-from hil.validation import (
+from hil.evaluation import evaluate
+from hil.evaluation.validation import (
     EVALUATION_FILE,
     Validation,
     keep,
@@ -40,7 +37,10 @@ from hil.validation import (
     require_unseen,
     serial_notes,
 )
-from hil.validation_load import under_load
+from hil.evaluation.validation_load import under_load
+from hil.importers.load import load_source, require_arm_as_recorded, serial_of, with_payload
+from hil.networks.training_loop.attached import attach, keeps_checkpoints
+from hil.networks.training_loop.problem import HearsBeginning, Watch
 
 DIGEST_LENGTH = 12
 

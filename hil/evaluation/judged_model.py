@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.parts import Parts
 from hil.estimators.base import HONEST
-from hil.evaluate import Criterion, Evaluation, Verdict, evaluate, judge
-from hil.evaluate.verdict import Metric
-from hil.fitting import Fitted
+from hil.evaluation import Criterion, Evaluation, Verdict, evaluate, judge
+from hil.evaluation.fitting import Fitted
+from hil.evaluation.hold_out import Parts
+from hil.evaluation.verdict import Metric
 from hil.spec.experiment import Accept
 
 

@@ -20,9 +20,9 @@ from hil.estimators.payload_estimate import PayloadEstimate
 from hil.estimators.payload_fit import estimate_payload, require_friction, require_one_load
 from hil.estimators.payload_problem import Friction
 from hil.estimators.payload_rest import estimate_payload_at_rest
-from hil.fitting import usable_part
+from hil.evaluation.fitting import usable_part
+from hil.evaluation.validation import require_unseen, serial_notes
 from hil.importers.load import load_source
-from hil.validation import require_unseen, serial_notes
 
 
 def payload_of_sources(
