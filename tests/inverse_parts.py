@@ -15,7 +15,7 @@ from hil.data.prediction import Prediction
 from hil.dynamics import RobotModel
 from hil.estimators.rigid import RigidWls
 from hil.networks.residual.selection import Selection
-from hil.study.inverse_methods import ROWS, Row
+from hil.studies.inverse_methods import ROWS, Row
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,
@@ -73,7 +73,7 @@ class Toy(RigidWls):
 
 
 def toys(row: Row, seed: int, sign_width: float, filters: Any, effort: float) -> Any:
-    """In the place of `hil.study.inverse_methods.unfitted`: no row is a network."""
+    """In the place of `hil.studies.inverse_methods.unfitted`: no row is a network."""
     if ROWS[row.key].learns:
         return Toy(filters=filters, sign_width=sign_width)
     return RigidWls(filters=filters, sign_width=sign_width)

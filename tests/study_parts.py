@@ -16,8 +16,8 @@ from hil.core import plugins
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset
 from hil.dynamics import RobotModel
-from hil.study.base import GROUP, Ended, Progress, Study, silent, tell_ended
-from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.base import GROUP, Ended, Progress, Study, silent, tell_ended
+from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
 
 
 class Counted(Study):

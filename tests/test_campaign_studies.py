@@ -16,7 +16,7 @@ from hil.campaign.studies import entries_for, run_studies
 from hil.core.errors import DataError, FitError, SpecError, Stopped
 from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
-from hil.study.store import read_study, study_files
+from hil.studies.store import read_study, study_files
 
 SPEC = """\
 hil: 1

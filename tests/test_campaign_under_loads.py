@@ -24,7 +24,7 @@ from hil.estimators.rigid import RigidWls
 from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
-from hil.study.store import read_study, study_files
+from hil.studies.store import read_study, study_files
 
 COUNTS = {"samples": 1000, "gaps": 0, "missing": 0, "duplicates": 0, "overruns": 0}
 SPEC = """\

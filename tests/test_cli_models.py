@@ -16,7 +16,7 @@ from hil.cli.study_tables import _means
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.deploy.export.targets import export_model
 from hil.estimators import estimator, load_model_file, save_model
-from hil.study.result import Table
+from hil.studies.result import Table
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from hil.cli.progress import ProgressLines
 from hil.cli.study_progress import StudyBar
 from hil.cli.study_tables import table_lines
 from hil.core.errors import FitError, Stopped
-from hil.study.result import Table
-from hil.study.store import problem_files
+from hil.studies.result import Table
+from hil.studies.store import problem_files
 
 WIDE = Table(
     "t",

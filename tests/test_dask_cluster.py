@@ -17,8 +17,8 @@ import pytest
 from hil.core.dask_cluster import DaskCluster, checked_address, cluster
 from hil.core.errors import FitError, PluginError, SpecError
 from hil.core.executor import BLAS_VARIABLES
-from hil.study.base import silent
-from hil.study.separation_tasks import Task, run_tasks
+from hil.studies.base import silent
+from hil.studies.separation_tasks import Task, run_tasks
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import pytest
 
 from hil.core import plugins
 from hil.core.yaml_values import scalar
-from hil.study.base import GROUP
-from hil.study.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
-from hil.study.dynamic_methods import METHODS as DYNAMIC_METHODS
-from hil.study.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS
-from hil.study.separation_methods import METHOD_KEYS, known_methods
-from hil.study.static_separation import TABLE_3
+from hil.studies.base import GROUP
+from hil.studies.dynamic_methods import METHOD_KEYS as DYNAMIC_KEYS
+from hil.studies.dynamic_methods import METHODS as DYNAMIC_METHODS
+from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS
+from hil.studies.separation_methods import METHOD_KEYS, known_methods
+from hil.studies.static_separation import TABLE_3
 
 PAGE = (Path(__file__).parents[1] / "docs" / "reference" / "studies.md").read_text("utf-8")
 OURS = [name for name in plugins.names(GROUP) if plugins.load(GROUP, name).__module__[:4] == "hil."]

@@ -20,7 +20,7 @@ from hil.estimators.parameters import settings
 from hil.importers import import_file
 from hil.networks.lagrangian.settings import NetworkSettings
 from hil.networks.training_loop.settings import TrainingSettings
-from hil.study.base import study
+from hil.studies.base import study
 
 OF_NO_USE = [
     float("nan"), float("inf"), -1, 10**400, b"x", [[1]], {1: 2}, {"a": 1}, ["x", None], object(),

@@ -22,7 +22,7 @@ from hil.evaluation.validation import Validation
 from hil.registry.compare import Comparison
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion
-from hil.study.result import StudyResult, Table
+from hil.studies.result import StudyResult, Table
 
 ROOT = Path(__file__).parents[1]
 NASTY = "<script>alert('1')</script>&"

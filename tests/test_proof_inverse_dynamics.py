@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.cli.app import app
-from hil.study.inverse_methods import DEFAULT_KEYS, ROWS
-from hil.study.result import StudyResult, Table
-from hil.study.store import read_study, study_files
+from hil.studies.inverse_methods import DEFAULT_KEYS, ROWS
+from hil.studies.result import StudyResult, Table
+from hil.studies.store import read_study, study_files
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 STATION = EXPERIMENTS / "stations" / "mock_1khz.yaml"

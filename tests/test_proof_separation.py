@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 import hil
-from hil.study.result import StudyResult, Table
-from hil.study.store import read_study, study_files
+from hil.studies.result import StudyResult, Table
+from hil.studies.store import read_study, study_files
 
 pytestmark = [pytest.mark.proof, pytest.mark.timeout(5400)]
 

@@ -19,8 +19,8 @@ from hil.core.errors import DataError, PluginError, SpecError
 from hil.report.paper import items, write_papers
 from hil.report.paper_figure import drawn
 from hil.report.paper_tables import csv_text, latex_text
-from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
-from hil.study.store import write_study
+from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.store import write_study
 
 SIZE = {"column": 88.0, "page": 181.0}
 TABLE = Table(

@@ -21,8 +21,8 @@ from hil.report.study_sections import study_sections
 from hil.report.study_words import columns_of
 from hil.report.text import summary_lines
 from hil.report.words import number
-from hil.study.result import Curve, Figure, Panel, Part, StudyResult, Table
-from hil.study.store import read_study, write_problem, write_study
+from hil.studies.result import Curve, Figure, Panel, Part, StudyResult, Table
+from hil.studies.store import read_study, write_problem, write_study
 
 
 def traces(figure: Figure, panel: int = 0) -> list[dict[str, object]]:

@@ -15,7 +15,7 @@ from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.report import summary_lines
 from hil.runs.summary import list_runs
-from hil.study.store import write_study
+from hil.studies.store import write_study
 
 
 def judged(tmp_path, **more):

@@ -27,7 +27,7 @@ from hil.report.study_sections import study_sections
 from hil.report.study_words import HONEST_MEANS, columns_of
 from hil.report.weighing import weighing_warnings, weighings
 from hil.spec.load import load_spec
-from hil.study.result import Curve, Figure, Panel, Table
+from hil.studies.result import Curve, Figure, Panel, Table
 
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}
 NAMES = ("rigid-wls", "rigid-irls", "rigid-linear")

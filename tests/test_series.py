@@ -18,8 +18,8 @@ from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import Experiment
 from hil.report.series_page import side_by_side
 from hil.runs.series_folder import SeriesFolder
-from hil.study.result import Part, StudyResult, Table
-from hil.study.store import write_study
+from hil.studies.result import Part, StudyResult, Table
+from hil.studies.store import write_study
 
 SPEC = """
 hil: 1

@@ -22,18 +22,18 @@ from hil.data.splits import assert_disjoint, groups
 from hil.dynamics import base_parameters, coulomb_viscous_columns
 from hil.estimators.base import GROUP
 from hil.estimators.model_file import json_bytes
-from hil.study import dynamic_methods
-from hil.study.base import study
-from hil.study.dynamic_data import (
+from hil.studies import dynamic_methods
+from hil.studies.base import study
+from hil.studies.dynamic_data import (
     REVERSAL_S,
     honest_parts,
     near_reversals,
     paper_parts,
     trajectories_of,
 )
-from hil.study.dynamic_printed import AVERAGES, TABLE_II
-from hil.study.result import StudyResult, Table
-from hil.study.soundness import faults_of
+from hil.studies.dynamic_printed import AVERAGES, TABLE_II
+from hil.studies.result import StudyResult, Table
+from hil.studies.soundness import faults_of
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,

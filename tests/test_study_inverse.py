@@ -17,13 +17,13 @@ from hil.data.dataset import Dataset, rows_of
 from hil.data.filters import FilterSettings
 from hil.estimators.base import estimator
 from hil.estimators.model_file import json_bytes
-from hil.study import inverse_dynamics, inverse_fits, inverse_found
-from hil.study.base import Ended, study
-from hil.study.inverse_cases import honest_case, recorded
-from hil.study.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
-from hil.study.inverse_printed import PRINTED, PRINTED_AVERAGES
-from hil.study.result import StudyResult, Table
-from hil.study.soundness import faults_of
+from hil.studies import inverse_dynamics, inverse_fits, inverse_found
+from hil.studies.base import Ended, study
+from hil.studies.inverse_cases import honest_case, recorded
+from hil.studies.inverse_methods import ROW_KEYS, ROWS, USUAL_EPOCHS, families, unfitted
+from hil.studies.inverse_printed import PRINTED, PRINTED_AVERAGES
+from hil.studies.result import StudyResult, Table
+from hil.studies.soundness import faults_of
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "studies.md"
 

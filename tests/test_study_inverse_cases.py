@@ -16,10 +16,10 @@ from hil.data.parts import JUDGE, PART
 from hil.data.prediction import Prediction
 from hil.data.splits import groups
 from hil.estimators.rigid import RigidWls
-from hil.study import inverse_fits
-from hil.study.inverse_cases import Case, honest_case, paper_case, recorded
-from hil.study.inverse_noise import persistence_of, white_noise_left
-from hil.study.inverse_score import judged
+from hil.studies import inverse_fits
+from hil.studies.inverse_cases import Case, honest_case, paper_case, recorded
+from hil.studies.inverse_noise import persistence_of, white_noise_left
+from hil.studies.inverse_score import judged
 
 
 def case_of(make: Any = honest_case, seed: int = 0) -> Case:

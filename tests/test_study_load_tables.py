@@ -10,8 +10,8 @@ import pytest
 
 from hil.arms.payload import Payload
 from hil.estimators.payload_estimate import NAMES
-from hil.study.load_score import TOLD
-from hil.study.load_tables import TORQUES, WAYS, declarations, errors, figures, identified
+from hil.studies.load_score import TOLD
+from hil.studies.load_tables import TORQUES, WAYS, declarations, errors, figures, identified
 
 LOADS = (0.0, 1.0, 3.0)
 WORST = 11.0

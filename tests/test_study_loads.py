@@ -22,14 +22,14 @@ from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
 from hil.estimators.payload_declared import Declaration
 from hil.estimators.rigid import RigidWls
-from hil.study.base import study
-from hil.study.inverse_cases import recorded as recorded_from
-from hil.study.load_cases import LoadCase, load_cases, unseen
-from hil.study.load_models import folds_of
-from hil.study.load_score import Scored, UnderLoads
-from hil.study.load_words import warnings
-from hil.study.result import StudyResult, Table
-from hil.study.soundness import faults_of
+from hil.studies.base import study
+from hil.studies.inverse_cases import recorded as recorded_from
+from hil.studies.load_cases import LoadCase, load_cases, unseen
+from hil.studies.load_models import folds_of
+from hil.studies.load_score import Scored, UnderLoads
+from hil.studies.load_words import warnings
+from hil.studies.result import StudyResult, Table
+from hil.studies.soundness import faults_of
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,
@@ -221,7 +221,7 @@ def test_a_run_with_one_load_is_refused() -> None:
 def test_a_load_that_cannot_be_identified_is_told_and_the_others_are_judged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from hil.study import load_score
+    from hil.studies import load_score
 
     real = load_score.estimate_payload
 
@@ -294,7 +294,7 @@ def test_a_misspelt_estimator_is_refused_before_anything_is_judged(
     def judged(*_: Any) -> None:
         raise AssertionError("something was judged")
 
-    monkeypatch.setattr("hil.study.load_validation.judged", judged)
+    monkeypatch.setattr("hil.studies.load_validation.judged", judged)
     asked = SMALL | {"estimators": ["rigid-wls", "rigid-wsl"]}
     with pytest.raises(PluginError, match="rigid-wsl"):
         study("load-validation", **asked).run(sweep(), nominal())

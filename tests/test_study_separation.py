@@ -17,15 +17,15 @@ from hil.data.dataset import Dataset
 from hil.data.splits import group_of
 from hil.estimators.gravity import paper_functions
 from hil.estimators.model_file import json_bytes
-from hil.study.base import silent, study
-from hil.study.result import Figure, Part, StudyResult, Table
-from hil.study.separation_data import dwells_in, one_per_pose, recording_of, rows_in
-from hil.study.separation_honest import HonestProtocol
-from hil.study.separation_methods import METHOD_KEYS, fit_tasks, known_methods
-from hil.study.separation_split import by_pose, by_sample
-from hil.study.separation_tasks import run_tasks
-from hil.study.soundness import faults_of
-from hil.study.store import read_study, study_files
+from hil.studies.base import silent, study
+from hil.studies.result import Figure, Part, StudyResult, Table
+from hil.studies.separation_data import dwells_in, one_per_pose, recording_of, rows_in
+from hil.studies.separation_honest import HonestProtocol
+from hil.studies.separation_methods import METHOD_KEYS, fit_tasks, known_methods
+from hil.studies.separation_split import by_pose, by_sample
+from hil.studies.separation_tasks import run_tasks
+from hil.studies.soundness import faults_of
+from hil.studies.store import read_study, study_files
 
 SMALL: dict[str, Any] = {
     "epochs": 40,

@@ -14,10 +14,10 @@ from separation_parts import SAMPLES, program, robot
 from hil.core.errors import FitError, SpecError
 from hil.data.dataset import Dataset, rows_of
 from hil.dynamics import load_model
-from hil.study.base import silent, study
-from hil.study.result import StudyResult
-from hil.study.separation_data import one_per_pose, pairs, recording_of, sample_noise
-from hil.study.separation_tasks import Task, run_tasks
+from hil.studies.base import silent, study
+from hil.studies.result import StudyResult
+from hil.studies.separation_data import one_per_pose, pairs, recording_of, sample_noise
+from hil.studies.separation_tasks import Task, run_tasks
 
 QUICK: dict[str, Any] = {
     "protocols": ["honest"],

@@ -18,7 +18,7 @@ from hil.dynamics import load_model
 from hil.report.trial_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
-from hil.study.soundness import faults_of
+from hil.studies.soundness import faults_of
 from hil.trial import laws, leading
 from hil.trial.arm import Arm, require_simulated
 from hil.trial.found import found

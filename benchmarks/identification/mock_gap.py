@@ -25,8 +25,8 @@ from hil.data.dataset import Dataset
 from hil.data.filters import prepare
 from hil.dynamics import RobotModel, load_model
 from hil.estimators.base import RobotEstimator
-from hil.study.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
-from hil.study.dynamic_methods import METHODS, missing, score, unfitted
+from hil.studies.dynamic_data import Parts, Trajectories, honest_parts, trajectories_of
+from hil.studies.dynamic_methods import METHODS, missing, score, unfitted
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.simulation import Setting, Simulation
 

@@ -7,10 +7,10 @@ from functools import partial
 from typing import Any
 
 from hil.estimators.base import RobotEstimator
-from hil.study.base import silent
-from hil.study.inverse_fits import COSTS
-from hil.study.inverse_methods import ROWS, families
-from hil.study.separation_tasks import Task, run_tasks
+from hil.studies.base import silent
+from hil.studies.inverse_fits import COSTS
+from hil.studies.inverse_methods import ROWS, families
+from hil.studies.separation_tasks import Task, run_tasks
 
 SIGN_WIDTH = 0.01
 

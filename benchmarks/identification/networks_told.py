@@ -11,7 +11,7 @@ from benchmarks.identification.networks_mock import Contest
 from benchmarks.identification.networks_ur10e import PRODUCT, Score
 from benchmarks.identification.table import Section, Table, joints, numbers, slug
 from benchmarks.identification.ur10e import GOAL_FILTERED_A
-from hil.study.inverse_methods import ROWS
+from hil.studies.inverse_methods import ROWS
 
 BELOW, CLOSED, RC_BELOW = 0.55, 0.60, 0.25
 """Goals: ours below the best of Methods 1 to 6, of the gap to the oracle, and RC below Proposed."""

@@ -23,9 +23,9 @@ from hil.data.dataset import Dataset
 from hil.data.filters import FilterSettings
 from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator, estimator
-from hil.study.inverse_fits import fitted_family
-from hil.study.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
-from hil.study.separation_tasks import Task
+from hil.studies.inverse_fits import fitted_family
+from hil.studies.inverse_methods import DEFAULT_KEYS, ROWS, USUAL_EPOCHS, unfitted
+from hil.studies.separation_tasks import Task
 
 ARM = "ur10e"
 RIGID = ("wls", "ours")

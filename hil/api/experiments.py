@@ -18,7 +18,7 @@ from hil.planning.experiment import Experiment, load_experiment
 from hil.planning.plan import Plan
 
 if TYPE_CHECKING:
-    from hil.study.result import StudyResult
+    from hil.studies.result import StudyResult
 
 
 def load(

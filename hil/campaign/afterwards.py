@@ -14,7 +14,7 @@ from hil.engine import Observers, Outcome
 from hil.engine.signals import SignalWatch, StopSignal
 from hil.planning.experiment import Experiment
 from hil.spec.experiment import StudyEntry
-from hil.study.base import Ended
+from hil.studies.base import Ended
 
 
 def judge_and_study(

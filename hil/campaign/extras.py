@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.core.extras import Named, missing, require_installed
 from hil.estimators.base import estimator
 from hil.spec.experiment import ExperimentSpec
-from hil.study.base import study
+from hil.studies.base import study
 
 
 def require_extras(spec: ExperimentSpec) -> None:

@@ -18,7 +18,7 @@ from hil.robot import Capabilities
 from hil.spec.experiment import ExperimentSpec, Fourier
 from hil.spec.judgeable import Excess
 from hil.spec.station import StationRobot
-from hil.study.base import study
+from hil.studies.base import study
 
 MOST_LENGTHENED = 10_000
 """Largest number of poses or trajectories that the search for a sufficient program tries."""

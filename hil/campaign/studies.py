@@ -20,9 +20,9 @@ from hil.importers.load import load_source
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import ExperimentSpec, StudyEntry
 from hil.spec.load import load_spec
-from hil.study.base import GROUP, Ended, Study, study
-from hil.study.result import StudyResult
-from hil.study.store import (
+from hil.studies.base import GROUP, Ended, Study, study
+from hil.studies.result import StudyResult
+from hil.studies.store import (
     PROBLEM_FILE,
     STUDIES,
     STUDY_FILE,

@@ -23,14 +23,14 @@ from hil.estimators.model_file import load_model_file
 from hil.evaluation.verdict_document import FailedFit
 from hil.importers.load import serial_of
 from hil.spec.experiment import Accept, ExperimentSpec, Fourier, StudyEntry
-from hil.study.separation_text import mean_of
-from hil.study.store import STUDIES, folder_of, write_problem, write_study
+from hil.studies.separation_text import mean_of
+from hil.studies.store import STUDIES, folder_of, write_problem, write_study
 
 if TYPE_CHECKING:
     from hil.campaign.trainings import Tell
     from hil.data.dataset import Dataset
-    from hil.study.load_score import UnderLoads
-    from hil.study.load_validation import Failed
+    from hil.studies.load_score import UnderLoads
+    from hil.studies.load_validation import Failed
 
 STUDY = "load-validation"
 WHERE = "under loads"
@@ -114,8 +114,8 @@ def judge_under_loads(
 def _studied(
     run: Path, spec: ExperimentSpec, data: Dataset, tell: Tell
 ) -> tuple[Sequence[UnderLoads], Sequence[Failed]]:
-    from hil.study.base import study
-    from hil.study.load_validation import LoadValidation
+    from hil.studies.base import study
+    from hil.studies.load_validation import LoadValidation
 
     entries = under_loads(run, spec)
     if not entries:

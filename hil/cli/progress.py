@@ -19,7 +19,7 @@ from hil.engine.observers import Event
 from hil.engine.preflight.robot_checks import OWN
 from hil.excitation.setting import Advance
 from hil.networks.training_loop.problem import Told
-from hil.study.base import Ended
+from hil.studies.base import Ended
 
 PIPED_EVERY_S = 10.0
 TERMINAL_EVERY_S = 0.1

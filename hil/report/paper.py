@@ -18,8 +18,8 @@ from hil.core.files import write_replacing
 from hil.report.page_figures import PagePlots, figures_of
 from hil.report.paper_tables import csv_text, latex_text
 from hil.report.study_words import distinct_titles
-from hil.study.result import Figure, Part, StudyResult, Table
-from hil.study.store import read_study, study_files
+from hil.studies.result import Figure, Part, StudyResult, Table
+from hil.studies.store import read_study, study_files
 
 Format: TypeAlias = Literal["pdf", "svg", "png"]
 Width: TypeAlias = Literal["column", "page"]

@@ -33,7 +33,7 @@ from hil.report.study_curves import (
     x_of,
     y_of,
 )
-from hil.study.result import Curve, Figure, Panel
+from hil.studies.result import Curve, Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from hil.report.series_models import models_tables
 from hil.report.study_facts import read_studies
 from hil.report.study_words import columns_of, is_numeric, protocol_mark
 from hil.report.words import UNKNOWN, when
-from hil.study import result as found
+from hil.studies import result as found
 
 PAGE = "series.html"
 VERDICTS = {"passed": True, "rejected": False}

@@ -11,7 +11,7 @@ from hil.core.typing import FloatArray, IntArray
 from hil.report import colours
 from hil.report.decimate import extremes, thinned
 from hil.report.traces import span
-from hil.study.result import Curve, Figure, Panel
+from hil.studies.result import Curve, Figure, Panel
 
 PALETTE = (
     colours.MEASURED,

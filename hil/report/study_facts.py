@@ -8,8 +8,8 @@ from pathlib import Path
 
 from hil.core.errors import DataError
 from hil.report.documents import Document, document
-from hil.study.result import StudyResult
-from hil.study.store import problem_files, read_study, study_files
+from hil.studies.result import StudyResult
+from hil.studies.store import problem_files, read_study, study_files
 
 
 @dataclass(frozen=True, slots=True)

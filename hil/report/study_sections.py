@@ -18,7 +18,7 @@ from hil.report.study_words import (
     short_titles,
 )
 from hil.report.words import duration, in_words
-from hil.study import result as found
+from hil.studies import result as found
 
 MOST_POINTS = 150_000
 """Of all series of a page together: about 2 MB, beside 5 MB of the plotting library."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.study.result import Curve, Figure, Panel
-from hil.study.separation_text import joint_titles
+from hil.studies.result import Curve, Figure, Panel
+from hil.studies.separation_text import joint_titles
 from hil.trial import laws, leading
 from hil.trial.arm import RATE_HZ
 from hil.trial.judged import relief

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.study.result import Part, StudyResult, Table
-from hil.study.separation_text import joint_titles, listed, mean_of, value, values
+from hil.studies.result import Part, StudyResult, Table
+from hil.studies.separation_text import joint_titles, listed, mean_of, value, values
 from hil.trial import curves, laws, leading
 from hil.trial.arm import RATE_HZ
 from hil.trial.judged import halves, improvement, judged, most_help, relief, unaided

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.study.separation_text import listed, mean_of
+from hil.studies.separation_text import listed, mean_of
 from hil.trial import laws, leading
 from hil.trial.settings import HALF
 

@@ -1,0 +1,6 @@
+"""Studies: whole evaluations of a run, such as a paper's tables and figures, from its data alone.
+
+A model answers "how large is the error"; a study compares methods and protocols. It sees data,
+dynamics and estimators, never a robot or a recorder, and its result is plain tables and curves:
+`hil.report` draws them in the page and as files for papers.
+"""

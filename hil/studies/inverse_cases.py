@@ -1,0 +1,144 @@
+"""What a study of inverse dynamics fits to and judges on, under either protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.arms.payload import Payload
+from hil.core.errors import DataError
+from hil.core.typing import BoolArray, FloatArray
+from hil.data.dataset import Dataset
+from hil.data.filters import FilterSettings, prepare
+from hil.data.parts import JUDGE, LEARN, PART, VALIDATE, with_part
+from hil.data.splits import Group, assert_disjoint, group_of, groups
+from hil.dynamics import RobotModel
+from hil.studies.dynamic_data import SHARES, Trajectories, held_out, marked, trajectories_of
+from hil.studies.dynamic_protocols import light
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recorded:
+    """A run as the study sees it.
+
+    Attributes:
+        bare: Trajectories under the first load, which is all that anything is fitted to.
+        loaded: The same motions under the other loads, filtered alike; None without.
+        notes: What is not as in the paper.
+    """
+
+    bare: Trajectories
+    loaded: Dataset | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """One protocol with one seed: the same for every method.
+
+    Attributes:
+        protocol: `honest` or `paper`.
+        seed: Of the draw, and of every network.
+        learn: Handed to every estimator: all that is not judged, or everything with the column
+            `PART` that says so row by row.
+        judge: Whole motions, so that what remembers can be carried along.
+        rows: (N,) which of their rows are judged.
+        loaded: The judged motions under other loads; None without.
+        filters: As all of it was filtered, and how fits leave rows out.
+        scale: (n,) torque per unit of effort.
+    """
+
+    protocol: str
+    seed: int
+    learn: Dataset
+    judge: Dataset
+    rows: BoolArray
+    loaded: Dataset | None
+    filters: FilterSettings
+    scale: FloatArray
+
+    def require_honest(self) -> None:
+        """Refuse a case whose judged rows can be learned from.
+
+        Raises:
+            DataError: Judged rows are among those to learn from.
+        """
+        if self.protocol == "honest":
+            assert_disjoint(self.learn, self.judge)
+            if self.loaded is not None:
+                assert_disjoint(self.learn, self.loaded)
+        elif not np.array_equal(self.rows, self.judge[PART] == JUDGE):
+            raise DataError(
+                "rows are judged that were learned from",
+                hint=f"judge where the column {PART!r} is {JUDGE:.0f}",
+            )
+
+
+def recorded(whole: Dataset, robot: RobotModel, cutoff_hz: float, rate_hz: float) -> Recorded:
+    """The trajectories of a run, apart by load, filtered at their own rate.
+
+    Raises:
+        FitError: There are too few trajectories under the first load, or the robot is another.
+        DataError: The cut-off is too high for the recorded rate, or for the samples kept.
+    """
+    data = whole.of_kind("trajectory")
+    first = min((condition.load for condition in data.conditions), default=0)
+    bare = data.select(lambda condition: condition.load == first)
+    trajectories = trajectories_of(bare, robot, cutoff_hz, rate_hz)
+    others = data.select(lambda condition: condition.load != first)
+    loaded = None
+    if others.conditions:
+        loaded = light(marked(prepare(others, trajectories.filters)))
+    lighter = replace(trajectories, data=light(trajectories.data))
+    return Recorded(lighter, loaded, trajectories.notes)
+
+
+def honest_case(of: Recorded, seed: int) -> Case:
+    """Three of twelve whole trajectories are judged, and nothing else of them is seen."""
+    outer = held_out(of.bare, seed)
+    held = set(outer.held_out)
+    rows = np.ones(len(outer.test), dtype=bool)
+    loaded = None if of.loaded is None else _of_groups(of.loaded, held)
+    return _case("honest", seed, of, outer.train, outer.test, rows, loaded)
+
+
+def paper_case(of: Recorded, seed: int) -> Case:
+    """60/20/20 % of the recorded samples, drawn one by one along whole motions."""
+    data = of.bare.data
+    drawn = np.random.default_rng(seed).choice((LEARN, VALIDATE, JUDGE), len(data), p=SHARES)
+    parted = with_part(data, drawn)
+    return _case("paper", seed, of, parted, parted, drawn == JUDGE, None)
+
+
+CASES: Mapping[str, Callable[[Recorded, int], Case]] = {"paper": paper_case, "honest": honest_case}
+"""By protocol."""
+
+
+def _case(
+    protocol: str, seed: int, of: Recorded, learn: Dataset, judge: Dataset, rows: BoolArray,
+    loaded: Dataset | None,
+) -> Case:  # fmt: skip
+    made = Case(protocol, seed, learn, judge, rows, loaded, of.bare.filters, of.bare.scale)
+    made.require_honest()
+    return made
+
+
+def _of_groups(data: Dataset, wanted: set[Group]) -> Dataset | None:
+    found = data.select(lambda condition: group_of(condition, "trajectory") in wanted)
+    return found if groups(found, "trajectory") else None
+
+
+def load_names(data: Dataset) -> dict[int, str]:
+    """Name of every load by its number, such as `3 kg`."""
+    return {c.load: f"{c.payload.mass:.4g} kg" for c in data.conditions}
+
+
+def forgotten(data: Dataset) -> Dataset:
+    """The same recordings with nobody told about the load."""
+    bare = (
+        replace(condition, payload=Payload(), payload_identified=None)
+        for condition in data.conditions
+    )
+    return replace(data, conditions=tuple(bare))

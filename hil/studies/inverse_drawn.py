@@ -1,0 +1,153 @@
+"""Figures of a study of inverse dynamics: those of the PINN paper's section IV."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from hil.core.typing import FloatArray
+from hil.studies.inverse_found import Found
+from hil.studies.inverse_score import Shown, evenly
+from hil.studies.inverse_tables import carried, under
+from hil.studies.result import Curve, Figure, Panel
+from hil.studies.separation_text import joint_titles
+
+OVER_TIME = ("irls", "proposed", "rc-motion", "ours", "ours-residual")
+"""Rows drawn beside the measured torque, as far as they are there; more hide each other."""
+
+FRICTION = ("proposed", "delan-coulomb", "ours")
+BARS = (
+    "irls", "delan-dissipative", "delan-coulomb", "proposed", "rc-paper", "rc-motion", "rc-grouped",
+    "ours-residual",
+)  # fmt: skip
+"""As many as there are colours; Method 4 would flatten the others. Tables have them all."""
+
+CORRECTED = ("rc-paper", "rc-motion", "rc-grouped")
+MOST_EPOCHS = 150
+"""Points of a learning curve; longer ones are thinned."""
+
+
+def torques(found: Found, key: str) -> Figure:
+    """Fig. 4: measured and predicted torque over the first judged trajectory."""
+    seen, chosen = found.seen[0], _some(OVER_TIME, found.scores)
+    panels = []
+    for j, title in enumerate(joint_titles(found.n)):
+        curves = [_line("measured", seen.t, seen.measured[:, j])]
+        curves += [
+            _line(found.words(name), seen.t, found.scores[name][0].shown.torque[:, j])
+            for name in chosen
+        ]
+        panels.append(Panel(title, "time [s]", "torque [N·m]", tuple(curves)))
+    caption = "Filtered torque of the first judged trajectory, first seed (Fig. 4 of the paper)."
+    return Figure(key, "Measured and predicted joint torques", caption, tuple(panels), 2)
+
+
+def friction(found: Found, key: str) -> Figure | None:
+    """Fig. 5: what is left without the rigid body, against velocity, and the friction learned."""
+    chosen = [n for n in _some(FRICTION, found.scores) if len(_shown(found, n).friction)]
+    if not chosen:
+        return None
+    seen, first = found.seen[0], _shown(found, chosen[0])
+    panels = []
+    for j, title in enumerate(joint_titles(found.n)):
+        speed, left = seen.speeds[:, j], seen.cloud[:, j] - first.rigid[:, j]
+        curves = [_line("measured without the rigid body", speed, left, points=True)]
+        for name in chosen:
+            values = _shown(found, name).friction[:, j]
+            curves.append(_line(found.words(name), speed, values, points=True))
+        panels.append(Panel(title, "velocity [rad/s]", "friction [N·m]", tuple(curves)))
+    caption = (
+        f"Judged samples, first seed (Fig. 5 of the paper). The rigid body is that of "
+        f"“{found.words(chosen[0])}”; a constant may be part of friction or of gravity."
+    )
+    return Figure(key, "Friction against velocity", caption, tuple(panels), 2)
+
+
+def residuals(found: Found, key: str) -> Figure | None:
+    """Fig. 6: low and high frequencies of the residual, and what a correction makes of them."""
+    chosen = [name for name in _some(CORRECTED, found.scores) if len(_shown(found, name).residual)]
+    if not chosen:
+        return None
+    seen, left = found.seen[0], _shown(found, chosen[0]).left
+    panels = []
+    for j, title in enumerate(joint_titles(found.n)):
+        for band, words in enumerate(("low", "high")):
+            curves = [_line("left by Proposed", seen.t, left[band, :, j])]
+            curves += [
+                _line(found.words(name), seen.t, _shown(found, name).residual[band, :, j])
+                for name in chosen
+            ]
+            heading = f"{title}, {words} frequency"
+            panels.append(Panel(heading, "time [s]", "torque [N·m]", tuple(curves)))
+    caption = "First judged trajectory, first seed (Fig. 6 of the paper)."
+    return Figure(key, "Residual, and its compensation", caption, tuple(panels), 2)
+
+
+def bars(found: Found, key: str) -> Figure:
+    """Fig. 7: RMSE and MEP per joint."""
+    panels = []
+    joints = joint_titles(found.n)
+    for measure, title in (("filtered", "RMSE [N·m]"), ("percent", "MEP [%]")):
+        curves = []
+        for name in _some(BARS, found.scores):
+            scores = found.scores[name]
+            every = np.stack([getattr(score, measure) for score in scores])
+            spread = np.std(every, axis=0, ddof=1) if len(every) > 1 else np.zeros(found.n)
+            heights = _floats(every.mean(axis=0))
+            curves.append(Curve(found.words(name), joints, heights, "bars", _floats(spread)))
+        panels.append(Panel(title.split(" ")[0], "joint", title, tuple(curves)))
+    caption = "Bars: standard deviation over the seeds (Fig. 7 of the paper)."
+    return Figure(key, "Errors per joint", caption, tuple(panels), 1)
+
+
+def loads(found: Found) -> Figure | None:
+    """Fig. 8: mean error by load, nobody told and told."""
+    known = carried(found)
+    if not known:
+        return None
+    names = tuple(found.loads[load] for load in known)
+    panels = []
+    for told in ("unaware", "aware"):
+        curves = [
+            Curve(found.words(key), names, tuple(under(found, key, load, told) for load in known),
+                  "bars")
+            for key in _some(BARS, found.scores)
+        ]  # fmt: skip
+        panels.append(Panel(f"Load {told}", "load", "RMSE [N·m]", tuple(curves)))
+    caption = "Mean over the joints on held-out motions; nothing was trained with a load (Fig. 8)."
+    return Figure("fig-loads", "Errors under loads", caption, tuple(panels), 1)
+
+
+def learning(found: Found, key: str) -> Figure | None:
+    """Losses and validation errors of every network over its epochs, first seed."""
+    panels = []
+    for name, scores in found.scores.items():
+        told = scores[0].curves
+        curves = [
+            _line(what, np.asarray(every + 1.0), values[every])
+            for what, values in told.items()
+            for every in (evenly(np.arange(len(values)), MOST_EPOCHS),)
+            if len(values)
+        ]
+        if curves:
+            panels.append(Panel(found.words(name), "epoch", "loss [1]", tuple(curves)))
+    if not panels:
+        return None
+    return Figure(key, "Learning curves", "First seed.", tuple(panels), 2)
+
+
+def _shown(found: Found, name: str) -> Shown:
+    return found.scores[name][0].shown
+
+
+def _some(wanted: Sequence[str], there: Collection[str]) -> list[str]:
+    return [name for name in wanted if name in there] or list(there)[: len(BARS)]
+
+
+def _line(name: str, x: FloatArray, y: FloatArray, *, points: bool = False) -> Curve:
+    return Curve(name, _floats(x), _floats(y), "points" if points else "line")
+
+
+def _floats(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,212 @@
+"""Table II of the PINN paper from one run: Methods 1 to 6, Proposed, its corrections, and ours.
+
+Everything is computed twice, with samples drawn at random from within the trajectories as the
+paper does, and with whole trajectories held out (docs/explanation/inverse-dynamics.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar
+
+from hil.core.dask_cluster import checked_address, cluster
+from hil.core.errors import FitError
+from hil.core.executor import cores
+from hil.data.dataset import Dataset, SeriesKind
+from hil.dynamics import RobotModel
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import MOST_SEED, flag, number, whole
+from hil.studies import inverse_drawn as drawn
+from hil.studies import inverse_tables as tables
+from hil.studies.base import Progress, Study, silent
+from hil.studies.dynamic_data import NEEDS
+from hil.studies.inverse_cases import CASES, load_names, recorded
+from hil.studies.inverse_fits import extras_of, family_task, missing
+from hil.studies.inverse_found import Found, Seen, gathered
+from hil.studies.inverse_methods import DEFAULT_KEYS, ROW_KEYS, ROWS, families
+from hil.studies.inverse_words import LABELS, LEFT_OUT, TEXTS, TITLES, summary
+from hil.studies.result import Figure, Part, StudyResult, Table
+from hil.studies.separation_parameters import words
+from hil.studies.separation_tasks import run_tasks
+
+
+class InverseDynamics(Study):
+    """Torque errors of identified and learned models on Fourier trajectories.
+
+    Args:
+        protocols: `paper`, `honest` or both.
+        methods: Keys of `hil.studies.inverse_methods.ROWS`.
+        seeds: How often each split is drawn and every network trained.
+        seed: The first; the others follow.
+        effort: Share of the usual epochs that networks are trained for; below 1 to try out.
+        cutoff_hz: Of the zero-phase Butterworth filter of order 5.
+        rate_hz: Samples a fit keeps per second after filtering; residual networks keep all.
+        sign_width: Of the smooth sign [rad/s], the same for every memoryless method.
+        figures: Whether to draw any.
+        jobs: Processes; None: as many as there are cores. The result does not depend on it.
+        dask: Address of a Dask scheduler whose workers compute in their place.
+    """
+
+    study: ClassVar[str] = "inverse-dynamics"
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
+
+    def __init__(
+        self,
+        *,
+        protocols: Sequence[str] = tuple(CASES),
+        methods: Sequence[str] = DEFAULT_KEYS,
+        seeds: int = 3,
+        seed: int = 0,
+        effort: float = 1.0,
+        cutoff_hz: float = 50.0,
+        rate_hz: float = 125.0,
+        sign_width: float = 0.01,
+        figures: bool = True,
+        jobs: int | None = None,
+        dask: str | None = None,
+    ) -> None:
+        self.protocols = words("protocols", protocols, tuple(CASES))
+        self.methods = words("methods", methods, ROW_KEYS)
+        self.seeds = whole("seeds", seeds, at_least=1, at_most=1000)
+        self.seed = whole("seed", seed, at_least=0, at_most=MOST_SEED - 1000)
+        self.effort = number("effort", effort, above=0.0, at_most=1000.0)
+        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0)
+        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
+        self.sign_width = number("sign_width", sign_width, at_least=0.0)
+        self.figures = flag("figures", figures)
+        self.jobs = None if jobs is None else whole("jobs", jobs, at_least=1, at_most=4096)
+        self.dask = checked_address("dask", dask)
+
+    def extras(self) -> dict[str, str]:
+        """What the estimators of its rows need: a table without them is not what was asked for."""
+        return extras_of(self.methods)
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: three trajectories, and drive gains."""
+        return NEEDS
+
+    def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
+        """Tables, figures and words of both protocols.
+
+        Raises:
+            FitError: There are too few trajectories, or no method can be fitted.
+            DataError: The data cannot be filtered as asked.
+        """
+        of = recorded(dataset, robot, self.cutoff_hz, self.rate_hz)
+        absent = {key: name for key in self.methods if (name := missing(ROWS[key]))}
+        known = families([key for key in self.methods if key not in absent])
+        cases = {
+            name: [CASES[name](of, seed) for seed in range(self.seed, self.seed + self.seeds)]
+            for name in self.protocols
+        }
+        tasks = [
+            family_task(root, keys, case, robot, self.sign_width, self.effort)
+            for draws in cases.values()
+            for root, keys in known.items()
+            for case in draws
+        ]
+        # Before the fits, which take hours: nothing may fail after them.
+        seen = {name: [Seen.of(case) for case in draws] for name, draws in cases.items()}
+        with cluster(self.dask) as executor:
+            results = iter(run_tasks(tasks, self.jobs or cores(), "fits", progress, executor))
+        loads = {} if of.loaded is None else load_names(of.loaded)
+        found = [
+            gathered(
+                name,
+                [(keys, [next(results) for _ in draws]) for keys in known.values()],
+                seen[name],
+                loads,
+            )
+            for name, draws in cases.items()
+        ]
+        notes = [*of.notes, *_absent(absent), *_failures(found), *_partly(found)]
+        return StudyResult(
+            self.study,
+            "Inverse dynamics: Table II of the PINN paper, under two protocols",
+            tuple(summary(found)),
+            self._parts(found),
+            self.get_params(),
+            warnings=tuple(notes),
+        )
+
+    def _parts(self, found: Sequence[Found]) -> tuple[Part, ...]:
+        parts = [self._part(one) for one in found]
+        if len(found) > 1:
+            parts.append(Part("Side by side", "", (), (tables.both(found),)))
+        return tuple(parts)
+
+    def _part(self, found: Found) -> Part:
+        name = found.protocol
+        shown = tuple(_tables(found))
+        figures = tuple(_figures(found)) if self.figures else ()
+        return Part(TITLES[name], LABELS[name], TEXTS[name], shown, figures)
+
+
+def _tables(found: Found) -> Iterator[Table]:
+    name = found.protocol
+    what = TITLES[name].lower()
+    yield tables.errors(found, f"table-{name}", what)
+    yield tables.largest(found, f"table-{name}-mep", what)
+    yield tables.measured(found, f"table-{name}-raw", "raw")
+    if name == "honest":
+        yield tables.measured(found, "table-moving", "moving")
+        yield tables.measured(found, "table-within", "within")
+    more = (
+        tables.decided(found, f"table-{name}-decided", LEFT_OUT[name]),
+        tables.under_loads(found) if name == "honest" else None,
+    )
+    yield from (table for table in more if table is not None)
+
+
+def _figures(found: Found) -> Iterator[Figure]:
+    name = found.protocol
+    yield drawn.bars(found, f"fig-{name}-errors")
+    if name == "honest":
+        made = (
+            drawn.torques(found, "fig-torques"),
+            drawn.friction(found, "fig-friction"),
+            drawn.residuals(found, "fig-residual"),
+            drawn.loads(found),
+            drawn.learning(found, "fig-learning"),
+        )
+        yield from (figure for figure in made if figure is not None)
+
+
+def _absent(absent: dict[str, str]) -> Iterator[str]:
+    yield from (f"{ROWS[key].words}: {name} is not installed" for key, name in absent.items())
+
+
+def _partly(found: Sequence[Found]) -> Iterator[str]:
+    for one in found:
+        for key, scores in one.scores.items():
+            least = min(score.known for score in scores)
+            if least < 0.999:
+                yield (
+                    f"{one.words(key)}, {one.protocol}: judged on {100 * least:.1f} % of the "
+                    "samples, where it says something"
+                )
+
+
+def _listed(failed: Mapping[str, Sequence[str]]) -> str:
+    """Rows, and the protocols under which each failed."""
+    return "; ".join(f"{row}, {' and '.join(protocols)}" for row, protocols in failed.items())
+
+
+def _failures(found: Sequence[Found]) -> list[str]:
+    """Notes about methods that failed, one for each reason.
+
+    Raises:
+        FitError: None is left.
+    """
+    rows: dict[str, dict[str, list[str]]] = {}
+    for one in found:
+        for key, reason in one.failed.items():
+            row = f"{one.words(key)} ({ROWS[key].estimator})"
+            rows.setdefault(reason, {}).setdefault(row, []).append(one.protocol)
+    notes = [f"{_listed(failed)}: left out, {reason}" for reason, failed in rows.items()]
+    if not any(one.scores for one in found):
+        raise FitError(
+            f"no method could be fitted: {next(iter(notes), 'none is installed')}",
+            hint="see the reasons of the others on the page; hil doctor tells what is missing",
+        )
+    return notes

@@ -1,0 +1,194 @@
+"""Tables and figures of a study of loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hil.estimators.payload_estimate import NAMES
+from hil.estimators.payload_fit import true_values
+from hil.studies.load_score import TOLD, Scored, UnderLoads
+from hil.studies.result import Curve, Figure, Panel, Table, Value
+from hil.studies.separation_text import joint_titles, mean_of, value, values, with_mean
+
+FIRST_INERTIA = 4
+"""Where inertias begin in `NAMES`."""
+
+
+def errors(found: Sequence[UnderLoads]) -> Table:
+    """RMSE per joint, by load, model and what it is told."""
+    n = len(found[0].loads[0].errors["unaware"])
+    rows: list[tuple[Value, ...]] = [
+        (f"{one.case.name}, {model.name}, {told}", *with_mean(one.errors[told]))
+        for model, one in _by_load(found)
+        for told in TOLD
+        if told in one.errors
+    ]
+    title = "RMSE on motions held out, by load and what is told of it [N·m]"
+    columns = ("load", *joint_titles(n), "mean")
+    return Table("table-load-errors", title, columns, tuple(rows), _ERRORS_NOTE)
+
+
+def _by_load(found: Sequence[UnderLoads]) -> Iterator[tuple[UnderLoads, Scored]]:
+    """Every model under the first load, then every model under the second."""
+    for each in zip(*(model.loads for model in found), strict=True):
+        yield from zip(found, each, strict=True)
+
+
+_WAYS = {
+    "unaware": "the model is not told that anything is mounted",
+    "declared": "it is told the load of the spec",
+    "calibrated": "the same, with the drive gains that the other loads tell",
+    "identified": "it is told the load that other motions with it show",
+}
+WAYS = ". ".join(f"{told.capitalize()}: {_WAYS[told]}" for told in TOLD if told in _WAYS) + "."
+"""One line on what a model may be told."""
+
+TORQUES = (
+    "In N·m, so that joints compare: where currents were measured, they are multiplied by the "
+    "drive gains."
+)
+
+_ERRORS_NOTE = f"Against the filtered torque. {WAYS} {TORQUES}"
+
+
+def declarations(model: UnderLoads) -> Table:
+    """The verdict on every declared load, by one model."""
+    rows = [(one.case.name, *_verdict(one)) for one in model.loads if one.case.told is not None]
+    columns = (
+        "load", "declaration", "what is wrong", "a turned tool would show", "used to correct gains"
+    )  # fmt: skip
+    title = f"Declared loads, checked by {model.name}"
+    return Table("table-declarations", title, columns, tuple(rows), _CHECK_NOTE)
+
+
+_CHECK_NOTE = (
+    "A turned tool would show: its centre of mass is far enough beside the flange's axis; where it "
+    "is not, the angle at which it is mounted cannot be checked. Used to correct gains: this load "
+    "agrees with the others, so that together they tell how far the drive gains are off."
+)
+
+
+def _verdict(one: Scored) -> tuple[Value, ...]:
+    check = one.check
+    if check is None:
+        return "not checked", one.failed, None, None
+    wrong = "; ".join(finding.text for finding in check.findings)
+    turned = _yes(check.mount_observable)
+    return "agrees" if check.agrees else "CONTRADICTED", wrong or "–", turned, _yes(check.trusted)
+
+
+def _yes(true: bool) -> str:
+    return "yes" if true else "no"
+
+
+def identified(model: UnderLoads) -> tuple[Table, ...]:
+    """Mass and centre of every load, declared and identified; inertia where it is determined."""
+    kinds = (
+        ("table-mass", "Mass [kg]", slice(0, 1), 1.0, 3, f"{_IDENTIFIED_NOTE} {_WEIGHED_NOTE}"),
+        ("table-centre", "Centre of mass in the flange's frame [mm]", slice(1, 4), 1e3, 1, ""),
+        ("table-inertia", "Inertia about the centre [10⁻³ kg·m²]", slice(4, 10), 1e3, 2, ""),
+    )
+    columns = ("load", "declared", "identified", "difference", "allowed ±")
+    return tuple(
+        Table(key, f"{title}, by {model.name}", columns, rows, note, decimals)
+        for key, title, which, scale, decimals, note in kinds
+        if (rows := tuple(row for one in model.loads for row in _quantities(one, which, scale)))
+    )
+
+
+_IDENTIFIED_NOTE = (
+    "Declared: in the spec. Identified: from the motions with the load, with drive gains as the "
+    "other loads tell them. Difference: identified less declared. Allowed: a larger difference "
+    "contradicts the declaration."
+)
+_WEIGHED_NOTE = (
+    "The weighing before the motions measures the same mass from a few poses at rest, and its ± is "
+    "one standard deviation. What is allowed here is almost four; both include what the drive "
+    "gains may have wrong, which no repetition shows."
+)
+
+_AXES = ("", "x", "y", "z", *(name[1:] for name in NAMES[4:]))
+
+
+def _quantities(one: Scored, which: slice, scale: float) -> Iterator[tuple[Value, ...]]:
+    if one.check is None or one.estimate is None:
+        return
+    empty = one.case.declared.is_empty
+    told = np.zeros(len(NAMES)) if empty else true_values(one.case.declared)
+    known = one.estimate.determined
+    for i in range(len(NAMES))[which]:
+        # An inertia that nobody can tell is a row of noise.
+        if i >= FIRST_INERTIA and not known[NAMES[i]]:
+            continue
+        declared, found, limit = (
+            float(scale * of[i]) for of in (told, one.check.found, one.check.limit)
+        )
+        name = f"{one.case.name}, {_AXES[i]}" if _AXES[i] else one.case.name
+        yield (name, *values([declared, found, found - declared, limit]))
+
+
+def figures(found: Sequence[UnderLoads]) -> tuple[Figure, ...]:
+    """Fig. 8(b) of the PINN paper for every model, and the models side by side at every joint."""
+    return _by_what_is_told(found), _by_joint(found)
+
+
+def _by_what_is_told(found: Sequence[UnderLoads]) -> Figure:
+    """For every model a panel with everything, and one without what sets the scale of that."""
+    aware = [told for told in TOLD if told != "unaware"]
+    panels = tuple(
+        _panel(title, [(told, model, told) for told in ways])
+        for model in found
+        for title, ways in ((model.name, TOLD), (f"{model.name}, told of the load", aware))
+    )
+    caption = (
+        f"Mean over the joints of the RMSE on motions held out; nothing was learned with a load. "
+        f"{WAYS} On the right the same without the unaware model, on its own scale. {TORQUES} "
+        "Drawn as Fig. 8(b) of the paper on physics-informed networks (PINN)."
+    )
+    return Figure("fig-load-errors", "Errors under loads", caption, panels, 2)
+
+
+def _by_joint(found: Sequence[UnderLoads]) -> Figure:
+    several = len(found) > 1
+    curves: list[_Bars] = (
+        [(model.name, model, "declared") for model in found]
+        if several
+        else [(told, found[0], told) for told in TOLD]
+    )
+    n = len(found[0].loads[0].errors["unaware"])
+    panels = tuple(_panel(title, curves, j) for j, title in enumerate(joint_titles(n)))
+    told = "told of the load as the spec declares it" if several else "told and not told"
+    caption = f"RMSE on motions held out, {told}. Every joint has its own scale."
+    return Figure("fig-load-joints", "Errors under loads by joint", caption, panels, 2)
+
+
+_Bars = tuple[str, UnderLoads, str]
+"""Name in the legend, the model, and what it is told."""
+
+
+def _panel(title: str, curves: Sequence[_Bars], joint: int | None = None) -> Panel:
+    bars = tuple(
+        Curve(
+            name,
+            tuple(one.case.name for one in model.loads),
+            tuple(_height(one, told, joint) for one in model.loads),
+            "bars",
+        )
+        for name, model, told in curves
+        if any(told in one.errors for one in model.loads)
+    )
+    return Panel(title, "load", "RMSE [N·m]", bars)
+
+
+def _height(one: Scored, told: str, joint: int | None) -> float:
+    error = one.errors.get(told)
+    if error is None:
+        return float("nan")
+    return float(mean_of(error) if joint is None else error[joint])
+
+
+def average(one: Scored, told: str) -> float | None:
+    """Mean over the joints; None where there is none."""
+    return value(_height(one, told, None))

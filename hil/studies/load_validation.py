@@ -1,0 +1,193 @@
+"""What models learned on the bare arm are worth under loads, and whether they are those declared.
+
+A load changes gravity, inertia and friction. A model is judged on motions held out, under every
+load, four ways (Fig. 8b of the PINN paper has three): nobody tells it of the load; it is told what
+was declared; that, with drive gains as the other loads tell them; what other motions with the load
+say. The last also checks the declaration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from hil.core.errors import HilError, SpecError
+from hil.data.dataset import Dataset, SeriesKind
+from hil.dynamics import RobotModel
+from hil.estimators.base import HONEST
+from hil.estimators.checks import Needs
+from hil.estimators.parameters import choice, flag, number, whole
+from hil.estimators.payload_declared import FALSE_ALARM
+from hil.estimators.payload_problem import Friction
+from hil.studies import load_tables as tables
+from hil.studies.base import Progress, Study, silent
+from hil.studies.dynamic_data import NEEDS, highest_cutoff
+from hil.studies.inverse_cases import Recorded, recorded
+from hil.studies.load_cases import load_cases
+from hil.studies.load_models import Candidate, Entry, Fold, fresh, made, stored
+from hil.studies.load_score import Scored, UnderLoads, judged
+from hil.studies.load_words import TEXT, summary, title, warnings
+from hil.studies.result import Part, StudyResult
+
+HIGHEST_HZ = 50.0
+"""Cut-off where nobody asks for another and the recording is quick enough."""
+
+FRICTIONS = ("auto", "model", "offset", "scale")
+
+Failed = tuple[str, HilError]
+"""Name of an estimator, and why there is nothing of it."""
+
+
+class LoadValidation(Study):
+    """Errors under loads: unaware, declared, calibrated and identified; declarations checked.
+
+    Args:
+        estimators: Fitted to the first load; the first of them checks the declarations. Names, or
+            mappings with parameters as in `fit` of a spec.
+        models: Folders of fitted models to take in their place; of a run, relative to it.
+        hold_out: How many motions are judged at a time, by models fitted to the others; by default
+            a quarter of them, or those that `models` of the run have not seen.
+        friction: What of its friction may be another under a load, as in `estimate_payload`.
+        false_alarm: Probability with which a correct declaration may be called wrong.
+        cutoff_hz: Of the zero-phase Butterworth filter of order 5 for what is judged; by default
+            50 Hz, or as high as the recording allows. Fits filter as they always do.
+        rate_hz: Samples kept per second after filtering to identify loads from.
+        figures: Whether to draw any.
+    """
+
+    study: ClassVar[str] = "load-validation"
+    series_kinds: ClassVar[tuple[tuple[SeriesKind, ...], ...]] = (("trajectory",),)
+
+    def __init__(
+        self,
+        *,
+        estimators: Sequence[Entry] = ("rigid-hysteresis",),
+        models: Sequence[str] = (),
+        hold_out: int | None = None,
+        friction: Friction | Literal["auto"] = "auto",
+        false_alarm: float = FALSE_ALARM,
+        cutoff_hz: float | None = None,
+        rate_hz: float = 125.0,
+        figures: bool = True,
+    ) -> None:
+        self.estimators = _entries(estimators)
+        self.models = _words("models", models)
+        if not (self.estimators or self.models):
+            raise SpecError("estimators is empty", hint="name at least one, or a fitted model")
+        told = hold_out is not None
+        self.hold_out = whole("hold_out", hold_out, at_least=1) if told else None
+        self.friction = choice("friction", friction, FRICTIONS)
+        self.false_alarm = number("false_alarm", false_alarm, above=0.0, at_most=0.5)
+        known = cutoff_hz is not None
+        self.cutoff_hz = number("cutoff_hz", cutoff_hz, above=0.0) if known else None
+        self.rate_hz = number("rate_hz", rate_hz, above=0.0)
+        self.figures = flag("figures", figures)
+
+    def extras(self) -> Mapping[str, str]:
+        """What its estimators need."""
+        fitted = () if self.models else self.estimators
+        return {key: why for one in fitted for key, why in made(one).extras().items()}
+
+    def needs(self, robot: RobotModel, *, loaded: bool = False) -> Needs:
+        """Return what it cannot do without: three trajectories, and drive gains."""
+        return NEEDS
+
+    def run(self, dataset: Dataset, robot: RobotModel, progress: Progress = silent) -> StudyResult:
+        """Tables, figures and sentences; an estimator that fails is told, and costs no other.
+
+        Raises:
+            FitError: There are too few trajectories or no second load, or every fit fails.
+            DataError: The data cannot be filtered as asked, or a model does not fit them.
+            PluginError, SpecError: There is no such estimator; nothing has been fitted.
+        """
+        return self.told(*self.found(dataset, robot, progress))
+
+    def found(
+        self, dataset: Dataset, robot: RobotModel, progress: Progress = silent
+    ) -> tuple[tuple[UnderLoads, ...], tuple[Failed, ...]]:
+        """What every model is worth, in the order asked for, and which there are not.
+
+        The first that there is checks the declarations.
+
+        Raises:
+            FitError, DataError, PluginError, SpecError: As `run`.
+        """
+        of = recorded(dataset, robot, self._cutoff(dataset), self.rate_hz)
+        every = self._candidates(dataset, of, robot)
+        steps = [(one, fold) for one in every for fold in one.folds]
+        found: list[UnderLoads] = []
+        failed: list[Failed] = []
+        done = 0
+        for one in every:
+            try:
+                folds = []
+                for fold in one.folds:
+                    progress(f"judging {one.name} under loads", done, len(steps))
+                    folds.append(self._judged(one, fold, of))
+                    done += 1
+                found.append(UnderLoads.of(one.name, folds[0][0], [fold for _, fold in folds]))
+            except HilError as error:
+                failed.append((one.name, error))
+        if not found:
+            raise failed[0][1]
+        return tuple(found), tuple(failed)
+
+    def _candidates(
+        self, dataset: Dataset, of: Recorded, robot: RobotModel
+    ) -> tuple[Candidate, ...]:
+        if self.models:
+            places = [Path(model) for model in self.models]
+            return stored(places, dataset, of, robot, self.hold_out)
+        return fresh(self.estimators, dataset, of, robot, self.hold_out)
+
+    def _cutoff(self, dataset: Dataset) -> float:
+        data = dataset.of_kind("trajectory")
+        if self.cutoff_hz is not None or not data.conditions:
+            return self.cutoff_hz or HIGHEST_HZ
+        return min(HIGHEST_HZ, highest_cutoff(data, self.rate_hz))
+
+    def told(self, found: Sequence[UnderLoads], failed: Sequence[Failed]) -> StudyResult:
+        """The same as tables, figures and sentences."""
+        figures = tables.figures(found) if self.figures else ()
+        checks = (tables.declarations(found[0]), *tables.identified(found[0]))
+        shown = (*checks, tables.errors(found))
+        protocols = [one.protocol for one in found if one.protocol != HONEST]
+        part = Part("Under loads", next(iter(protocols), HONEST), TEXT, shown, figures)
+        return StudyResult(
+            self.study,
+            title(found, self.models),
+            summary(found, self.false_alarm),
+            (part,),
+            self.get_params(),
+            warnings=warnings(found, failed),
+        )
+
+    def _judged(self, one: Candidate, fold: Fold, of: Recorded) -> tuple[str, tuple[Scored, ...]]:
+        """The protocol of a fold's model, and what it is worth."""
+        model, cases = one.fitted(fold), load_cases(of, fold)
+        scale = of.bare.scale
+        return model.protocol, judged(model, cases, scale, self.friction, self.false_alarm)
+
+
+def _entries(given: Any) -> tuple[Entry, ...]:
+    several = list(given) if isinstance(given, list | tuple) else [given]
+    named = [one.get("estimator") if isinstance(one, Mapping) else one for one in several]
+    if not isinstance(given, list | tuple) or not all(isinstance(one, str) for one in named):
+        raise SpecError(
+            f"estimators is {given!r}, but must be a list of names, or of mappings with one",
+            hint="estimators: [first, {estimator: second}]",
+        )
+    _words("estimators", [one for one in several if isinstance(one, str)])
+    return tuple(one if isinstance(one, str) else dict(one) for one in several)
+
+
+def _words(name: str, given: Any) -> tuple[str, ...]:
+    several = isinstance(given, list | tuple)
+    if not several or not all(isinstance(word, str) and word for word in given):
+        raise SpecError(
+            f"{name} is {given!r}, but must be a list of names", hint=f"{name}: [first, second]"
+        )
+    if len(set(given)) < len(given):
+        raise SpecError(f"{name} has {given!r}, of which one is there twice")
+    return tuple(given)

@@ -1,0 +1,92 @@
+"""`study/<name>-<digest>/study.json` of a run: what a study found, made anew at any time.
+
+The digest is of what was asked for, so that a study made again replaces its older result and one
+with other parameters stands beside it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import DataError, FitError
+from hil.studies.result import StudyResult
+from hil.studies.soundness import faults_of
+
+STUDY_FORMAT = 1
+STUDIES = "study"
+STUDY_FILE = "study.json"
+PROBLEM_FILE = "problem.json"
+DIGEST_LENGTH = 12
+
+
+def folder_of(name: str, parameters: Mapping[str, Any]) -> str:
+    """`<name>-<digest>` of a study with all its parameters, defaults included."""
+    # Not at the top: reading a result must not load the estimators.
+    from hil.estimators.model_file import json_bytes
+
+    text = json_bytes({"study": name, "parameters": dict(sorted(parameters.items()))})
+    return f"{name}-{hashlib.sha256(text).hexdigest()[:DIGEST_LENGTH]}"
+
+
+def write_study(result: StudyResult, folder: Path) -> Path:
+    """Write `study.json`, whole or not at all, over an older one; returns its path.
+
+    Raises:
+        FitError: The result cannot be shown or is not JSON; an older one stays as it is.
+    """
+    if faults := faults_of(result):
+        raise FitError(
+            f"the result of {result.study} cannot be shown: {'; '.join(faults[:5])}",
+            hint="this is a fault of the study: report it to whoever wrote it",
+        )
+    path = _write(folder / STUDY_FILE, {"hil_study": STUDY_FORMAT, **result.to_dict()})
+    (folder / PROBLEM_FILE).unlink(missing_ok=True)
+    return path
+
+
+def write_problem(name: str, error: str, hint: str, folder: Path) -> Path:
+    """Write down why there is no result, or only an older one."""
+    return _write(folder / PROBLEM_FILE, {"study": name, "error": error, "hint": hint})
+
+
+def read_study(path: Path) -> StudyResult:
+    """The result in a `study.json`.
+
+    Raises:
+        DataError: It is damaged, or was written by a newer hil.
+    """
+    again = "make it again: hil study RUN"
+    try:
+        raw = json.loads(path.read_text("utf-8"))
+        if int(raw["hil_study"]) > STUDY_FORMAT:
+            raise DataError(f"{path} was written by a newer hil", hint=again)
+        result = StudyResult.from_dict(raw)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(
+            f"{path} is damaged: {type(error).__name__}: {error}", hint=again
+        ) from error
+    if faults := faults_of(result):
+        raise DataError(f"{path} cannot be shown: {faults[0]}", hint=again)
+    return result
+
+
+def study_files(run: Path) -> Sequence[Path]:
+    """The `study.json` files of a run, in order of folder name."""
+    return sorted((run / STUDIES).glob(f"*/{STUDY_FILE}"))
+
+
+def problem_files(run: Path) -> Sequence[Path]:
+    """The `problem.json` files of the studies of a run."""
+    return sorted((run / STUDIES).glob(f"*/{PROBLEM_FILE}"))
+
+
+def _write(path: Path, document: Mapping[str, Any]) -> Path:
+    from hil.estimators.model_file import json_bytes, write_whole
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, json_bytes(document))
+    return path
