@@ -21,10 +21,10 @@ from benchmarks.prediction.clock import timed, told
 from benchmarks.prediction.models import ARM, models
 from benchmarks.prediction.pinocchio_alone import timed_pinocchio
 from benchmarks.prediction.runtimes import timed_runtimes
-from hil.deploy.export.c_build import compiler
 from hil.deploy.predictor import Predictor
 from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator
+from hil.export.c_build import compiler
 
 CALLS, QUICK_CALLS = 100_000, 2_000
 SLOW_SHARE = 20

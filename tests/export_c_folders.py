@@ -11,11 +11,11 @@ import pytest
 from synthetic_memory import remembering
 from synthetic_motion import nominal
 
-from hil.deploy.export.c_columns import GROUPS
-from hil.deploy.export.c_export import export_c
-from hil.deploy.export.exported import Exported
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
+from hil.export.c_columns import GROUPS
+from hil.export.c_export import export_c
+from hil.export.exported import Exported
 
 KINDS = ("friction with memory", "residual network", "Lagrangian network")
 COMPILERS = ("gcc", "clang")

@@ -6,8 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from hil.deploy.export.c_network import network_piece
-from hil.deploy.export.c_program_text import RESTRICT
+from hil.export.c_network import network_piece
+from hil.export.c_program_text import RESTRICT
 from hil.networks.residual.correction import Correction
 from hil.networks.residual.inputs import InputScales, NetworkInputs, group_shape
 from hil.networks.residual.settings import ResidualSettings

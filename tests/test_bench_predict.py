@@ -10,7 +10,7 @@ import pytest
 
 from hil.benchmarking import measure
 from hil.core.errors import FitError
-from hil.deploy.export.c_build import compiler
+from hil.export.c_build import compiler
 
 pytest.importorskip("torch", reason="torch is not installed")
 

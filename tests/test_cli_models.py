@@ -14,8 +14,8 @@ from hil.cli.models import found_model
 from hil.cli.output import fixed, print_table
 from hil.cli.study_tables import _means
 from hil.core.errors import DataError, RegistryError, SpecError
-from hil.deploy.export.targets import export_model
 from hil.estimators import estimator, load_model_file, save_model
+from hil.export.targets import export_model
 from hil.studies.result import Table
 
 

@@ -16,12 +16,12 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import FitError, RecordingError
-from hil.deploy.identified_urdf import export_urdf
-from hil.deploy.urdf_edit import edited
-from hil.deploy.urdf_text import roll_pitch_yaw
 from hil.dynamics import RobotModel
 from hil.dynamics.pseudo_inertia import is_consistent
 from hil.estimators.rigid import RigidWls
+from hil.export.identified_urdf import export_urdf
+from hil.export.urdf_edit import edited
+from hil.export.urdf_text import roll_pitch_yaw
 
 COVERED = """<?xml version="1.0"?>
 <robot name="two &amp; more"><!-- kept -->
@@ -183,7 +183,7 @@ def test_the_command_tells_what_is_in_the_file(
     exported, model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
 ) -> None:
     out = tmp_path / "r.urdf"
-    monkeypatch.setattr("hil.deploy.identified_urdf.export_urdf", lambda *_, **__: exported)
+    monkeypatch.setattr("hil.export.identified_urdf.export_urdf", lambda *_, **__: exported)
     folder = model.save(tmp_path / "model")
     arguments = ["export", str(folder), "--to", "urdf", "-o", str(out)]
     arguments += ["--json"] if as_json else []

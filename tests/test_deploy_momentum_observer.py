@@ -8,9 +8,9 @@ import residual_models
 from synthetic_motion import GAINS, LOAD, dwelling, moving, nominal
 
 from hil.core.errors import DataError, FitError, SpecError
-from hil.deploy.identified_parameters import rigid_parameters
 from hil.deploy.momentum_observer import GAP_S, MomentumObserver
 from hil.estimators import estimator
+from hil.export.identified_parameters import rigid_parameters
 
 PUSH = np.array([12.0, -20.0, 8.0, 3.0, -2.0, 1.0])
 FIRST = 300

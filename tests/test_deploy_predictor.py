@@ -13,13 +13,13 @@ from synthetic_motion import LOAD, nominal
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.deploy import compiled
-from hil.deploy.export.c_build import compiler
-from hil.deploy.export.c_program import c_source
-from hil.deploy.export.golden import motion
-from hil.deploy.export.reading import NotExported
 from hil.deploy.predictor import Predictor
 from hil.estimators import estimator
 from hil.estimators.base import prepared
+from hil.export.c_build import compiler
+from hil.export.c_program import c_source
+from hil.export.golden import motion
+from hil.export.reading import NotExported
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 Q, QD, QDD = motion(nominal(), 200, 250.0)

@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import FitError, RecordingError
-from hil.deploy import identified_parameters, identified_urdf, urdf_text
-from hil.deploy.identified_urdf import export_urdf
 from hil.dynamics import RobotModel
 from hil.dynamics.inertial import about_centre, body_parameters
 from hil.estimators import estimator
 from hil.estimators.rigid import RigidWls
+from hil.export import identified_parameters, identified_urdf, urdf_text
+from hil.export.identified_urdf import export_urdf
 
 WALL = (9.81, 0.0, 0.0)
 

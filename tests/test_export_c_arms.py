@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from export_arms import ARMS, fitted_arm
 
-from hil.deploy.export.c_build import compiler
-from hil.deploy.export.c_export import export_c
-from hil.deploy.export.golden import LOAD, motion
-from hil.deploy.export.reading import program_of
 from hil.deploy.predictor import Predictor
+from hil.export.c_build import compiler
+from hil.export.c_export import export_c
+from hil.export.golden import LOAD, motion
+from hil.export.reading import program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

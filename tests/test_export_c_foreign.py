@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 from export_arms import TURNED, fitted_robot, from_text
 
-from hil.deploy.export.c_build import STRICT, asked, compiler
-from hil.deploy.export.c_export import export_c
-from hil.deploy.export.c_program import c_source
-from hil.deploy.export.c_text import comment
-from hil.deploy.export.reading import program_of
 from hil.deploy.predictor import Predictor
+from hil.export.c_build import STRICT, asked, compiler
+from hil.export.c_export import export_c
+from hil.export.c_program import c_source
+from hil.export.c_text import comment
+from hil.export.reading import program_of
 
 ODD = ("z*/int x;/*", "/*", "two\nlines", "??/", "behind\\", "a\\\n*/", "\u2028*/", "Gelenk ä")
 

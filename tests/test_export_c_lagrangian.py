@@ -14,13 +14,13 @@ pytest.importorskip("torch", reason="torch is not installed")
 from lagrangian_models import CASES, QUICK, lagrangian
 
 from hil.core.errors import FitError
-from hil.deploy.export.c_build import STRICT, built, compiler, self_tested
-from hil.deploy.export.c_export import export_c
-from hil.deploy.export.c_program import c_source
-from hil.deploy.export.golden import motion
-from hil.deploy.export.reading import program_of
 from hil.deploy.predictor import Predictor
 from hil.estimators import estimator
+from hil.export.c_build import STRICT, built, compiler, self_tested
+from hil.export.c_export import export_c
+from hil.export.c_program import c_source
+from hil.export.golden import motion
+from hil.export.reading import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from export_c_folders import fitted, written
 
-from hil.deploy.export.c_build import compiler
-from hil.deploy.export.closeness import DOUBLE, SINGLE, closeness, precision
-from hil.deploy.export.golden import golden_of
-from hil.deploy.export.reading import program_of
+from hil.export.c_build import compiler
+from hil.export.closeness import DOUBLE, SINGLE, closeness, precision
+from hil.export.golden import golden_of
+from hil.export.reading import program_of
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

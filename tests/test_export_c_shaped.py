@@ -8,11 +8,11 @@ from synthetic_memory import remembering
 from synthetic_motion import moving, nominal
 
 from hil.core.errors import FitError
-from hil.deploy.export.c_build import built, compiler, self_tested
-from hil.deploy.export.c_export import export_c
-from hil.deploy.export.reading import program_of
 from hil.estimators import estimator
 from hil.estimators.diffnea.forms import FORMS
+from hil.export.c_build import built, compiler, self_tested
+from hil.export.c_export import export_c
+from hil.export.reading import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 

@@ -11,11 +11,11 @@ from synthetic_memory import remembering
 from synthetic_motion import nominal
 
 from hil.deploy.compiled import CompiledProgram, Pointer
-from hil.deploy.export.c_build import compiler
-from hil.deploy.export.c_program import c_source
-from hil.deploy.export.reading import program_of
 from hil.estimators import estimator
 from hil.estimators.base import prepared
+from hil.export.c_build import compiler
+from hil.export.c_program import c_source
+from hil.export.reading import program_of
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 GROUPS = ["core", "load", "temperature"]

@@ -24,25 +24,19 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core import plugins
 from hil.core.errors import FitError, RecordingError
-from hil.deploy.export import (
-    json_check,
-    json_columns,
-    json_friction,
-    json_parameters,
-    json_read,
-)
-from hil.deploy.export.golden import LOAD
-from hil.deploy.export.json_check import checked
-from hil.deploy.export.json_entries import Spread, of_base
-from hil.deploy.export.json_export import document_of, export_json
-from hil.deploy.export.json_read import rigid_torque
-from hil.deploy.export.json_robot import robot_part
-from hil.deploy.export.json_terms import adapted, library_term
 from hil.dynamics import RobotModel, base_parameters
 from hil.estimators import estimator, load_model_file, save_model
 from hil.estimators.base import GROUP
 from hil.estimators.friction.library import groups
 from hil.estimators.model_file import json_bytes
+from hil.export import json_check, json_columns, json_friction, json_parameters, json_read
+from hil.export.golden import LOAD
+from hil.export.json_check import checked
+from hil.export.json_entries import Spread, of_base
+from hil.export.json_export import document_of, export_json
+from hil.export.json_read import rigid_torque
+from hil.export.json_robot import robot_part
+from hil.export.json_terms import adapted, library_term
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "reference" / "export-json.md").read_text("utf-8")

@@ -19,12 +19,12 @@ from lagrangian_models import lagrangian  # noqa: E402
 from onnx import TensorProto, helper  # noqa: E402
 
 from hil.core.errors import FitError, PluginError  # noqa: E402
-from hil.deploy.export import onnx_export, onnx_graph  # noqa: E402
-from hil.deploy.export.agreement import load_row, streamed  # noqa: E402
-from hil.deploy.export.golden import LOAD, golden_of  # noqa: E402
-from hil.deploy.export.onnx_export import export_onnx, loaded  # noqa: E402
-from hil.deploy.export.onnx_graph import OPERATORS, nodes_of, require_plain  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
+from hil.export import onnx_export, onnx_graph  # noqa: E402
+from hil.export.agreement import load_row, streamed  # noqa: E402
+from hil.export.golden import LOAD, golden_of  # noqa: E402
+from hil.export.onnx_export import export_onnx, loaded  # noqa: E402
+from hil.export.onnx_graph import OPERATORS, nodes_of, require_plain  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

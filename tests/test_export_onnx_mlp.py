@@ -10,10 +10,10 @@ import pytest
 from synthetic_motion import dwelling, moving, nominal
 
 from hil.core.errors import FitError, PluginError, RecordingError
-from hil.deploy.export import mlp_export
-from hil.deploy.export.mlp_export import export_onnx_mlp, onnxruntime_says
-from hil.deploy.export.mlp_nets import Chain, chain_of
 from hil.estimators import estimator
+from hil.export import mlp_export
+from hil.export.mlp_export import export_onnx_mlp, onnxruntime_says
+from hil.export.mlp_nets import Chain, chain_of
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed")
 pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")

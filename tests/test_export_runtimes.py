@@ -15,12 +15,12 @@ from synthetic_memory import remembering, stopping  # noqa: E402
 from synthetic_motion import nominal  # noqa: E402
 
 from hil.arms.payload import Payload  # noqa: E402
-from hil.deploy.export.agreement import largest_difference, load_row, scale_of  # noqa: E402
-from hil.deploy.export.golden import Golden  # noqa: E402
-from hil.deploy.export.torch_export import export_torch  # noqa: E402
-from hil.deploy.export.torch_model import module_of  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
 from hil.estimators.friction import predicted  # noqa: E402
+from hil.export.agreement import largest_difference, load_row, scale_of  # noqa: E402
+from hil.export.golden import Golden  # noqa: E402
+from hil.export.torch_export import export_torch  # noqa: E402
+from hil.export.torch_model import module_of  # noqa: E402
 
 SLIDES = ["rad", "m", "rad"]
 
@@ -47,7 +47,7 @@ def test_torch_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> Non
 @pytest.mark.parametrize("arm", ARMS)
 def test_onnx_says_what_the_model_of_any_arm_says(arm, folder, tmp_path) -> None:
     needs_onnx()
-    from hil.deploy.export.onnx_export import export_onnx
+    from hil.export.onnx_export import export_onnx
 
     told = export_onnx(fitted_arm(arm, folder), tmp_path / "a.onnx")
     assert float(told.checked.split()[4]) < 1e-12

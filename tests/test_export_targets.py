@@ -9,8 +9,8 @@ import pytest
 from json_models import fitted
 
 from hil.core.errors import DataError, HilError, RecordingError, SpecError
-from hil.deploy.export.exported import require_new
-from hil.deploy.export.targets import export_model
+from hil.export.exported import require_new
+from hil.export.targets import export_model
 
 
 def damaged(name: str, change):

@@ -19,18 +19,18 @@ from test_export_c_network import KINDS as NETWORKS  # noqa: E402
 
 from hil.arms.payload import Payload  # noqa: E402
 from hil.core.errors import FitError, PluginError, RecordingError  # noqa: E402
-from hil.deploy.export import torch_export  # noqa: E402
-from hil.deploy.export.agreement import largest_difference, load_row  # noqa: E402
-from hil.deploy.export.golden import LOAD, golden_of  # noqa: E402
-from hil.deploy.export.golden import motion as golden_motion  # noqa: E402
-from hil.deploy.export.program import bodies  # noqa: E402
-from hil.deploy.export.reading import flange_in_last_joint  # noqa: E402
-from hil.deploy.export.torch_export import export_torch, pickles  # noqa: E402
-from hil.deploy.export.torch_model import module_of  # noqa: E402
-from hil.deploy.export.torch_network import StreamingTcn  # noqa: E402
-from hil.deploy.export.torch_rigid import RigidTorque  # noqa: E402
 from hil.dynamics import RobotModel  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
+from hil.export import torch_export  # noqa: E402
+from hil.export.agreement import largest_difference, load_row  # noqa: E402
+from hil.export.golden import LOAD, golden_of  # noqa: E402
+from hil.export.golden import motion as golden_motion  # noqa: E402
+from hil.export.program import bodies  # noqa: E402
+from hil.export.reading import flange_in_last_joint  # noqa: E402
+from hil.export.torch_export import export_torch, pickles  # noqa: E402
+from hil.export.torch_model import module_of  # noqa: E402
+from hil.export.torch_network import StreamingTcn  # noqa: E402
+from hil.export.torch_rigid import RigidTorque  # noqa: E402
 
 PAGE = (Path(__file__).parents[1] / "docs/how-to/export-onnx-torch.md").read_text("utf-8")
 

@@ -11,12 +11,12 @@ from lagrangian_models import CASES, lagrangian  # noqa: E402
 from synthetic_memory import remembering  # noqa: E402
 from synthetic_motion import moving, nominal  # noqa: E402
 
-from hil.deploy.export.agreement import largest_difference  # noqa: E402
-from hil.deploy.export.golden import golden_of  # noqa: E402
-from hil.deploy.export.torch_export import export_torch  # noqa: E402
-from hil.deploy.export.torch_model import module_of  # noqa: E402
 from hil.estimators import estimator  # noqa: E402
 from hil.estimators.diffnea.forms import FORMS  # noqa: E402
+from hil.export.agreement import largest_difference  # noqa: E402
+from hil.export.golden import golden_of  # noqa: E402
+from hil.export.torch_export import export_torch  # noqa: E402
+from hil.export.torch_model import module_of  # noqa: E402
 
 
 def stepping(module):

@@ -14,9 +14,9 @@ from synthetic_motion import fourier, moving, nominal
 
 import hil
 from hil.core.errors import FitError
-from hil.deploy.identified_urdf import UrdfExport, export_urdf
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
+from hil.export.identified_urdf import UrdfExport, export_urdf
 
 SPEC = Path(__file__).parents[1] / "experiments" / "ci_fourier_2.yaml"
 EXACT = 1e-9

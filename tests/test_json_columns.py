@@ -16,16 +16,16 @@ from synthetic_motion import dwelling, nominal
 from test_export_json import EXTRA
 
 from hil.core.errors import FitError
-from hil.deploy.export import json_check, json_rest
-from hil.deploy.export.golden import golden_of
-from hil.deploy.export.json_check import comparisons, differences
-from hil.deploy.export.json_columns import CONSTANTS, column, friction_torque, symbols_of
-from hil.deploy.export.json_export import document_of
-from hil.deploy.export.json_read import rigid_torque, torque_per_effort
-from hil.deploy.export.json_terms import FORMS, NETWORK, library_term
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
 from hil.estimators.friction.library import column_names, groups
+from hil.export import json_check, json_rest
+from hil.export.golden import golden_of
+from hil.export.json_check import comparisons, differences
+from hil.export.json_columns import CONSTANTS, column, friction_torque, symbols_of
+from hil.export.json_export import document_of
+from hil.export.json_read import rigid_torque, torque_per_effort
+from hil.export.json_terms import FORMS, NETWORK, library_term
 
 SAMPLES = 60
 HIDDEN = {

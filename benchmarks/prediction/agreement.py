@@ -8,10 +8,10 @@ import numpy as np
 
 from hil.arms.payload import Payload
 from hil.core.errors import FitError
-from hil.deploy.export.agreement import scale_of
-from hil.deploy.export.golden import AGREES, LOAD, golden_of
 from hil.deploy.predictor import Predictor
 from hil.estimators.base import RobotEstimator
+from hil.export.agreement import scale_of
+from hil.export.golden import AGREES, LOAD, golden_of
 
 TIMED, OFF_BY = "_p50_ns", "_off_by"
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.deploy.export.golden import motion
 from hil.dynamics import RobotModel
+from hil.export.golden import motion
 
 RATE_HZ = 1000.0
 FEWEST = 200

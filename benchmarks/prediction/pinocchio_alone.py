@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from benchmarks.prediction.clock import timed, told
 from hil.core.typing import FloatArray
-from hil.deploy.export.golden import RATE_HZ, SAMPLES, motion
 from hil.dynamics import RobotModel
+from hil.export.golden import RATE_HZ, SAMPLES, motion
 
 
 def timed_pinocchio(robot: RobotModel, calls: int) -> dict[str, float]:

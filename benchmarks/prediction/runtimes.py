@@ -18,12 +18,12 @@ from benchmarks.prediction.clock import timed, told
 from hil.arms.payload import Payload
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
-from hil.deploy.export.agreement import Step, largest_difference, load_row
-from hil.deploy.export.golden import golden_of
 from hil.estimators.base import RobotEstimator
+from hil.export.agreement import Step, largest_difference, load_row
+from hil.export.golden import golden_of
 
 if TYPE_CHECKING:
-    from hil.deploy.export.torch_model import TorchModel
+    from hil.export.torch_model import TorchModel
 
 ONNX = ("onnx", "onnxscript", "onnxruntime")
 TOO_SLOW = "it takes long to write or to compile; left out of --quick"
@@ -35,7 +35,7 @@ def timed_runtimes(
     """Times and differences from the model by runtime, and which were left out and why."""
     import torch
 
-    from hil.deploy.export.torch_model import module_of
+    from hil.export.torch_model import module_of
 
     try:
         traced = module_of(model)
@@ -68,7 +68,7 @@ def _steps(traced: TorchModel, quick: bool) -> Iterator[tuple[str, Step | str]]:
     elif quick and traced.rate_hz is not None:  # convolutions make the larger graph
         yield "onnxruntime", TOO_SLOW
     else:
-        from hil.deploy.export.onnx_export import graph, loaded
+        from hil.export.onnx_export import graph, loaded
 
         content = graph(traced)
         yield "onnxruntime", loaded(content)

@@ -9,7 +9,7 @@ from hil.api.arguments import AnyPath, AnyPayload, path, payload_of, whole
 from hil.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
-    from hil.deploy.export.targets import Written
+    from hil.export.targets import Written
     from hil.rest_report import RestReport
     from hil.trial.result import Trial
 
@@ -27,7 +27,7 @@ def export_model(
     Args:
         model: Its folder.
         out: The file or folder to be made.
-        to: `c` and the other targets of `hil.deploy.export.targets`.
+        to: `c` and the other targets of `hil.export.targets`.
         prefix: What files and symbols of C begin with; by default `hil`.
         unchecked: Write C without a compiler to check it with, or a URDF however far off it is.
 
@@ -38,8 +38,8 @@ def export_model(
         RecordingError: The file or folder exists already.
         SpecError: There is no such target, or an option is none of it.
     """
-    from hil.deploy.export.targets import export_model as export
     from hil.estimators.model_file import load_model_file
+    from hil.export.targets import export_model as export
 
     stored = load_model_file(path(model))
     return export(stored, path(out), to, prefix=prefix, unchecked=unchecked)
@@ -124,8 +124,8 @@ def try_out(
         PlanError: There is no clear motion.
         RecordingError: The folder exists, or cannot be written.
     """
-    from hil.deploy.export.exported import require_new, write_folder
     from hil.estimators.model_file import json_bytes
+    from hil.export.exported import require_new, write_folder
     from hil.report.render import page_html
     from hil.report.trial_page import REPORT_FILE, trial_page
     from hil.trial.trial import run_trial

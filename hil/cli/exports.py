@@ -11,7 +11,7 @@ from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fixed, print_json, print_table, say
 from hil.cli.registry import HERE, RegistryOption
 from hil.core.errors import DataError
-from hil.deploy.export.targets import TARGETS
+from hil.export.targets import TARGETS
 
 
 def register(app: typer.Typer) -> None:

@@ -12,14 +12,14 @@ import numpy as np
 from hil.arms.payload import Payload
 from hil.core.errors import DataError, FitError, PluginError
 from hil.core.typing import FloatArray
-from hil.deploy.export.c_build import built, require_compiler
-from hil.deploy.export.c_program import PARTS, c_source
-from hil.deploy.export.closeness import closeness
-from hil.deploy.export.golden import LOAD, golden_of
-from hil.deploy.export.program import Program
-from hil.deploy.export.reading import program_of
 from hil.deploy.sample import HINT, REFUSED, as_sample
 from hil.estimators.base import RobotEstimator
+from hil.export.c_build import built, require_compiler
+from hil.export.c_program import PARTS, c_source
+from hil.export.closeness import closeness
+from hil.export.golden import LOAD, golden_of
+from hil.export.program import Program
+from hil.export.reading import program_of
 
 FAST = ("-O3", "-march=native", "-fPIC", "-shared")
 

@@ -6,10 +6,10 @@ from hil.arms.payload import Payload
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.deploy.compiled import CompiledProgram
-from hil.deploy.export.c_build import compiler
-from hil.deploy.export.reading import NotExported
 from hil.deploy.sample import as_sample, require_within
 from hil.estimators.base import RobotEstimator
+from hil.export.c_build import compiler
+from hil.export.reading import NotExported
 
 
 class Predictor:

@@ -12,10 +12,10 @@ import math
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.deploy.identified_parameters import plain_friction
 from hil.estimators.base import RobotEstimator
 from hil.estimators.conformal import STANDSTILL
 from hil.estimators.standstill import dry_friction
+from hil.export.identified_parameters import plain_friction
 
 FADES_S = 0.1
 """Time constant after a start: the way in which friction comes round, and the observer's lag."""

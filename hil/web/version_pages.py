@@ -11,7 +11,7 @@ from starlette.routing import Route
 
 from hil.core.errors import HilError
 from hil.core.text import shell_word
-from hil.deploy.export.targets import TARGETS
+from hil.export.targets import TARGETS
 from hil.registry.log import Aliases
 from hil.registry.registry import Registry
 from hil.registry.version import ModelVersion, read_version

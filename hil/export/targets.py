@@ -1,0 +1,98 @@
+"""What a model can be written as, by name."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from hil.core.errors import DataError, SpecError
+from hil.core.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from hil.estimators.base import RobotEstimator
+
+TARGETS = {
+    "c": ("hil.export.c_export", "export_c"),
+    "urdf": ("hil.export.identified_urdf", "export_urdf"),
+    "onnx": ("hil.export.onnx_export", "export_onnx"),
+    "torch": ("hil.export.torch_export", "export_torch"),
+    "onnx-mlp": ("hil.export.mlp_export", "export_onnx_mlp"),
+    "json": ("hil.export.json_export", "export_json"),
+}
+"""Name → module and function; imported when it is asked for, as some need heavy libraries."""
+
+ENDINGS = {
+    "c": "", "urdf": ".urdf", "onnx": ".onnx", "torch": ".pt2", "onnx-mlp": ".onnx", "json": ".json"
+}  # fmt: skip
+"""Of the file's name; C is a folder."""
+
+FOREIGN = {".c", ".h", ".cc", ".cpp", ".zip", ".pt", ".yaml", *filter(None, ENDINGS.values())}
+"""Endings that promise something; any other may stand for anything."""
+
+DAMAGED = (ValueError, TypeError, ArithmeticError, LookupError)
+"""What numbers that cannot be make arithmetic raise."""
+
+OPTIONS = {"c": ("prefix", "unchecked"), "urdf": ("unchecked",)}
+"""What else a target takes."""
+
+
+class Written(Protocol):
+    """What an export returns."""
+
+    @property
+    def out(self) -> Path:
+        """The file or folder that was made."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `--json`."""
+
+
+def export_model(model: RobotEstimator, out: Path, to: str, **options: Any) -> Written:
+    """Write a fitted model as one of `TARGETS`.
+
+    Args:
+        model: Fitted.
+        out: File or folder to be made.
+        to: Name of the target.
+        options: Those of `OPTIONS`, where they are not None or False.
+
+    Raises:
+        SpecError: There is no such target, it has no such option, or `out` ends as another's file.
+        DataError: Numbers of the model are damaged.
+        FitError: The model is of a kind that it cannot be, or what it would be does not agree.
+        PluginError: What it takes to write or check it is not installed.
+        RecordingError: It exists already, or cannot be written.
+    """
+    if to not in TARGETS:
+        raise SpecError(f"--to is {to!r}", hint=did_you_mean(to, TARGETS))
+    given = {
+        name: value for name, value in options.items() if value is not None and value is not False
+    }
+    if strange := sorted(set(given) - set(OPTIONS.get(to, ()))):
+        raise SpecError(f"--to {to} has no option --{strange[0]}", hint="leave it out")
+    _require_ending(out, to)
+    module, name = TARGETS[to]
+    export = getattr(import_module(module), name)
+    try:
+        written: Written = export(model, out, **given)
+    except DAMAGED as error:
+        raise DataError(
+            f"{model.estimator} cannot be written as {to}: {error}",
+            hint="its numbers are damaged, or this is a fault of hil's export: evaluate the "
+            "model, fit it again, and report it with the model's folder if it says what it should",
+        ) from error
+    return written
+
+
+def _require_ending(out: Path, to: str) -> None:
+    ending, found = ENDINGS[to], out.suffix.lower()
+    if found == ending or found not in FOREIGN:
+        return
+    what = f"a file that ends with {ending}" if ending else "a folder"
+    fitting = next((name for name, of in ENDINGS.items() if of == found), None)
+    other = f", or with --to {fitting}" if fitting else ""
+    raise SpecError(
+        f"--to {to} makes {what}, but --out is {out}",
+        hint=f"for example: --out {out.with_suffix(ending)}{other}",
+    )

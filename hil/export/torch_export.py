@@ -1,0 +1,138 @@
+"""A fitted model as one `.pt2` file for PyTorch, traced: it holds a graph and numbers, no code."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.core import plugins
+from hil.core.errors import FitError
+from hil.core.typing import FloatArray
+from hil.estimators.base import RobotEstimator
+from hil.export.agreement import Step, require_agreement
+from hil.export.exported import Exported, effort_unit, require_new, write_file
+from hil.export.golden import golden_of
+
+if TYPE_CHECKING:
+    from hil.export.torch_model import TorchModel
+
+TOLD = "hil.json"
+"""The extra file with what has to be known to call the program."""
+
+
+def export_torch(model: RobotEstimator, out: Path) -> Exported:
+    """Write a model as a PyTorch program, after it has been read back and compared.
+
+    Args:
+        model: Fitted.
+        out: File to be made; `.pt2` by custom.
+
+    Raises:
+        FitError: The model is of a kind that is not exported, or the program does not agree.
+        PluginError: PyTorch is not installed.
+        RecordingError: The file exists already, or cannot be made.
+    """
+    require_new(out)
+    if find_spec("torch") is None:
+        raise plugins.not_installed("--to torch", ["torch"], "learn")
+    from hil.export.torch_model import module_of
+
+    traced = module_of(model)
+    content = archive(traced)
+    checked = require_agreement(
+        loaded(content), golden_of(model), traced.state_size, "the PyTorch program"
+    )
+    write_file(content, out)
+    warns = () if out.suffix == ".pt2" else ("torch.export.load warns of other names than *.pt2",)
+    return told_of(traced, out, checked, *warns)
+
+
+def told_of(traced: TorchModel, out: Path, checked: str, *notes: str) -> Exported:
+    """What is said of a file with this model in it."""
+    memory = f"with memory of {traced.state_size} numbers" if traced.state else "without memory"
+    return Exported(
+        out=out,
+        files=(out.name,),
+        joint_names=traced.joint_names,
+        effort_unit=effort_unit(traced.effort_kind),
+        parts=f"{traced.estimator}, {memory}",
+        checked=checked,
+        notes=(*notes, *notes_of(traced)),
+    )
+
+
+def notes_of(traced: TorchModel) -> tuple[str, ...]:
+    """What callers have to keep to."""
+    notes = []
+    if traced.rate_hz is not None:
+        notes.append(f"its network counts samples: call it at {traced.rate_hz:.6g} Hz")
+    if sliding := [
+        name for name, turns in zip(traced.joint_names, traced.turns, strict=True) if not turns
+    ]:
+        efforts = "" if traced.effort_kind == "current" else ", efforts in N"
+        notes.append(f"joints that slide: {', '.join(sliding)}; positions in m{efforts}")
+    return tuple(notes)
+
+
+def archive(traced: TorchModel) -> bytes:
+    """The file's content.
+
+    Raises:
+        FitError: PyTorch would put a pickle into it.
+    """
+    import torch
+
+    inputs = example_inputs(traced, 2)
+    rows = torch.export.Dim("rows", min=1)
+    with torch.no_grad():
+        program = torch.export.export(
+            traced.module, inputs, dynamic_shapes=tuple({0: rows} for _ in inputs)
+        )
+    # Inputs to try it with would be the only thing in the archive that is pickled.
+    program.example_inputs = None
+    content = io.BytesIO()
+    torch.export.save(program, content, extra_files={TOLD: json.dumps(traced.told(), indent=1)})
+    if pickled := pickles(content.getvalue()):
+        raise FitError(
+            f"torch {torch.__version__} would write pickles: {', '.join(pickled)}",
+            hint="use the version of torch in constraints.txt",
+        )
+    return content.getvalue()
+
+
+def example_inputs(traced: TorchModel, rows: int) -> tuple[Any, ...]:
+    """q, qd, qdd, load[, state] of that many rows, at rest."""
+    import torch
+
+    sizes = [traced.n] * 3 + [10] + [traced.state_size] * bool(traced.state)
+    return tuple(torch.zeros(rows, size, dtype=torch.float64) for size in sizes)
+
+
+def pickles(content: bytes) -> list[str]:
+    """Names of the files in an archive that are pickled."""
+    with zipfile.ZipFile(io.BytesIO(content)) as kept:
+        return [
+            name
+            for name in kept.namelist()
+            # A pickle by itself, or an archive of torch.save with one in it.
+            if (head := kept.read(name)[:4])[:2] in (b"\x80\x02", b"\x80\x04", b"\x80\x05")
+            or head == b"PK\x03\x04"
+        ]
+
+
+def loaded(content: bytes) -> Step:
+    """The program, read back."""
+    import torch
+
+    program = torch.export.load(io.BytesIO(content)).module()
+
+    def step(inputs: Sequence[FloatArray]) -> Sequence[FloatArray]:
+        with torch.no_grad():
+            return [found.numpy() for found in program(*(torch.tensor(one) for one in inputs))]
+
+    return step
