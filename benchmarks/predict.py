@@ -21,7 +21,7 @@ from benchmarks.prediction.clock import timed, told
 from benchmarks.prediction.models import ARM, models
 from benchmarks.prediction.pinocchio_alone import timed_pinocchio
 from benchmarks.prediction.runtimes import timed_runtimes
-from hil.deploy.predictor import Predictor
+from hil.control.predictor import Predictor
 from hil.dynamics import load_model
 from hil.estimators.base import RobotEstimator
 from hil.export.c_build import compiler

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_motion import COULOMB, GAINS, LOAD, OFFSET, dwelling, moving, nominal, plant
 
+from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import DataError, FitError, SpecError
-from hil.deploy.hand_guiding import HandGuiding
 from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_hysteresis import RigidHysteresis
 from hil.estimators.static import StaticWls

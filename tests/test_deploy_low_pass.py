@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hil.control.low_pass import LowPass
 from hil.core.errors import SpecError
-from hil.deploy.low_pass import LowPass
 
 
 def gain(hz, cutoff=10.0, rate=1000.0):

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import hil
 from hil.cli.app import app
+from hil.control.hand_guiding import HandGuiding
 from hil.core.errors import FitError, PlanError, SpecError
-from hil.deploy.hand_guiding import HandGuiding
 from hil.estimators import load_model_file
 from hil_mock_robot.driver import MockRobot
 
@@ -47,7 +47,7 @@ def found(folder: Path) -> Any:
 @pytest.fixture
 def few_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where it is not the optimum that matters."""
-    monkeypatch.setattr("hil.deploy.rest_search.STARTS", 6)
+    monkeypatch.setattr("hil.control.rest_search.STARTS", 6)
 
 
 def asked(*arguments: Any) -> Any:

@@ -11,9 +11,9 @@ from synthetic_memory import remembering
 from synthetic_motion import LOAD, nominal
 
 from hil.arms.payload import Payload
+from hil.control import compiled
+from hil.control.predictor import Predictor
 from hil.core.errors import DataError, FitError, PluginError, SpecError
-from hil.deploy import compiled
-from hil.deploy.predictor import Predictor
 from hil.estimators import estimator
 from hil.estimators.base import prepared
 from hil.export.c_build import compiler

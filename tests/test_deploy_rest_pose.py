@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from hil.control.brakes_fail import brakes_fail
+from hil.control.rest_pose import NEAREST, described, rest_poses
+from hil.control.resting import RestingArm
 from hil.core.errors import PlanError
-from hil.deploy.brakes_fail import brakes_fail
-from hil.deploy.rest_pose import NEAREST, described, rest_poses
-from hil.deploy.resting import RestingArm
 from hil.dynamics import Box, CollisionModel, Environment, Plane, RobotModel
 from hil.dynamics.sample_distances import SampleDistances
 

@@ -11,9 +11,9 @@ from synthetic_motion import GAINS, moving, nominal
 
 import hil
 from hil.arms.payload import Payload
-from hil.deploy.collision_thresholds import DEBOUNCE_S, QUANTILE
-from hil.deploy.momentum_observer import GAIN
-from hil.deploy.rest_margin import FADES_S
+from hil.control.collision_thresholds import DEBOUNCE_S, QUANTILE
+from hil.control.momentum_observer import GAIN
+from hil.control.rest_margin import FADES_S
 from hil.estimators import estimator
 
 PAGE = (Path(__file__).parents[1] / "docs" / "how-to" / "detect-collisions.md").read_text("utf-8")

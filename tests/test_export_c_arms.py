@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from export_arms import ARMS, fitted_arm
 
-from hil.deploy.predictor import Predictor
+from hil.control.predictor import Predictor
 from hil.export.c_build import compiler
 from hil.export.c_export import export_c
 from hil.export.golden import LOAD, motion

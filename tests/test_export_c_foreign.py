@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from export_arms import TURNED, fitted_robot, from_text
 
-from hil.deploy.predictor import Predictor
+from hil.control.predictor import Predictor
 from hil.export.c_build import STRICT, asked, compiler
 from hil.export.c_export import export_c
 from hil.export.c_program import c_source

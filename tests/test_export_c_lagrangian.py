@@ -13,8 +13,8 @@ pytest.importorskip("torch", reason="torch is not installed")
 
 from lagrangian_models import CASES, QUICK, lagrangian
 
+from hil.control.predictor import Predictor
 from hil.core.errors import FitError
-from hil.deploy.predictor import Predictor
 from hil.estimators import estimator
 from hil.export.c_build import STRICT, built, compiler, self_tested
 from hil.export.c_export import export_c

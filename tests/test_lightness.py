@@ -39,7 +39,7 @@ def test_nothing_heavy_is_loaded(code: str) -> None:
 
 def test_pure_calculation_imports_nothing_that_only_posix_has() -> None:
     absent = "import sys\nfor n in ('fcntl', 'termios', 'resource', 'pwd'): sys.modules[n] = None\n"
-    packages = "hil.arms, hil.dynamics, hil.estimators, hil.evaluate, hil.deploy"
+    packages = "hil.arms, hil.dynamics, hil.estimators, hil.evaluate, hil.control"
     assert "numpy" in loaded_after(f"{absent}import {packages}\nimport hil.estimators.rigid")
 
 

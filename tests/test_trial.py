@@ -13,20 +13,20 @@ from typer.testing import CliRunner
 
 from hil.arms.payload import Payload
 from hil.cli.app import app
+from hil.control.trial import laws, leading
+from hil.control.trial.arm import Arm, require_simulated
+from hil.control.trial.found import found
+from hil.control.trial.gains import Spring, spring_for
+from hil.control.trial.judged import improvement, judged, relief, unaided
+from hil.control.trial.leading import lead
+from hil.control.trial.reference import leading_for, trajectory_for
+from hil.control.trial.tracking import track
 from hil.core.errors import SpecError
 from hil.dynamics import load_model
 from hil.report.trial_page import trial_page
 from hil.robot import Capabilities, Identity, TorqueControlled, state_dtype
 from hil.spec.station import StationRobot
 from hil.studies.soundness import faults_of
-from hil.trial import laws, leading
-from hil.trial.arm import Arm, require_simulated
-from hil.trial.found import found
-from hil.trial.gains import Spring, spring_for
-from hil.trial.judged import improvement, judged, relief, unaided
-from hil.trial.leading import lead
-from hil.trial.reference import leading_for, trajectory_for
-from hil.trial.tracking import track
 from hil_mock_robot.draw import draw_truth
 
 
@@ -138,7 +138,7 @@ def test_a_load_is_part_of_every_law_but_none() -> None:
 def test_a_network_is_asked_at_the_rate_of_its_training(monkeypatch) -> None:
     asked = reference()
     whole = laws.predicted(model(), Payload(), asked)
-    monkeypatch.setattr("hil.trial.laws.rate_of", lambda model: 125.0)
+    monkeypatch.setattr("hil.control.trial.laws.rate_of", lambda model: 125.0)
     slower = laws.predicted(model(), Payload(), asked)
     assert slower.shape == whole.shape
     assert not np.array_equal(slower, whole)

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from hil import api
 from hil.cli.app import app
+from hil.control.trial.settings import FRICTION_SHARE
 from hil.core.errors import HilError, RecordingError, Rejected, SpecError
-from hil.trial.settings import FRICTION_SHARE
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from trial_parts import of_arm
 
-from hil.trial import leading
-from hil.trial.judged import judged, relief
-from hil.trial.settings import HALF
-from hil.trial.trial import run_trial
+from hil.control.trial import leading
+from hil.control.trial.judged import judged, relief
+from hil.control.trial.settings import HALF
+from hil.control.trial.trial import run_trial
 
 pytestmark = pytest.mark.proof
 

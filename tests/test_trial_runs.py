@@ -9,18 +9,18 @@ import pytest
 from trial_parts import bench, model, reference, way
 
 from hil.arms.payload import Payload
+from hil.control.hand_guiding import HandGuiding
+from hil.control.trial import leading, runs, trial
+from hil.control.trial.arm import RATE_HZ, Arm, require_simulated
+from hil.control.trial.gains import Spring, spring_for
+from hil.control.trial.judged import relief
+from hil.control.trial.leading import HAND_FIRMNESS, lead
+from hil.control.trial.reference import Leading, spec_of
+from hil.control.trial.settings import FRICTION_SHARE, HALF
 from hil.core import plugins
 from hil.core.errors import SpecError
-from hil.deploy.hand_guiding import HandGuiding
 from hil.planning.build import build_plan
 from hil.spec.station import StationRobot
-from hil.trial import leading, runs, trial
-from hil.trial.arm import RATE_HZ, Arm, require_simulated
-from hil.trial.gains import Spring, spring_for
-from hil.trial.judged import relief
-from hil.trial.leading import HAND_FIRMNESS, lead
-from hil.trial.reference import Leading, spec_of
-from hil.trial.settings import FRICTION_SHARE, HALF
 
 
 class RealArm:

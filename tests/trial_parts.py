@@ -16,12 +16,12 @@ from mock_motions import fourier
 from hil import api
 from hil.arms import load_arm
 from hil.arms.payload import Payload
+from hil.control.trial.arm import RATE_HZ, Bench
+from hil.control.trial.reference import Leading, Reference
 from hil.data import Conditions, Dataset
 from hil.dynamics import load_model
 from hil.estimators import estimator
 from hil.spec.station import StationRobot
-from hil.trial.arm import RATE_HZ, Bench
-from hil.trial.reference import Leading, Reference
 from hil_mock_robot.draw import draw_truth
 from hil_mock_robot.sensors import Sensors
 from hil_mock_robot.simulation import Setting, Simulation
@@ -119,6 +119,6 @@ def way():
 
 def shorten(monkeypatch):
     """Have a whole trial take a few seconds of simulated time."""
-    monkeypatch.setattr("hil.trial.leading.ALONE_S", 1.5)
-    monkeypatch.setattr("hil.trial.trial.trajectory_for", lambda bench, seed: reference())
-    monkeypatch.setattr("hil.trial.trial.leading_for", lambda bench: way())
+    monkeypatch.setattr("hil.control.trial.leading.ALONE_S", 1.5)
+    monkeypatch.setattr("hil.control.trial.trial.trajectory_for", lambda bench, seed: reference())
+    monkeypatch.setattr("hil.control.trial.trial.leading_for", lambda bench: way())

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.predictor import Predictor
 from hil.core.errors import FitError
-from hil.deploy.predictor import Predictor
 from hil.estimators.base import RobotEstimator
 from hil.export.agreement import scale_of
 from hil.export.golden import AGREES, LOAD, golden_of

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from hil.api.arguments import AnyPath, AnyPayload, path, payload_of, whole
-from hil.trial.settings import FRICTION_SHARE
+from hil.control.trial.settings import FRICTION_SHARE
 
 if TYPE_CHECKING:
+    from hil.control.rest_report import RestReport
+    from hil.control.trial.result import Trial
     from hil.export.targets import Written
-    from hil.rest_report import RestReport
-    from hil.trial.result import Trial
 
 
 def export_model(
@@ -76,7 +76,7 @@ def rest_poses(
         SpecError: The robot is another arm, or an argument cannot be.
         PlanError: No pose is within limits and clear.
     """
-    from hil.rest_report import find_rest_poses
+    from hil.control.rest_report import find_rest_poses
 
     return find_rest_poses(
         path(model),
@@ -124,11 +124,11 @@ def try_out(
         PlanError: There is no clear motion.
         RecordingError: The folder exists, or cannot be written.
     """
+    from hil.control.trial.trial import run_trial
     from hil.estimators.model_file import json_bytes
     from hil.export.exported import require_new, write_folder
     from hil.report.render import page_html
     from hil.report.trial_page import REPORT_FILE, trial_page
-    from hil.trial.trial import run_trial
 
     folder = path(out)
     require_new(folder)

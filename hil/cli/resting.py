@@ -13,8 +13,8 @@ from hil.cli.output import JsonFlag, RunsOption, fold, out_width, print_json, pr
 from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
-    from hil.deploy.rest_pose import RestPose
-    from hil.rest_report import RestReport
+    from hil.control.rest_pose import RestPose
+    from hil.control.rest_report import RestReport
 
 LABEL_WIDTH = 15
 NUMBER_WIDTH = 7

@@ -10,11 +10,11 @@ import typer
 
 from hil.cli.models import ModelArgument, found_model
 from hil.cli.output import JsonFlag, RunsOption, fold, print_json, width_of
+from hil.control.trial.settings import FRICTION_SHARE, MOST_SEED
 from hil.core.errors import Rejected
-from hil.trial.settings import FRICTION_SHARE, MOST_SEED
 
 if TYPE_CHECKING:
-    from hil.trial.result import Trial
+    from hil.control.trial.result import Trial
 
 
 def register(app: typer.Typer) -> None:
@@ -77,7 +77,7 @@ def try_out(
 
 def _print(trial: Trial, report: Path) -> None:
     """Where everything is, and what a reader must know; all tables are on the page."""
-    from hil.trial.found import found
+    from hil.control.trial.found import found
 
     width = width_of(sys.stdout)
     told = found(trial)
@@ -94,7 +94,7 @@ def _require_met(trial: Trial) -> None:
     Raises:
         Rejected: It has.
     """
-    from hil.trial.judged import judged
+    from hil.control.trial.judged import judged
 
     if missed := [criterion for criterion in judged(trial) if not criterion.met]:
         asked = ", and ".join(criterion.asked for criterion in missed)

@@ -6,6 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.control.trial import leading
+from hil.control.trial.found import found
+from hil.control.trial.judged import improvement, judged, most_help, relief, unaided
+from hil.control.trial.result import Trial
 from hil.report.blocks import (
     Badge,
     Cell,
@@ -20,10 +24,6 @@ from hil.report.blocks import (
 )
 from hil.report.study_sections import study_sections
 from hil.report.words import duration
-from hil.trial import leading
-from hil.trial.found import found
-from hil.trial.judged import improvement, judged, most_help, relief, unaided
-from hil.trial.result import Trial
 
 REPORT_FILE = "report.html"
 

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.control.trial import laws, leading
+from hil.control.trial.arm import RATE_HZ
+from hil.control.trial.judged import relief
+from hil.control.trial.leading import Led
+from hil.control.trial.result import Trial
+from hil.control.trial.tracking import Tracked
 from hil.core.typing import FloatArray
 from hil.studies.result import Curve, Figure, Panel
 from hil.studies.separation_text import joint_titles
-from hil.trial import laws, leading
-from hil.trial.arm import RATE_HZ
-from hil.trial.judged import relief
-from hil.trial.leading import Led
-from hil.trial.result import Trial
-from hil.trial.tracking import Tracked
 
 DRAWN_HZ = 50.0
 """Points of a curve, per second of the motion."""

@@ -6,18 +6,18 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from hil.control.hand_guiding import HandGuiding
+from hil.control.low_pass import LowPass
+from hil.control.trial import laws, leading
+from hil.control.trial.arm import RATE_HZ, Arm, Bench
+from hil.control.trial.gains import Spring
+from hil.control.trial.leading import Drives, Led, lead
+from hil.control.trial.reference import Leading, Reference
+from hil.control.trial.settings import SPEED_HZ
+from hil.control.trial.tracking import Tracked, track
 from hil.core.errors import FitError
 from hil.core.typing import FloatArray
-from hil.deploy.hand_guiding import HandGuiding
-from hil.deploy.low_pass import LowPass
 from hil.estimators.base import RobotEstimator
-from hil.trial import laws, leading
-from hil.trial.arm import RATE_HZ, Arm, Bench
-from hil.trial.gains import Spring
-from hil.trial.leading import Drives, Led, lead
-from hil.trial.reference import Leading, Reference
-from hil.trial.settings import SPEED_HZ
-from hil.trial.tracking import Tracked, track
 
 Progress = Callable[[str], object]
 """Told what is being run."""
@@ -79,7 +79,7 @@ def led_with(
 def in_torque(guiding: HandGuiding, arm: Arm) -> Drives:
     """What it gives, in N·m as the arm's own controller counts."""
     scale = arm.gains if guiding.unit == "A" else np.ones_like(arm.gains)
-    # Unfiltered, wrists do not come to rest: see hil.deploy.hand_guiding.
+    # Unfiltered, wrists do not come to rest: see hil.control.hand_guiding.
     slow = LowPass(SPEED_HZ, RATE_HZ)
     return lambda q, qd: guiding(q, slow(qd)) * scale
 

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.rest_place import place_of
+from hil.control.trial.arm import RATE_HZ, Bench, require_simulated
+from hil.control.trial.gains import spring_for
+from hil.control.trial.leading import HAND_FIRMNESS
+from hil.control.trial.reference import SWINGS_DEG, Leading, leading_for, trajectory_for
+from hil.control.trial.result import Trial
+from hil.control.trial.runs import Progress, guidings, led_with, tracked_by
+from hil.control.trial.settings import FRICTION_SHARE, MOST_SEED
 from hil.core.errors import SpecError
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import load_model_file
 from hil.estimators.standstill import require_torque
-from hil.rest_place import place_of
 from hil.spec.station import StationRobot
-from hil.trial.arm import RATE_HZ, Bench, require_simulated
-from hil.trial.gains import spring_for
-from hil.trial.leading import HAND_FIRMNESS
-from hil.trial.reference import SWINGS_DEG, Leading, leading_for, trajectory_for
-from hil.trial.result import Trial
-from hil.trial.runs import Progress, guidings, led_with, tracked_by
-from hil.trial.settings import FRICTION_SHARE, MOST_SEED
 
 
 def run_trial(

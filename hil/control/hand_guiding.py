@@ -17,7 +17,7 @@ wear. Half of 1.9 is still below 1, hence the default. With the friction of a ty
 measurement at low speed 0.7 is safe. Nothing is compensated within the dead band: a joint at rest
 keeps all of its stick friction, which holds what the model does not know of gravity.
 
-**Low-pass the velocity** (`hil.deploy.low_pass`, 10 Hz). Fed with velocities as they are measured
+**Low-pass the velocity** (`hil.control.low_pass`, 10 Hz). Fed with velocities as they are measured
 at 1 kHz, wrists of the mock do not come to rest: they tremble by a millirad at 20 to 30 Hz. Over
 so short a way friction is much of a spring, which takes no power out: the argument above fails.
 
@@ -34,10 +34,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.gravity_chain import GravityChain
+from hil.control.rest_margin import resting_friction
 from hil.core.errors import DataError, FitError, SpecError
 from hil.core.typing import FloatArray
-from hil.deploy.gravity_chain import GravityChain
-from hil.deploy.rest_margin import resting_friction
 from hil.estimators.base import RobotEstimator
 from hil.estimators.standstill import at_rest_effort, dry_friction, gravity_torque, knows_torque
 

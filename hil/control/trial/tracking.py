@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.control.trial.arm import Arm
+from hil.control.trial.gains import Spring
+from hil.control.trial.reference import Reference
 from hil.core.typing import FloatArray
-from hil.trial.arm import Arm
-from hil.trial.gains import Spring
-from hil.trial.reference import Reference
 
 MOST_ERROR_RAD = 0.35
 """Further from the trajectory the arm is braked."""

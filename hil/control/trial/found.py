@@ -6,16 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hil.control.trial import curves, laws, leading
+from hil.control.trial.arm import RATE_HZ
+from hil.control.trial.judged import halves, improvement, judged, most_help, relief, unaided
+from hil.control.trial.leading import Led
+from hil.control.trial.result import Trial
+from hil.control.trial.settings import SEEDS_APART, SPEED_HZ
+from hil.control.trial.tracking import Tracked
 from hil.core.typing import FloatArray
 from hil.studies.result import Part, StudyResult, Table
 from hil.studies.separation_text import joint_titles, listed, mean_of, value, values
-from hil.trial import curves, laws, leading
-from hil.trial.arm import RATE_HZ
-from hil.trial.judged import halves, improvement, judged, most_help, relief, unaided
-from hil.trial.leading import Led
-from hil.trial.result import Trial
-from hil.trial.settings import SEEDS_APART, SPEED_HZ
-from hil.trial.tracking import Tracked
 
 NAME = "try-out"
 

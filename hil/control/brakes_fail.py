@@ -5,7 +5,7 @@ landscape is level, and its curvature (the Hessian, here `RestingArm.stiffness`)
 is a valley, a summit or a saddle: an arm that stands upright loads no brake, and falls at the first
 touch. Directions without curvature (a base joint that turns about the vertical) go anywhere and
 nowhere. Dry friction of the joints makes every slope that is gentle enough a place to stay. Only
-half of it is counted: models overestimate it (`hil.deploy.hand_guiding`), and warmth takes some.
+half of it is counted: models overestimate it (`hil.control.hand_guiding`), and warmth takes some.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.control.resting import RestingArm
 from hil.core.typing import FloatArray
-from hil.deploy.resting import RestingArm
 
 Outcome = Literal["stays", "held", "tips", "falls"]
 

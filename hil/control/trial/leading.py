@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.control.trial.arm import RATE_HZ, Arm
+from hil.control.trial.gains import Spring
+from hil.control.trial.reference import SETTLE_S, Leading
 from hil.core.typing import FloatArray
-from hil.trial.arm import RATE_HZ, Arm
-from hil.trial.gains import Spring
-from hil.trial.reference import SETTLE_S, Leading
 
 Drives = Callable[[FloatArray, FloatArray], FloatArray]
 """Torque (n,) [N·m] from position and velocity."""

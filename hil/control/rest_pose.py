@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.typing import BoolArray, FloatArray
-from hil.deploy.brakes_fail import BrakesFail, brakes_fail
-from hil.deploy.rest_search import (
+from hil.control.brakes_fail import BrakesFail, brakes_fail
+from hil.control.rest_search import (
     free_joints,
     least_effort,
     nearest_within,
@@ -23,7 +22,8 @@ from hil.deploy.rest_search import (
     starts_of,
     turned,
 )
-from hil.deploy.resting import RestingArm
+from hil.control.resting import RestingArm
+from hil.core.typing import BoolArray, FloatArray
 
 APART_RAD = 0.5
 """Poses count as different when some joint differs by as much."""

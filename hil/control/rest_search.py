@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.control.brakes_fail import INDIFFERENT, curvatures
+from hil.control.resting import RestingArm
 from hil.core.errors import PlanError
 from hil.core.typing import BoolArray, FloatArray
-from hil.deploy.brakes_fail import INDIFFERENT, curvatures
-from hil.deploy.resting import RestingArm
 
 DRAWN = 4096
 """Well-spread poses that are looked at; a power of two."""

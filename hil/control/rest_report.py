@@ -1,6 +1,6 @@
 """Rest poses of a stored model: where model, station and surroundings meet.
 
-The search itself (`hil.deploy.rest_pose`) knows none of them.
+The search itself (`hil.control.rest_pose`) knows none of them.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 
 from hil.arms import ArmDescription
 from hil.arms.payload import Payload
+from hil.control.rest_place import place_of
+from hil.control.rest_pose import RestPose, described, rest_poses
+from hil.control.resting import RestingArm
 from hil.core.errors import PlanError, SpecError
 from hil.core.typing import FloatArray
-from hil.deploy.rest_pose import RestPose, described, rest_poses
-from hil.deploy.resting import RestingArm
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import load_model_file
 from hil.estimators.standstill import gravity_torque, holding_friction, require_torque
 from hil.planning.surroundings import collision_model
-from hil.rest_place import place_of
 
 if TYPE_CHECKING:
     from hil.dynamics.collision import CollisionModel

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.control.trial import laws, leading
+from hil.control.trial.settings import HALF
 from hil.core.typing import FloatArray
 from hil.studies.separation_text import listed, mean_of
-from hil.trial import laws, leading
-from hil.trial.settings import HALF
 
 if TYPE_CHECKING:
-    from hil.trial.result import Trial
+    from hil.control.trial.result import Trial
 
 ENDED, RESTED, TRACKED, HELPED = "ended", "at rest", "tracking", "hand"
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from hil.arms.payload import Payload
+from hil.control.compiled import CompiledProgram
+from hil.control.sample import as_sample, require_within
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray
-from hil.deploy.compiled import CompiledProgram
-from hil.deploy.sample import as_sample, require_within
 from hil.estimators.base import RobotEstimator
 from hil.export.c_build import compiler
 from hil.export.reading import NotExported

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.trial.arm import RATE_HZ, Bench
+from hil.control.trial.settings import SEEDS_APART
 from hil.core.errors import PlanError
 from hil.core.typing import FloatArray
 from hil.excitation.workspace import Workspace
 from hil.planning.build import build_plan
 from hil.planning.place import plannable_arm, roadmap_of, workspace_of
 from hil.spec.experiment import ExperimentSpec
-from hil.trial.arm import RATE_HZ, Bench
-from hil.trial.settings import SEEDS_APART
 
 SETTLE_S = 1.0
 """At rest before the motion begins; not counted."""

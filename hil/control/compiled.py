@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.sample import HINT, REFUSED, as_sample
 from hil.core.errors import DataError, FitError, PluginError
 from hil.core.typing import FloatArray
-from hil.deploy.sample import HINT, REFUSED, as_sample
 from hil.estimators.base import RobotEstimator
 from hil.export.c_build import built, require_compiler
 from hil.export.c_program import PARTS, c_source

@@ -19,11 +19,11 @@ from typing import Self
 
 import numpy as np
 
+from hil.control.momentum_observer import GAIN, MomentumObserver
+from hil.control.rest_margin import RestMargin, resting_friction
 from hil.core.errors import FitError, SpecError
 from hil.core.typing import FloatArray
 from hil.data.dataset import Conditions, Dataset
-from hil.deploy.momentum_observer import GAIN, MomentumObserver
-from hil.deploy.rest_margin import RestMargin, resting_friction
 from hil.estimators.base import RobotEstimator, load_of
 from hil.estimators.conformal import SpeedBands
 from hil.estimators.parameters import number

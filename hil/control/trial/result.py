@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.trial.arm import RATE_HZ
+from hil.control.trial.gains import Spring
+from hil.control.trial.judged import judged
+from hil.control.trial.leading import HAND_FIRMNESS, Led
+from hil.control.trial.reference import Leading
+from hil.control.trial.settings import SPEED_HZ
+from hil.control.trial.tracking import Tracked
 from hil.core.typing import FloatArray
-from hil.trial.arm import RATE_HZ
-from hil.trial.gains import Spring
-from hil.trial.judged import judged
-from hil.trial.leading import HAND_FIRMNESS, Led
-from hil.trial.reference import Leading
-from hil.trial.settings import SPEED_HZ
-from hil.trial.tracking import Tracked
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class Trial:
 
     @property
     def ok(self) -> bool:
-        """Whether the model met all that it is held to (`hil.trial.judged`)."""
+        """Whether the model met all that it is held to (`hil.control.trial.judged`)."""
         return all(criterion.met for criterion in judged(self))
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Collisions of an arm with its surroundings, from a fitted model alone.
 
-The external torque that `hil.deploy.momentum_observer` sees holds the model's errors too. What is
+The external torque that `hil.control.momentum_observer` sees holds the model's errors too. What is
 more than these comes from outside: a joint whose residual stays beyond its threshold, with the
 same sign, for the debounce time. Haddadin et al. 2017, sec. V-A, call this detection with
 isolation: the joint that is named is not always one of the link that was hit, since a force turns
@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.arms.payload import Payload
+from hil.control.collision_thresholds import CollisionThresholds
+from hil.control.momentum_observer import MomentumObserver
+from hil.control.rest_margin import RestMargin
 from hil.core.errors import SpecError
 from hil.core.typing import FloatArray
-from hil.deploy.collision_thresholds import CollisionThresholds
-from hil.deploy.momentum_observer import MomentumObserver
-from hil.deploy.rest_margin import RestMargin
 from hil.estimators.base import RobotEstimator
 
 TIME_S = 1e-6
