@@ -25,10 +25,10 @@ from benchmarks.fleets.dask_processes import dask_processes
 from benchmarks.fleets.recorded import ROBOTS, recordings
 from benchmarks.fleets.timed import Clock, Fits, Took, nothing, timed
 from hil.core.executor import one_thread, processes
-from hil.drift.history import identity
-from hil.fleet.fit_task import FitResult, How, fit_at
-from hil.fleet.fitting import computed, fit_runs
-from hil.registry.version import digest_of
+from hil.models.drift.history import identity
+from hil.models.fleet_fit_task import FitResult, How, fit_at
+from hil.models.fleet_fitting import computed, fit_runs
+from hil.models.version import digest_of
 
 HOW = How("rigid-wls")
 QUICK_ROBOTS = 4

@@ -335,8 +335,8 @@ def after_run(folder: Path, again: list[str]) -> str:
 
 def after_registry(folder: Path, again: list[str]) -> str:
     """Look after a registration or a promotion that was killed."""
-    from hil.registry.log import read_log
-    from hil.registry.registry import Registry
+    from hil.models.log import read_log
+    from hil.models.registry import Registry
 
     done(hil("models", "check", cwd=folder))
     registry = Registry(folder / "registry")
@@ -358,7 +358,7 @@ def after_registry(folder: Path, again: list[str]) -> str:
 
 def after_schedule(folder: Path, again: list[str]) -> str:
     """Look after a step of a schedule that was killed; every other time its run is gone on with."""
-    from hil.registry.log import read_log
+    from hil.models.log import read_log
     from hil.schedule.ledger import Ledger
 
     told = "left to the schedule"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from hil import api
-from hil.drift.features import Features, features_of
 from hil.estimators.model_file import load_model_file
 from hil.evaluation.fitting import load_source, usable_part
+from hil.models.drift.features import Features, features_of
 from hil.pipeline.adapted import with_options
 from hil.planning.experiment import Experiment, load_experiment
 

@@ -24,11 +24,11 @@ import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
 from hil.campaign.driver_check import check_driver
+from hil.models.registry import Registry
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
 from hil.pipeline.reidentify import reidentification
 from hil.planning.experiment import Experiment
-from hil.registry.registry import Registry
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import kept
 from hil.schedule.loop import Scheduler

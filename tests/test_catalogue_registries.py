@@ -15,9 +15,9 @@ from hil.cli.app import app
 from hil.cli.pruning import known_registries
 from hil.core.errors import RegistryError
 from hil.estimators import estimator
-from hil.registry.facts import facts_of
-from hil.registry.pointers import FILE, leave_pointer, pointed
-from hil.registry.registry import Registry
+from hil.models.facts import facts_of
+from hil.models.pointers import FILE, leave_pointer, pointed
+from hil.models.registry import Registry
 
 
 @pytest.fixture(autouse=True)

@@ -27,10 +27,10 @@ from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.core.live_lock import hold_run
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion, numbers_in, write_version
 from hil.recording.numbering import run_folders
 from hil.recording.rundir import RunDirectory
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion, numbers_in, write_version
 from hil.report import render_report
 from hil.runs import trained_rows
 from hil.runs.removal import leftovers, remove
@@ -200,7 +200,7 @@ def test_an_interrupted_run_stays_by_the_digest_of_its_recording(
 def test_probes_of_the_champion_stay_and_others_may_go(
     runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hil.drift import history
+    from hil.models.drift import history
 
     version(tmp_path / "models", {"run": {"uid": "another"}})
     version(tmp_path / "models", {"run": {"uid": "another"}})
@@ -461,7 +461,7 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
     from synthetic_motion import moving, nominal
 
     from hil.estimators import estimator
-    from hil.registry.facts import facts_of
+    from hil.models.facts import facts_of
 
     run = run_number(runs, 4)
     motion = moving(1, 2, 3)
@@ -479,7 +479,7 @@ def test_the_model_of_a_run_keeps_it_by_what_is_noted_when_it_is_registered(
 def test_recordings_of_one_name_are_told_apart_when_a_model_is_registered(
     runs: Path, tmp_path: Path
 ) -> None:
-    from hil.registry.facts import facts_of
+    from hil.models.facts import facts_of
 
     model = tmp_path / "model"
     model.mkdir()

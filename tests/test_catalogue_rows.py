@@ -11,8 +11,8 @@ from report_runs import fourier_plan, robot_facts, rows_of_plan, write_run
 
 from hil import api
 from hil.core.errors import RegistryError
-from hil.registry.facts import facts_of
-from hil.registry.registry import Registry
+from hil.models.facts import facts_of
+from hil.models.registry import Registry
 from hil.runs.retention import Policy, decide
 
 ALL = Policy(older=timedelta(days=1))

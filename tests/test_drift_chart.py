@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hil.core.errors import DataError
-from hil.drift.causes import causes, told
-from hil.drift.chart import REFERENCE, charted
-from hil.drift.features import Features, feature_names
+from hil.models.drift.causes import causes, told
+from hil.models.drift.chart import REFERENCE, charted
+from hil.models.drift.features import Features, feature_names
 
 JOINTS = tuple(f"j{k + 1}" for k in range(6))
 NAMES = feature_names(JOINTS)

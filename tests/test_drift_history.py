@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError
-from hil.drift.history import PROBES_FILE, assess, identity, probes_of
 from hil.estimators.model_file import plain
 from hil.evaluation.fitting import fit_sources
-from hil.registry.pointers import pointed
-from hil.registry.registry import Registry
+from hil.models.drift.history import PROBES_FILE, assess, identity, probes_of
+from hil.models.pointers import pointed
+from hil.models.registry import Registry
 
 MOTION = 30
 

@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.drift.bands import Banded, banded
-from hil.drift.history import assess
 from hil.evaluation.fitting import fit_sources
-from hil.registry.registry import Registry
+from hil.models.drift.bands import Banded, banded
+from hil.models.drift.history import assess
+from hil.models.registry import Registry
 from hil.report import drift_figures as figures
 from hil.report.drift_page import drift_page, in_time
 

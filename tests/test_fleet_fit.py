@@ -25,13 +25,14 @@ from hil.cli.app import app
 from hil.core.errors import DataError, FitError
 from hil.core.executor import one_thread
 from hil.data.dataset import Dataset
-from hil.drift.history import identity
-from hil.fleet import fit_task, fitting
-from hil.fleet.fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
-from hil.fleet.fitting import computed, fit_runs
 from hil.fleet.members import experiment_for, spec_for
-from hil.fleet.robot_fit import kept, registered
-from hil.registry.registry import Registry
+from hil.models import fleet_fit_task as fit_task
+from hil.models import fleet_fitting as fitting
+from hil.models.drift.history import identity
+from hil.models.fleet_fit_task import FitResult, How, fit_at, fit_learnt, learnt_of
+from hil.models.fleet_fitting import computed, fit_runs
+from hil.models.fleet_robot_fit import kept, registered
+from hil.models.registry import Registry
 from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
 
 HOW = How("rigid-wls")

@@ -18,17 +18,17 @@ from hil.campaign.run import run_experiment
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.executor import one_thread
-from hil.drift.features import Features, feature_names
-from hil.drift.history import Probe
-from hil.fleet.fit_task import FitResult
-from hil.fleet.folder import FleetFolder
 from hil.fleet.members import experiment_for, spec_for
-from hil.fleet.outliers import standing
 from hil.fleet.probing import probe_fleet
-from hil.fleet.robot_fit import RobotFit, registered
-from hil.fleet.survey import Survey, survey_fleet
-from hil.fleet.surveyed import Surveyed
-from hil.registry.registry import Registry
+from hil.models.drift.features import Features, feature_names
+from hil.models.drift.history import Probe
+from hil.models.fleet_fit_task import FitResult
+from hil.models.fleet_folder import FleetFolder
+from hil.models.fleet_outliers import standing
+from hil.models.fleet_robot_fit import RobotFit, registered
+from hil.models.fleet_survey import Survey, survey_fleet
+from hil.models.fleet_surveyed import Surveyed
+from hil.models.registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.render import page_html
 

@@ -16,9 +16,9 @@ from hil.campaign.series import Ended
 from hil.core.errors import HilError
 from hil.engine.pausing import nobody_goes_on
 from hil.fleet import worker, workers
-from hil.fleet.folder import FleetFolder
 from hil.fleet.worker import Job
 from hil.fleet.workers import Manner, Workers
+from hil.models.fleet_folder import FleetFolder
 
 TOLD = {"outcome": "completed"}
 

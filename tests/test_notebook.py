@@ -19,9 +19,9 @@ from hil.data.dataset import Conditions, Dataset
 from hil.evaluation.evaluation import Errors, Evaluation
 from hil.evaluation.fitting import FitReport, Fitted
 from hil.evaluation.validation import Validation
-from hil.registry.compare import Comparison
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion
+from hil.models.compare import Comparison
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
 
 ROOT = Path(__file__).parents[1]

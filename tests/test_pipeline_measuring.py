@@ -14,11 +14,11 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import PreflightFailed, RobotError
 from hil.estimators import estimator
+from hil.models.facts import facts_of
 from hil.pipeline.adapted import with_options
 from hil.pipeline.measuring import Measuring, run_of
 from hil.planning.experiment import Experiment, load_experiment
 from hil.recording.rundir import RunDirectory
-from hil.registry.facts import facts_of
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,15 @@ import pytest
 from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
 from hil.core.errors import FitError, HilError
-from hil.drift import history
-from hil.drift.bands import banded
+from hil.models.drift import history
+from hil.models.drift.bands import banded
+from hil.models.registry import Registry
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.reidentify import Reidentification, as_it_is, reidentification
 from hil.pipeline.stages import FOLDER
 from hil.planning.experiment import Experiment
-from hil.registry.registry import Registry
 from hil.schedule.occasion import Job
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 

@@ -12,9 +12,9 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import DataError, RegistryError
 from hil.estimators import estimator
-from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
-from hil.registry.registry import Registry
-from hil.registry.version import folder_of
+from hil.models.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, Entry, append, read_log
+from hil.models.registry import Registry
+from hil.models.version import folder_of
 
 
 @pytest.fixture(scope="module")

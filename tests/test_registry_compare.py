@@ -14,8 +14,8 @@ from hil.data import Dataset
 from hil.estimators import estimator
 from hil.estimators.base import RobotEstimator
 from hil.estimators.training import Training
-from hil.registry.blocks import BLOCK_S
-from hil.registry.compare import Comparison, compare, fresh_part
+from hil.models.blocks import BLOCK_S
+from hil.models.compare import Comparison, compare, fresh_part
 
 NOISE_A = 0.05
 JOINTS = tuple(f"j{k + 1}" for k in range(6))

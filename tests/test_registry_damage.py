@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import RegistryError, exit_code_of
 from hil.estimators import estimator
-from hil.registry.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, append_line
-from hil.registry.registry import Registry
+from hil.models.log import ALIASES_FILE, HEAD_FILE, LOG_FILE, append_line
+from hil.models.registry import Registry
 
 Damage = Callable[[Path], None]
 
@@ -308,7 +308,7 @@ def test_a_repair_that_is_killed_can_be_repeated(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("hil.registry.log._write_head", killed)
+        patch.setattr("hil.models.log._write_head", killed)
         with pytest.raises(KeyboardInterrupt):
             registry.repair("ur5")
     assert registry.problem("ur5") is not None
@@ -432,7 +432,7 @@ def test_a_kill_between_folder_and_line_is_no_damage(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("hil.registry.registry.append", killed)
+        patch.setattr("hil.models.registry.append", killed)
         with pytest.raises(KeyboardInterrupt):
             registry.register("ur5", folders[2], {})
     assert registry.problem("ur5") is None

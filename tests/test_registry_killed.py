@@ -12,9 +12,9 @@ import pytest
 from synthetic_motion import moving, nominal
 
 from hil.estimators import estimator
-from hil.registry.log import Aliases, read_log
-from hil.registry.registry import Registry
-from hil.registry.version import numbers_in
+from hil.models.log import Aliases, read_log
+from hil.models.registry import Registry
+from hil.models.version import numbers_in
 
 KILLS = 8
 WRITER = Path(__file__).with_name("registry_writer.py")

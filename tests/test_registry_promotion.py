@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError, Rejected, SpecError
 from hil.evaluation.fitting import fit_sources
-from hil.registry.facts import facts_of
-from hil.registry.registry import Registry
+from hil.models.facts import facts_of
+from hil.models.registry import Registry
 
 TRAINED, FRESH = (1, 2, 3), (11, 12, 13, 14)
 

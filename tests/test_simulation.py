@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.models.registry import Registry
 from hil.pipeline.simulation import STAGES, conditions, noise_day
-from hil.registry.registry import Registry
 from hil.report.simulation_page import simulation_page
 from hil.schedule.ledger import Ledger
 from hil.schedule.occasion import Occasion

@@ -16,8 +16,8 @@ from browser.looking import contrasts_below, enter, problems_of, tab_to, until
 from live_run import until as wait
 
 import hil
+from hil.models.facts import facts_of
 from hil.recording.rundir import RunDirectory
-from hil.registry.facts import facts_of
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(240)]
 

@@ -11,7 +11,7 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from catalogue_runs import write_run
 from web_parts import SLY, dashboard, plain, seen
 
-from hil.fleet.folder import FleetFolder
+from hil.models.fleet_folder import FleetFolder
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ from typing import Any
 from starlette.testclient import TestClient
 
 import hil
-from hil.registry.facts import facts_of
-from hil.registry.registry import Registry
+from hil.models.facts import facts_of
+from hil.models.registry import Registry
 from hil.web.app import create_app
 from hil.web.settings import Settings
 

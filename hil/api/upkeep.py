@@ -9,7 +9,7 @@ from hil.api.arguments import AnyPath, path
 from hil.engine import Observer
 
 if TYPE_CHECKING:
-    from hil.registry.registry import Registry
+    from hil.models.registry import Registry
 
 
 def registry(folder: AnyPath = "registry") -> Registry:
@@ -18,7 +18,7 @@ def registry(folder: AnyPath = "registry") -> Registry:
     Args:
         folder: Made when something is registered.
     """
-    from hil.registry.registry import Registry
+    from hil.models.registry import Registry
 
     return Registry(path(folder))
 

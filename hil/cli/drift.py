@@ -42,8 +42,8 @@ def drift(
     json: JsonFlag = False,
 ) -> None:
     """Judge probes against the champion; without any, what was said of those before."""
-    from hil.drift.history import assess, probes_of
-    from hil.registry.registry import Registry
+    from hil.models.drift.history import assess, probes_of
+    from hil.models.registry import Registry
 
     home = Registry(registry)
     if probes:

@@ -57,7 +57,7 @@ def export(
 
 def _folder(named: str, runs: Path, registry: Path) -> Path:
     """Of a model that is there, or else of the champion of that name."""
-    from hil.registry.registry import Registry
+    from hil.models.registry import Registry
 
     try:
         return found_model(named, runs)

@@ -18,9 +18,9 @@ from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 if TYPE_CHECKING:
     from hil.campaign.arming import Moves
     from hil.campaign.series import Ended
-    from hil.fleet.folder import FleetFolder
     from hil.fleet.run import FleetReport
     from hil.fleet.workers import Manner
+    from hil.models.fleet_folder import FleetFolder
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -57,9 +57,9 @@ def run(
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.campaign.arming import confirm_together
     from hil.core.executor import cores
-    from hil.fleet.folder import FleetFolder
     from hil.fleet.members import named_in, robots_like, spec_for
     from hil.fleet.workers import Manner
+    from hil.models.fleet_folder import FleetFolder
     from hil.planning.experiment import find_station
 
     waived = waivers_of(waive or ())
@@ -87,10 +87,10 @@ def resume(
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
     from hil.campaign.arming import confirm_together
     from hil.core.executor import cores
-    from hil.fleet.folder import FleetFolder
     from hil.fleet.members import named_in
     from hil.fleet.run import left_of
     from hil.fleet.workers import Manner
+    from hil.models.fleet_folder import FleetFolder
 
     opened, members = FleetFolder.open(folder)
     head, naming = opened.head, opened.head.get("robots")

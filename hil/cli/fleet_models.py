@@ -13,7 +13,7 @@ from hil.cli.registry import HERE, RegistryOption
 
 if TYPE_CHECKING:
     from hil.fleet.probing import Probed
-    from hil.fleet.robot_fit import RobotFit
+    from hil.models.fleet_robot_fit import RobotFit
 
 FolderArgument = Annotated[
     Path, typer.Argument(help="Folder of the fleet: RUNS/DAY/fleet/NAME.", show_default=False)
@@ -62,10 +62,10 @@ def fit(
     from hil.core.dask_cluster import checked_address
     from hil.core.errors import FitError
     from hil.core.executor import cores
-    from hil.fleet.fit_task import How
-    from hil.fleet.fitting import fit_runs
-    from hil.fleet.robot_fit import kept, registered
-    from hil.registry.registry import Registry
+    from hil.models.fleet_fit_task import How
+    from hil.models.fleet_fitting import fit_runs
+    from hil.models.fleet_robot_fit import kept, registered
+    from hil.models.registry import Registry
 
     sources, home = _runs_of(what, runs)
     address = checked_address("--dask", dask or None)
@@ -106,7 +106,7 @@ def drift(
     from hil.cli.runs import fail
     from hil.core.errors import DataError
     from hil.fleet.probing import probe_fleet
-    from hil.registry.registry import Registry
+    from hil.models.registry import Registry
 
     told = probe_fleet(folder, Registry(registry), false_alarm)
     if json:
@@ -135,9 +135,9 @@ def report(
 ) -> None:
     """Which robots have drifted or stand out; friction over age and temperature."""
     from hil.core.executor import cores
-    from hil.fleet.folder import PAGE
-    from hil.fleet.survey import survey_fleet
-    from hil.registry.registry import Registry
+    from hil.models.fleet_folder import PAGE
+    from hil.models.fleet_survey import survey_fleet
+    from hil.models.registry import Registry
     from hil.report.fleet_page import render_fleet, standing_out
 
     survey = survey_fleet(folder, Registry(registry), workers=workers or cores())
@@ -185,7 +185,7 @@ def _runs_of(what: list[str], runs: Path) -> tuple[list[Path], Path]:
     """The runs of a fleet's folder, or runs by path, name or number; and where models go."""
     from hil.cli.models import found
     from hil.core.errors import DataError
-    from hil.fleet.folder import MODELS, FleetFolder, completed, is_fleet_folder
+    from hil.models.fleet_folder import MODELS, FleetFolder, completed, is_fleet_folder
     from hil.recording.rundir import RunDirectory
 
     if len(what) == 1 and is_fleet_folder(Path(what[0])):

@@ -98,7 +98,7 @@ def known_registries(runs: Path, named: list[Path] | tuple[Path, ...]) -> list[P
     Raises:
         RegistryError: One that is noted is not there.
     """
-    from hil.registry.pointers import pointed
+    from hil.models.pointers import pointed
 
     given = [*named, *([Path(told)] if (told := os.environ.get("HIL_REGISTRY")) else [])]
     usual = [place for place in (HERE, runs.resolve().parent / HERE) if place.exists()]

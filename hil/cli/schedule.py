@@ -57,9 +57,9 @@ def run(
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
     from hil.campaign.arming import require_armed
     from hil.campaign.extras import require_extras
+    from hil.models.registry import Registry
     from hil.pipeline.bound import bind_file
     from hil.pipeline.reidentify import reidentification
-    from hil.registry.registry import Registry
     from hil.schedule.clocks import WallClock
     from hil.schedule.curfew import curfew
     from hil.schedule.ledger import kept

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import HilError
-from hil.drift.history import Probe, assess
-from hil.fleet.folder import FleetFolder, completed
-from hil.fleet.robot_fit import robot_of
-from hil.registry.registry import Registry
+from hil.models.drift.history import Probe, assess
+from hil.models.fleet_folder import FleetFolder, completed
+from hil.models.fleet_robot_fit import robot_of
+from hil.models.registry import Registry
 
 
 @dataclass(frozen=True, slots=True, eq=False)

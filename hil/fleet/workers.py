@@ -17,8 +17,8 @@ from typing import Any
 from hil.campaign.arming import Together
 from hil.campaign.series import Ended
 from hil.engine.signals import WATCHED
-from hil.fleet.folder import FleetFolder
 from hil.fleet.worker import Job, work
+from hil.models.fleet_folder import FleetFolder
 
 Document = dict[str, Any]
 

@@ -10,10 +10,10 @@ from typing import Any
 from hil.campaign.arming import require_armed
 from hil.campaign.extras import require_extras
 from hil.engine import Observer
+from hil.models.registry import Registry
 from hil.pipeline.bound import bind_file
 from hil.pipeline.reidentify import reidentification
 from hil.pipeline.stages import kept_document
-from hil.registry.registry import Registry
 from hil.schedule.ledger import kept, occasion_of
 from hil.schedule.occasion import Job, Occasion
 

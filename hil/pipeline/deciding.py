@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.models.log import Entry
+from hil.models.registry import Registry
 from hil.pipeline.earlier import earlier_probes
 from hil.pipeline.stages import Document
-from hil.registry.log import Entry
-from hil.registry.registry import Registry
 
 
 def decided(registry: Registry, name: str, key: str, number: int) -> Entry | None:
@@ -92,7 +92,7 @@ class Decision:
 
     def _challenge(self) -> None:
         """The campaign's criteria speak of its own held-out motions, and are met there."""
-        from hil.registry.promotion import challenge
+        from hil.models.promotion import challenge
 
         done = self.done
         taken = [done[stage].get("run") for stage in ("campaign", "probe", "check")]

@@ -16,6 +16,7 @@ from hil.core.errors import FitError
 from hil.core.files import read_json
 from hil.estimators.base import HONEST
 from hil.estimators.model_folder import models_below
+from hil.models.registry import Registry
 from hil.pipeline.bound import Bound
 from hil.pipeline.deciding import Decision, decided
 from hil.pipeline.fitting_together import not_honest
@@ -24,7 +25,6 @@ from hil.pipeline.outcome import errors_on, summary
 from hil.pipeline.stages import Document, Stage
 from hil.planning.experiment import Experiment
 from hil.recording.provenance import utc_now
-from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion
 from hil.spec.hashing import spec_hash
 
@@ -100,7 +100,7 @@ class Due:
 
     def drift(self, done: Done) -> Document:
         """Whether the probe shows a change, and which."""
-        from hil.drift.history import assess
+        from hil.models.drift.history import assess
 
         if SKIPPED in done["probe"]:
             return done["probe"]
@@ -155,7 +155,7 @@ class Due:
 
     def register(self, done: Done) -> Document:
         """The model as a version, to be compared with the champion."""
-        from hil.registry.facts import facts_of
+        from hil.models.facts import facts_of
 
         if SKIPPED in done["fit"]:
             return done["fit"]

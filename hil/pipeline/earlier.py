@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.drift.history import probes_of
+from hil.models.drift.history import probes_of
+from hil.models.registry import Registry
 from hil.recording.parts import recordings_in
-from hil.registry.registry import Registry
 
 MOST = 5
 

@@ -8,11 +8,11 @@ from math import gcd
 from hil.campaign.driver_check import check_driver
 from hil.core.errors import PluginError, SpecError
 from hil.core.source import Path as SourcePath
-from hil.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.estimators.base import HONEST, estimator
+from hil.models.blocks import BLOCK_S as COMPARED_S
+from hil.models.compare import FEWEST_BLOCKS as FEWEST_COMPARED
+from hil.models.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.planning.experiment import Experiment
-from hil.registry.blocks import BLOCK_S as COMPARED_S
-from hil.registry.compare import FEWEST_BLOCKS as FEWEST_COMPARED
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
 

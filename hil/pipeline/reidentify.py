@@ -8,12 +8,12 @@ from pathlib import Path
 
 from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.engine import Observer
+from hil.models.registry import Registry
 from hil.pipeline.bound import Bound, bind
 from hil.pipeline.due import Adapt, Due
 from hil.pipeline.measuring import Measuring
 from hil.pipeline.stages import Document, run_stages
 from hil.planning.experiment import Experiment
-from hil.registry.registry import Registry
 from hil.schedule.occasion import Occasion, Work
 from hil.spec.schedule import ScheduleSpec
 

@@ -22,16 +22,16 @@ import numpy as np
 from hil.core.errors import SpecError
 from hil.core.files import json_document, write_replacing
 from hil.core.typing import FloatArray
-from hil.drift.warmth import friction_change
 from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
+from hil.models.drift.warmth import friction_change
+from hil.models.registry import Registry
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import Bound, bind
 from hil.pipeline.measuring import run_of
 from hil.pipeline.reidentify import reidentification
 from hil.planning.experiment import Experiment
 from hil.planning.robots import opened
-from hil.registry.registry import Registry
 from hil.schedule.clocks import VirtualClock
 from hil.schedule.ledger import kept, occasion_of
 from hil.schedule.loop import Line, Scheduler

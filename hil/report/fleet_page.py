@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.fleet.outliers import FAMILY_WISE, FEWEST, Standing
-from hil.fleet.survey import Survey
-from hil.fleet.surveyed import Surveyed
+from hil.models.fleet_outliers import FAMILY_WISE, FEWEST, Standing
+from hil.models.fleet_survey import Survey
+from hil.models.fleet_surveyed import Surveyed
 from hil.report.blocks import (
     Badge,
     Cell,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.core.typing import FloatArray
-from hil.registry.log import CHAMPION_EVENTS, Entry
+from hil.models.log import CHAMPION_EVENTS, Entry
 from hil.report.words import number
 
 WIDTH, LEFT, RIGHT = 720.0, 64.0, 16.0

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from hil.core.errors import HilError
-from hil.drift.bands import Banded, banded
-from hil.drift.features import UNITS
-from hil.drift.history import PROBES_FILE, Probe, probes_of
-from hil.registry.registry import Registry
+from hil.models.drift.bands import Banded, banded
+from hil.models.drift.features import UNITS
+from hil.models.drift.history import PROBES_FILE, Probe, probes_of
+from hil.models.registry import Registry
 from hil.report.words import number, when
 from hil.web.drawing import control_chart
 from hil.web.registered import run_link

@@ -14,7 +14,7 @@ from starlette.routing import Route
 from hil.core.errors import DataError, HilError
 from hil.core.held_file import holder_of
 from hil.core.text import shell_word
-from hil.fleet.folder import PAGE, FleetFolder, is_fleet_folder
+from hil.models.fleet_folder import PAGE, FleetFolder, is_fleet_folder
 from hil.recording.numbering import folders_in
 from hil.report.words import counted, when
 from hil.runs.listing import listing_of

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.core.errors import HilError, RegistryError
-from hil.registry.log import Aliases, Entry, read_log
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion
+from hil.models.log import Aliases, Entry, read_log
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion
 from hil.report.documents import as_float, as_names, as_object, as_objects
 from hil.report.measures import measure
 from hil.report.words import UNKNOWN, count, joint_title, number, when

@@ -9,9 +9,9 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from hil.core.text import shell_word
-from hil.registry.log import CHAMPION_EVENTS, Aliases
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion
+from hil.models.log import CHAMPION_EVENTS, Aliases
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion
 from hil.report.words import when
 from hil.web.drawing import timeline
 from hil.web.model_facts import (

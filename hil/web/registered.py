@@ -10,8 +10,8 @@ from hil.core.errors import HilError
 from hil.core.files import read_json
 from hil.core.text import quoted
 from hil.estimators.model_folder import MODEL_FILE
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion, numbers_in, read_version
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion, numbers_in, read_version
 from hil.web.places import address_of
 from hil.web.settings import Settings
 

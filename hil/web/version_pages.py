@@ -12,9 +12,9 @@ from starlette.routing import Route
 from hil.core.errors import HilError
 from hil.core.text import shell_word
 from hil.export.targets import TARGETS
-from hil.registry.log import Aliases
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion, read_version
+from hil.models.log import Aliases
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion, read_version
 from hil.report.documents import Document, as_float, as_names, as_object, as_objects
 from hil.report.words import UNKNOWN, in_words, joint_title, number, when
 from hil.web.model_facts import deed, log_of, readable_versions, role_of, run_of, unit_of

@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.core.errors import HilError
 from hil.core.files import json_document
-from hil.drift.history import identity
+from hil.models.drift.history import identity
 from hil.dynamics import load_model
 from hil.estimators.base import estimator as make_estimator
 from hil.evaluation.fitting import fit_dataset, usable_part

@@ -25,7 +25,7 @@ from hil.evaluation.evaluation import filtered_effort
 from hil.evaluation.fitting import usable_part
 from hil.evaluation.validation import require_unseen, seen_share
 from hil.importers.load import load_source
-from hil.registry.blocks import BLOCK_S, blocks, by_place
+from hil.models.blocks import (BLOCK_S, blocks, by_place)
 
 SURE = 0.95
 FEWEST_BLOCKS = 4

@@ -11,14 +11,14 @@ import numpy as np
 
 from hil.core.errors import DataError, HilError
 from hil.core.typing import FloatArray
-from hil.drift.history import probes_of
+from hil.models.drift.history import probes_of
 from hil.estimators.model_folder import models_below
-from hil.fleet.fitting import computed
-from hil.fleet.folder import MODELS, FleetFolder, completed
-from hil.fleet.outliers import FAMILY_WISE, Standing, standing
-from hil.fleet.robot_fit import robot_of
-from hil.fleet.surveyed import Surveyed, surveyed
-from hil.registry.registry import Registry
+from hil.models.fleet_fitting import computed
+from hil.models.fleet_folder import (MODELS, FleetFolder, completed)
+from hil.models.fleet_outliers import (FAMILY_WISE, Standing, standing)
+from hil.models.fleet_robot_fit import robot_of
+from hil.models.fleet_surveyed import (Surveyed, surveyed)
+from hil.models.registry import Registry
 
 
 @dataclass(frozen=True, slots=True, eq=False)

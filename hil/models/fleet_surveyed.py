@@ -12,8 +12,8 @@ import numpy as np
 from hil.core.errors import FitError, HilError
 from hil.core.files import read_json
 from hil.core.typing import FloatArray
-from hil.drift.history import Probe
-from hil.fleet.robot_fit import robot_of
+from hil.models.drift.history import Probe
+from hil.models.fleet_robot_fit import robot_of
 
 DAYS_A_YEAR = 365.25
 

@@ -4,9 +4,7 @@
 ``REGISTRY/NAME/log.jsonl`` says what was done, line by line: the truth about champions.
 ``REGISTRY/NAME/aliases.json`` names champion and challenger for people; it is made from the log.
 
-`hil.registry("registry")` is the function of the API (`hil.api.registry`) and gives the `Registry`.
+`hil.registry("registry")` opens one.
 """
 
-from hil.callable_module import make_callable
 
-make_callable(__name__)

@@ -6,7 +6,7 @@ Per joint by how much friction, drive gain and offset differ from the model's; f
 hangs at the flange besides what was declared. Each cause is estimated as if it were the only one
 (but for offsets): together they would hardly be told apart in a wrist, whose effort is friction.
 What one cause does to the estimates of the others is known from the motion (`response`), and
-`hil.drift.causes` tells them apart by it. How sure a number is comes from leaving out a block of
+`hil.models.drift.causes` tells them apart by it. How sure a number is comes from leaving out a block of
 time after the other: neighbouring residuals are alike.
 """
 

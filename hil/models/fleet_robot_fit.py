@@ -11,8 +11,8 @@ from hil.core.errors import DataError
 from hil.core.files import read_json
 from hil.estimators.model_file import write_whole
 from hil.evaluation.verdict_document import VerdictWord, verdict_word
-from hil.fleet.fit_task import FitResult
-from hil.registry.registry import Registry
+from hil.models.fleet_fit_task import FitResult
+from hil.models.registry import Registry
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ def registered(fit: RobotFit, registry: Registry) -> RobotFit:
     Raises:
         RegistryError: The registry cannot be written.
     """
-    from hil.registry.facts import facts_of
+    from hil.models.facts import facts_of
 
     if fit.model is None:
         return fit

@@ -22,7 +22,7 @@ from scipy.stats import t as student
 
 from hil.core.errors import DataError
 from hil.core.typing import BoolArray, FloatArray
-from hil.drift.features import Features
+from hil.models.drift.features import Features
 
 FALSE_ALARM = 0.01
 """Of one probe, all features together."""

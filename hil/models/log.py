@@ -23,7 +23,7 @@ from hil.core.files import fsync_directory
 from hil.core.text import json_text, shell_word
 from hil.estimators.model_file import json_bytes, write_whole
 from hil.recording.provenance import operator, utc_now
-from hil.registry.version import folder_of, numbers_in, read_version
+from hil.models.version import (folder_of, numbers_in, read_version)
 
 LOG_FILE = "log.jsonl"
 HEAD_FILE = "head.json"

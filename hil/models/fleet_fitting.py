@@ -12,8 +12,8 @@ from hil.core.dask_cluster import cluster
 from hil.core.errors import DataError, FitError
 from hil.core.executor import processes
 from hil.core.spreading import TRIES, spread
-from hil.drift.history import identity
-from hil.fleet.fit_task import FitResult, How, Sent, fit_at
+from hil.models.drift.history import identity
+from hil.models.fleet_fit_task import (FitResult, How, Sent, fit_at)
 
 Tell = Callable[[int], object]
 """Told how many are done."""

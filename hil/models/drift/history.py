@@ -19,18 +19,18 @@ import numpy as np
 
 from hil.core.errors import DataError, RegistryError
 from hil.core.files import read_json, sha256_of
-from hil.drift.causes import Cause, causes, told
-from hil.drift.chart import FALSE_ALARM, Charted, charted
-from hil.drift.features import Features, features_of
+from hil.models.drift.causes import (Cause, causes, told)
+from hil.models.drift.chart import (FALSE_ALARM, Charted, charted)
+from hil.models.drift.features import (Features, features_of)
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import plain
 from hil.evaluation.fitting import usable_part
 from hil.evaluation.validation import require_unseen
 from hil.importers.load import load_source
-from hil.registry.lock import writing
-from hil.registry.log import append_line, read_lines
-from hil.registry.pointers import leave_pointer
-from hil.registry.registry import Registry
+from hil.models.registry_lock import writing
+from hil.models.log import (append_line, read_lines)
+from hil.models.pointers import leave_pointer
+from hil.models.registry import Registry
 
 PROBES_FILE = "probes.jsonl"
 

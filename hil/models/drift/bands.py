@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hil.core.typing import FloatArray
-from hil.drift.chart import Charted, charted
-from hil.drift.history import Probe, probes_of, quiet_like
-from hil.registry.registry import Registry
+from hil.models.drift.chart import (Charted, charted)
+from hil.models.drift.history import (Probe, probes_of, quiet_like)
+from hil.models.registry import Registry
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,10 @@ from typing import Any
 from hil.core.errors import Rejected
 from hil.evaluation import evaluate
 from hil.evaluation.verdict import Criterion, Verdict, judge
-from hil.registry.compare import Comparison, compare_sources, unseen_parts
-from hil.registry.days import Days, over_days
-from hil.registry.registry import Registry
-from hil.registry.version import ModelVersion
+from hil.models.compare import (Comparison, compare_sources, unseen_parts)
+from hil.models.days import (Days, over_days)
+from hil.models.registry import Registry
+from hil.models.version import ModelVersion
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,35 +18,11 @@ from hil.core.suggest import closest
 from hil.estimators.base import RobotEstimator
 from hil.estimators.model_file import load_model_file
 from hil.recording.provenance import operator, utc_now
-from hil.registry.facts import facts_of
-from hil.registry.lock import writing
-from hil.registry.log import (
-    HEAD_FILE,
-    LOG_FILE,
-    Aliases,
-    Entry,
-    Event,
-    Repair,
-    append,
-    damaged,
-    inspect,
-    last_number,
-    read_log,
-    registered_in,
-    repair,
-    settle,
-    write_view,
-)
-from hil.registry.pointers import leave_pointer
-from hil.registry.version import (
-    VERSION_FILE,
-    ModelVersion,
-    digest_of,
-    folder_of,
-    numbers_in,
-    read_version,
-    write_version,
-)
+from hil.models.facts import facts_of
+from hil.models.registry_lock import writing
+from hil.models.log import (HEAD_FILE, LOG_FILE, Aliases, Entry, Event, Repair, append, damaged, inspect, last_number, read_log, registered_in, repair, settle, write_view)
+from hil.models.pointers import leave_pointer
+from hil.models.version import (VERSION_FILE, ModelVersion, digest_of, folder_of, numbers_in, read_version, write_version)
 
 FEW = 5
 """Names that a hint lists."""
@@ -158,7 +134,7 @@ class Registry:
         Args:
             name: Such as the robot's in its station.
             model: Folder; read once, so that it may change or go afterwards.
-            facts: What is known of it; by default what `hil.registry.facts.facts_of` tells.
+            facts: What is known of it; by default what `hil.models.facts.facts_of` tells.
             challenger: Make it the one to be compared with the champion.
 
         Raises:

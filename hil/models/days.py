@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from hil.core.typing import FloatArray
 from hil.estimators.base import RobotEstimator
 from hil.evaluation import evaluate
-from hil.registry.compare import SURE, unseen_parts
+from hil.models.compare import (SURE, unseen_parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import norm
 
 from hil.core.typing import FloatArray
-from hil.drift.chart import Charted
-from hil.drift.features import UNITS, Features
+from hil.models.drift.chart import Charted
+from hil.models.drift.features import (UNITS, Features)
 
 LEAST_KG = 0.05
 """Below this a place would be that of noise."""
