@@ -285,12 +285,12 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from starlette.testclient import TestClient
 
     from hil.api import load, run
-    from hil.campaign.confirmation import Granted
-    from hil.campaign.desk import console_desk
     from hil.robot import Address
     from hil.web import motions, plan_process, resume_pages, start_pages
     from hil.web.app import create_app
     from hil.web.settings import Settings
+    from hil.workflow.confirmation import Granted
+    from hil.workflow.desk import console_desk
     from hil_mock_robot.driver import MockRobot
 
     (folder / "a.yaml").write_bytes((REPOSITORY / "experiments/ci_dwell_12.yaml").read_bytes())
@@ -359,10 +359,10 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
     from unittest import mock
 
     from hil.api import load, resume, run
-    from hil.campaign.confirmation import Granted
-    from hil.campaign.desk import console_desk
     from hil.core.errors import NotConfirmed
     from hil.robot import Address
+    from hil.workflow.confirmation import Granted
+    from hil.workflow.desk import console_desk
     from hil_mock_robot.driver import MockRobot
 
     (folder / "b.yaml").write_text(
@@ -395,10 +395,10 @@ def jogged_arms_are_confirmed_again(folder: Path) -> str:
 @finding("A2w", "series of a real robot in the dashboard")
 def series_are_confirmed_step_by_step(folder: Path) -> str:
     """Compare a step of a series that carries and sweeps more with what its form has shown."""
-    from hil.campaign.confirmation import Granted, motion_facts, together
-    from hil.campaign.preview import planned
     from hil.core.errors import NotConfirmed
     from hil.planning.experiment import load_experiment
+    from hil.workflow.confirmation import Granted, motion_facts, together
+    from hil.workflow.preview import planned
 
     shown = []
     for name, mass in (("a", 0.0), ("b", 1.0)):

@@ -53,14 +53,14 @@ def _main(runs: Path, prompt: str, times: str) -> None:
     from kinematic_robot import KinematicRobot
 
     from hil.arms.payload import Payload
-    from hil.campaign.control import Control
-    from hil.campaign.live_state import LiveState
-    from hil.campaign.operator import ConsoleOperator
     from hil.core.live_lock import hold_run
     from hil.engine import Engine, Observers
     from hil.excitation.motion import Hold
     from hil.planning.plan import DwellRule, LoadStep, Plan, Step
     from hil.recording.rundir import RunDirectory
+    from hil.workflow.control import Control
+    from hil.workflow.live_state import LiveState
+    from hil.workflow.operator import ConsoleOperator
 
     first = 2 if times == "twice" else 1
     steps = [Step(i, "payload", load=i) for i in range(first)]

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
-from hil.campaign.driver_check import check_driver
 from hil.models.registry import Registry
 from hil.pipeline.adapted import with_options
 from hil.pipeline.bound import bind
@@ -34,6 +33,7 @@ from hil.schedule.ledger import kept
 from hil.schedule.loop import Scheduler
 from hil.schedule.occasion import Occasion
 from hil.spec.schedule import load_schedule_spec
+from hil.workflow.driver_check import check_driver
 
 MOST_OPERATIONS = 200
 """The campaign alone takes 130."""

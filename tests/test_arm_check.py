@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hil.campaign.driver_check import check_driver
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.planning.experiment import load_experiment
+from hil.workflow.driver_check import check_driver
 
 SPEC = """\
 hil: 1

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import hil
-from hil.campaign.run import RunReport
 from hil.core.errors import DataError
 from hil.evaluation.hold_out import hold_out
 from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import HoldOut
+from hil.workflow.run import RunReport
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 

@@ -19,17 +19,6 @@ from typer.testing import CliRunner, Result
 
 import hil.arms
 from hil.arms import description
-from hil.campaign import arming
-from hil.campaign.arming import (
-    ARMED_FILE,
-    Moves,
-    Together,
-    arm,
-    confirm_together,
-    require_armed,
-)
-from hil.campaign.confirmation import motion_facts
-from hil.campaign.preview import planned
 from hil.cli.app import app
 from hil.core.errors import NotConfirmed, SpecError, exit_code_of
 from hil.pipeline import measuring
@@ -37,6 +26,10 @@ from hil.pipeline.bound import bind_file
 from hil.planning.experiment import Experiment, load_experiment
 from hil.planning.robots import opened
 from hil.robot import Address
+from hil.workflow import arming
+from hil.workflow.arming import ARMED_FILE, Moves, Together, arm, confirm_together, require_armed
+from hil.workflow.confirmation import motion_facts
+from hil.workflow.preview import planned
 from hil_mock_robot.driver import MockRobot
 
 AT, ELSEWHERE = "198.51.100.7", "198.51.100.8"

@@ -13,14 +13,14 @@ import pytest
 from kinematic_robot import KinematicRobot
 from typer.testing import CliRunner
 
-from hil.campaign import bench as bench_module
-from hil.campaign.bench import bench
-from hil.campaign.live_state import LiveState
 from hil.cli.app import app
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.live_lock import hold_run
 from hil.robot import Capabilities
 from hil.robot.lease import leased
+from hil.workflow import bench as bench_module
+from hil.workflow.bench import bench
+from hil.workflow.live_state import LiveState
 
 STATION = """\
 hil_station: 1

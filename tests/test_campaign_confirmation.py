@@ -16,8 +16,15 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.campaign import confirmation, starting
-from hil.campaign.confirmation import (
+from hil.cli.app import app
+from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit_code_of
+from hil.engine import Reply
+from hil.engine.pausing import nobody_goes_on
+from hil.engine.steps import Steps
+from hil.planning.plan import Plan
+from hil.robot import Address
+from hil.workflow import confirmation, starting
+from hil.workflow.confirmation import (
     Granted,
     TypedName,
     Unconfirmed,
@@ -26,17 +33,10 @@ from hil.campaign.confirmation import (
     granted_in,
     together,
 )
-from hil.campaign.console import Console
-from hil.campaign.desk import Desk
-from hil.campaign.preview import planned
-from hil.campaign.run import RunReport
-from hil.cli.app import app
-from hil.core.errors import DataError, NotConfirmed, RobotFault, SpecError, exit_code_of
-from hil.engine import Reply
-from hil.engine.pausing import nobody_goes_on
-from hil.engine.steps import Steps
-from hil.planning.plan import Plan
-from hil.robot import Address
+from hil.workflow.console import Console
+from hil.workflow.desk import Desk
+from hil.workflow.preview import planned
+from hil.workflow.run import RunReport
 from hil_mock_robot.driver import MockRobot
 
 SPEC = """

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from live_run import until
 
-from hil.campaign.control import Control
-from hil.campaign.control_files import MOST_BYTES, ControlRequest, drop
 from hil.core.errors import DataError, RecordingError
 from hil.core.live_lock import hold_run, run_holder
+from hil.workflow.control import Control
+from hil.workflow.control_files import MOST_BYTES, ControlRequest, drop
 
 
 class FakeEngine:

@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 
 import hil
-from hil.campaign import execute, operator, recording
 from hil.core.errors import PreflightFailed, RecordingError, SpecError, Stopped
 from hil.engine import Engine
 from hil.engine.signals import SignalWatch
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
+from hil.workflow import execute, operator, recording
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 DWELL = EXPERIMENTS / "ci_dwell_12.yaml"

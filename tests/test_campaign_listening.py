@@ -17,10 +17,6 @@ from test_data_stays import motion
 from typer.testing import CliRunner
 
 from hil.arms.payload import Payload
-from hil.campaign import listening
-from hil.campaign.listened import Wanted
-from hil.campaign.listening import listen
-from hil.campaign.listening_notes import fit_notes
 from hil.cli.app import app
 from hil.core.errors import DataError, PluginError, RobotConnectionError, SpecError
 from hil.data.dwells import dwells_of
@@ -31,6 +27,10 @@ from hil.report import render_report
 from hil.robot import Capabilities, Identity, Limits, Listens, Robot
 from hil.robot.state import Status
 from hil.robot.topic import Topic
+from hil.workflow import listening
+from hil.workflow.listened import Wanted
+from hil.workflow.listening import listen
+from hil.workflow.listening_notes import fit_notes
 
 BLOCK = 10
 LATER_S = 3.0
@@ -222,7 +222,7 @@ def test_a_recording_that_was_killed_has_its_steps_still(use, tmp_path):
 
 
 def test_it_cannot_be_resumed(use, tmp_path):
-    from hil.campaign.resuming import open_unfinished
+    from hil.workflow.resuming import open_unfinished
 
     use(Driven())
     run = recorded(tmp_path, for_s=1.0).run

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from interlock_parts import NAMES, made, rows
 
-from hil.campaign import live_state
-from hil.campaign.arm_view import ArmView
-from hil.campaign.live_state import LiveState, read_live, standing_in
 from hil.core.errors import RecordingError
 from hil.engine import Observers, observers
 from hil.engine.interlocks.interlock import Margin
 from hil.robot import Capabilities
+from hil.workflow import live_state
+from hil.workflow.arm_view import ArmView
+from hil.workflow.live_state import LiveState, read_live, standing_in
 
 PROGRESS: dict[str, Any] = {
     "kind": "progress", "step": 11, "steps": 50, "doing": "dwell", "pose": 5, "trajectory": -1,

@@ -12,9 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 import hil
-from hil.campaign.arm_check import require_within_reach
-from hil.campaign.driver_check import check_driver
-from hil.campaign.starting import check_start
 from hil.cli.app import app
 from hil.core import plugins
 from hil.core.errors import FitError, SpecError
@@ -25,6 +22,9 @@ from hil.estimators.rigid_linear import RigidLinear
 from hil.estimators.static import StaticWls
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import load_experiment
+from hil.workflow.arm_check import require_within_reach
+from hil.workflow.driver_check import check_driver
+from hil.workflow.starting import check_start
 
 SIX = "excitation: {kind: dwell, waypoints: 6}\nfit: [{estimator: static-wls}]"
 TOO_FEW = (

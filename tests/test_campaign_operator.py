@@ -21,21 +21,21 @@ from kinematic_robot import KinematicRobot
 from live_run import until
 
 from hil.arms.payload import Payload
-from hil.campaign.answers import ScriptedOperator, load_answers
-from hil.campaign.console import Console
-from hil.campaign.desk import console_desk
-from hil.campaign.operator import (
+from hil.core.errors import PreflightFailed, SpecError, Stopped
+from hil.engine import Reply
+from hil.engine.prompt import NOBODY
+from hil.planning.plan import LoadStep, Step
+from hil.robot import Capabilities
+from hil.workflow.answers import ScriptedOperator, load_answers
+from hil.workflow.console import Console
+from hil.workflow.desk import console_desk
+from hil.workflow.operator import (
     ConsoleOperator,
     mock_mounts,
     prompt_on,
     prompts_of,
     require_attended,
 )
-from hil.core.errors import PreflightFailed, SpecError, Stopped
-from hil.engine import Reply
-from hil.engine.prompt import NOBODY
-from hil.planning.plan import LoadStep, Step
-from hil.robot import Capabilities
 
 MOUNT = "Mount the 3 kg disc"
 
@@ -384,7 +384,7 @@ def test_who_answers_from_elsewhere_is_waited_for_by_a_mock_too(tmp_path: Path) 
 
 ASKING = """
 import sys, time
-from hil.campaign.operator import ConsoleOperator
+from hil.workflow.operator import ConsoleOperator
 time.sleep(0.3)
 who = ConsoleOperator()("Mount the 3 kg disc, with the label towards the base of the robot",
                         lambda: time.sleep(0.01))
@@ -423,7 +423,7 @@ import os, signal, subprocess, sys
 child = subprocess.Popen([sys.executable, "-c", '''
 import os, sys, time
 os.setpgid(0, 0)
-from hil.campaign.console import Console
+from hil.workflow.console import Console
 console, began = Console(), time.monotonic()
 console.forget_typed()
 while time.monotonic() - began < 0.5:
@@ -448,6 +448,6 @@ def test_a_run_in_the_background_is_not_suspended_by_its_own_question() -> None:
 
 
 def test_a_console_that_has_gone_is_no_console() -> None:
-    code = "from hil.campaign.console import Console; assert not Console().present"
+    code = "from hil.workflow.console import Console; assert not Console().present"
     done = subprocess.run([sys.executable, "-c", code], stdin=subprocess.DEVNULL)
     assert done.returncode == 0

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from report_runs import dwell_plan, write_run
 
-from hil.campaign.judging import judge_run
 from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
+from hil.workflow.judging import judge_run
 
 COUNTS = {"samples": 1000, "gaps": 0, "missing": 0, "duplicates": 0, "overruns": 0}
 PAPER = "{estimator: static-wls, form: paper, current_term: true}"

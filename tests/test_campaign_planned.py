@@ -14,10 +14,10 @@ import pytest
 import yaml
 
 import hil
-from hil.campaign.preview import WITHOUT_THE_ROBOT
 from hil.core.errors import RobotConnectionError
 from hil.planning.robots import opened
 from hil.robot.lease import leased
+from hil.workflow.preview import WITHOUT_THE_ROBOT
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SPEC = EXPERIMENTS / "ci_dwell_12.yaml"

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.arms.payload import Payload
-from hil.campaign.remaining import connected_steps, legs_of, remaining_steps
 from hil.core.typing import FloatArray
 from hil.excitation.motion import Hold, Line
 from hil.planning.plan import LoadStep, Plan, Step
+from hil.workflow.remaining import connected_steps, legs_of, remaining_steps
 
 
 def line(a: float, b: float) -> Line:

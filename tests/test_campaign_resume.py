@@ -19,10 +19,6 @@ import numpy as np
 import pytest
 
 import hil
-from hil.campaign import operator, resuming
-from hil.campaign.live_state import LIVE_FILE, read_live
-from hil.campaign.steering import stop_run
-from hil.campaign.trainings import FOLDER
 from hil.core.errors import DataError, PreflightFailed, RecordingError
 from hil.engine import Reply
 from hil.engine.steps import Steps
@@ -33,6 +29,10 @@ from hil.planning.plan import Plan
 from hil.recording.reader import read_topic
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
+from hil.workflow import operator, resuming
+from hil.workflow.live_state import LIVE_FILE, read_live
+from hil.workflow.steering import stop_run
+from hil.workflow.trainings import FOLDER
 
 SPEC = """
 hil: 1

@@ -16,14 +16,14 @@ import pytest
 from live_run import until
 from started_parts import PROMPT, begun, written
 
-from hil.campaign import detached, starting
-from hil.campaign.live_state import read_live
-from hil.campaign.starting import Started, check_start, start_run, started_runs
-from hil.campaign.steering import answer_run
 from hil.core.errors import DataError, RecordingError, SpecError
 from hil.recording.events import read_events
 from hil.recording.provenance import STARTED_ID, collect_provenance, started_as
 from hil.recording.rundir import RunDirectory
+from hil.workflow import detached, starting
+from hil.workflow.live_state import read_live
+from hil.workflow.starting import Started, check_start, start_run, started_runs
+from hil.workflow.steering import answer_run
 
 pytestmark = pytest.mark.wire
 
@@ -31,7 +31,7 @@ SLEEP = "import time; time.sleep(60)"
 HOLDS = """
 import sys, time
 from pathlib import Path
-from hil.campaign.control_files import hold_attempt
+from hil.workflow.control_files import hold_attempt
 with hold_attempt(Path(sys.argv[1])):
     time.sleep(60)
 """
@@ -120,7 +120,7 @@ def test_what_a_record_claims_to_be_its_process_is_not_ended(tmp_path: Path, giv
 def test_a_run_that_hangs_before_it_listens_is_cancelled_by_a_signal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.campaign.started.is_ours", lambda pid, name: pid == hanging.pid)
+    monkeypatch.setattr("hil.workflow.started.is_ours", lambda pid, name: pid == hanging.pid)
     directory = RunDirectory.create(tmp_path.resolve(), "ur5", "held")
     directory.write_start({"uid": "u"})
     run = directory.path

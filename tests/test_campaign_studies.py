@@ -11,12 +11,12 @@ from report_runs import dwell_plan, write_run
 from study_parts import register
 
 import hil
-from hil.campaign.run import RunReport
-from hil.campaign.studies import entries_for, run_studies
 from hil.core.errors import DataError, FitError, SpecError, Stopped
 from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.studies.store import read_study, study_files
+from hil.workflow.run import RunReport
+from hil.workflow.studies import entries_for, run_studies
 
 SPEC = """\
 hil: 1

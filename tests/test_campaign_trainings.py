@@ -12,9 +12,6 @@ import pytest
 from terminal_parts import terminal_on
 from test_campaign_verdict import COUNTS, run_with
 
-from hil.campaign.afterwards import judge_and_study
-from hil.campaign.judging import judge_run
-from hil.campaign.trainings import FOLDER, FitNews, fit_or_go_on
 from hil.cli.progress import ProgressLines
 from hil.core import plugins
 from hil.core.errors import CheckpointRefused, DataError, Stopped
@@ -25,6 +22,9 @@ from hil.networks.training_loop.problem import KeptIfPossible, Told
 from hil.recording.rundir import RunDirectory
 from hil.spec.experiment import Fit
 from hil.spec.load import load_spec
+from hil.workflow.afterwards import judge_and_study
+from hil.workflow.judging import judge_run
+from hil.workflow.trainings import FOLDER, FitNews, fit_or_go_on
 
 EPOCHS = 3
 

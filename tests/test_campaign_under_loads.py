@@ -13,10 +13,6 @@ from report_runs import fourier_plan, write_run
 from synthetic_motion import nominal, raw
 
 from hil.arms.payload import Payload
-from hil.campaign import judging, studies, under_loads
-from hil.campaign.judging import judge_run
-from hil.campaign.studies import entries_for, run_studies
-from hil.campaign.under_loads import as_in_spec, of_other_arms
 from hil.core.errors import FitError
 from hil.data.dataset import Dataset
 from hil.estimators.model_file import load_model_file
@@ -25,6 +21,10 @@ from hil.recording.rundir import RunDirectory
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
 from hil.studies.store import read_study, study_files
+from hil.workflow import judging, studies, under_loads
+from hil.workflow.judging import judge_run
+from hil.workflow.studies import entries_for, run_studies
+from hil.workflow.under_loads import as_in_spec, of_other_arms
 
 COUNTS = {"samples": 1000, "gaps": 0, "missing": 0, "duplicates": 0, "overruns": 0}
 SPEC = """\

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from report_runs import dwell_plan, write_run
 
-from hil.campaign.judging import judge_recording, judge_run
 from hil.core import plugins
 from hil.core.errors import DataError, FitError
 from hil.estimators.static import StaticWls
@@ -19,6 +18,7 @@ from hil.recording.rundir import RunDirectory
 from hil.report import render_report
 from hil.report.text import summary_lines
 from hil.spec.load import load_spec
+from hil.workflow.judging import judge_recording, judge_run
 
 COUNTS = {"samples": 1000, "gaps": 0, "missing": 0, "duplicates": 0, "overruns": 0}
 GAPS = "{gaps_percent: {max: 0.1}}"

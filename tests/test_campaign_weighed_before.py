@@ -13,13 +13,13 @@ from test_campaign_resume import Noted, Told, measured, plan_of, plan_of_spec, s
 
 import hil
 from hil.arms.payload import Payload
-from hil.campaign.run import RunReport
-from hil.campaign.weighed_before import is_whole, weighed_before
 from hil.core.errors import PreflightFailed
 from hil.planning.plan import Plan, Step
 from hil.recording.recorder import Recorder
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
+from hil.workflow.run import RunReport
+from hil.workflow.weighed_before import is_whole, weighed_before
 from hil_mock_robot.driver import MockRobot
 
 SWEEP = """

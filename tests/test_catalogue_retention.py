@@ -23,7 +23,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
 from hil.core.errors import DataError, RegistryError, SpecError
 from hil.core.live_lock import hold_run
@@ -36,6 +35,7 @@ from hil.runs import trained_rows
 from hil.runs.removal import leftovers, remove
 from hil.runs.retention import Policy, decide
 from hil.runs.view import find_runs
+from hil.workflow.resuming import open_unfinished
 
 NOW = datetime.fromisoformat("2026-12-01T00:00:00+00:00").timestamp()
 ALL = Policy(older=timedelta(days=1))

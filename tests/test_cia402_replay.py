@@ -15,10 +15,10 @@ import yaml
 from can_mock import mock_can
 from cia402_robot import options
 
-from hil.campaign.replaying import replay
 from hil.can.frame import Frame
 from hil.core.errors import DataError, PluginError
 from hil.importers.load import load_source
+from hil.workflow.replaying import replay
 from hil_drivers.cia402.bus_cycles import BusCycles
 from hil_drivers.cia402.mapping import INCOMPLETE, POSITION
 from hil_drivers.cia402.options import options_of

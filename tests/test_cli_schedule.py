@@ -20,9 +20,8 @@ import pytest
 from schedule_parts import at
 from typer.testing import CliRunner
 
-import hil.campaign.preview
 import hil.pipeline.reidentify
-from hil.campaign.preview import preview_experiment
+import hil.workflow.preview
 from hil.cli.app import app
 from hil.core.errors import FitError, HilError, InterlockTripped
 from hil.planning.experiment import Experiment, load_experiment
@@ -30,6 +29,7 @@ from hil.schedule.ledger import Ledger, kept
 from hil.schedule.motions import motions
 from hil.schedule.occasion import Occasion
 from hil.spec.schedule import load_schedule_spec
+from hil.workflow.preview import preview_experiment
 
 SCHEDULE = """
 hil_schedule: 1
@@ -61,7 +61,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return None, SimpleNamespace(duration_s=PLANNED_S[experiment.spec.name])
 
     # Planning takes seconds; that it is what `hil plan` says has a test of its own.
-    monkeypatch.setattr(hil.campaign.preview, "preview_experiment", planned)
+    monkeypatch.setattr(hil.workflow.preview, "preview_experiment", planned)
     write("probe.yaml", FOURIER.format(name="probe", count=2, seed=3))
     write("campaign.yaml", FOURIER.format(name="campaign", count=2, seed=4) + FIT)
     write("nightly.yaml", SCHEDULE.format(every="1d"))
@@ -324,7 +324,7 @@ def test_motions_are_those_of_the_plans(monkeypatch: pytest.MonkeyPatch) -> None
         seconds.append(plan[1].duration_s)
         return plan
 
-    monkeypatch.setattr(hil.campaign.preview, "preview_experiment", planned)
+    monkeypatch.setattr(hil.workflow.preview, "preview_experiment", planned)
     took = motions(load_schedule_spec("nightly.yaml"), None, load_experiment(Path("campaign.yaml")))
     assert took.probe == timedelta()
     assert [took.campaign.total_seconds()] == [round(each) for each in seconds]

@@ -15,9 +15,9 @@ import typer
 
 import hil
 from hil import api
-from hil.campaign.run import RunReport
 from hil.cli.app import app
 from hil.evaluation.fitting import FitReport, Fitted
+from hil.workflow.run import RunReport
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")

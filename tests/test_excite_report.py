@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 from hil import api
 from hil.arms import load_arm
-from hil.campaign.excitation import appraise_excitation
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.dynamics import RobotModel, base_parameters
@@ -24,6 +23,7 @@ from hil.excitation.information import Information
 from hil.excitation.motion import FourierSeries
 from hil.planning.excitation_report import ExcitationReport
 from hil.report.excite_page import excitation_page
+from hil.workflow.excitation import appraise_excitation
 
 SPEC = """
 hil: 1

@@ -20,7 +20,6 @@ import pytest
 from fleet_parts import FITTED, written
 from typer.testing import CliRunner
 
-from hil.campaign.run import run_experiment
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError
 from hil.core.executor import one_thread
@@ -34,6 +33,7 @@ from hil.models.fleet_fitting import computed, fit_runs
 from hil.models.fleet_robot_fit import kept, registered
 from hil.models.registry import Registry
 from hil.spec.judged import ContradictedLimit, HoldOut, RmseLimit
+from hil.workflow.run import run_experiment
 
 HOW = How("rigid-wls")
 

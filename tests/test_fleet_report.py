@@ -14,7 +14,6 @@ from fleet_parts import FITTED, written
 from report_html import Page
 from typer.testing import CliRunner
 
-from hil.campaign.run import run_experiment
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.executor import one_thread
@@ -31,6 +30,7 @@ from hil.models.fleet_surveyed import Surveyed
 from hil.models.registry import Registry
 from hil.report.fleet_page import fleet_page, standing_out
 from hil.report.render import page_html
+from hil.workflow.run import run_experiment
 
 JOINTS = tuple(f"J{j}" for j in range(6))
 WORN = 11

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from hil.campaign.desk import Desk
-from hil.campaign.series import Ended
 from hil.core.errors import HilError
 from hil.engine.pausing import nobody_goes_on
 from hil.fleet import worker, workers
 from hil.fleet.worker import Job
 from hil.fleet.workers import Manner, Workers
 from hil.models.fleet_folder import FleetFolder
+from hil.workflow.desk import Desk
+from hil.workflow.series import Ended
 
 TOLD = {"outcome": "completed"}
 
@@ -79,7 +79,7 @@ def test_no_operator_attends_the_run_of_a_worker(
         desks.append(desk)
         raise HilError("enough")
 
-    monkeypatch.setattr("hil.campaign.run.resume_experiment", resumed)
+    monkeypatch.setattr("hil.workflow.run.resume_experiment", resumed)
     (tmp_path / "start.json").write_text('{"hil_run": 1, "robot_name": "ur5"}')
     answer = worker._done(Job(tmp_path, tmp_path, "", tmp_path, before=tmp_path))
     assert answer["error"]["message"] == "enough"

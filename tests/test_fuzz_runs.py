@@ -17,8 +17,6 @@ from report_runs import dwell_plan, rows_of_plan, write_run
 from typer.testing import CliRunner
 
 from hil import api
-from hil.campaign.judging import judge_run
-from hil.campaign.resuming import open_unfinished
 from hil.cli.app import app
 from hil.core.errors import DataError, HilError
 from hil.core.yaml_source import parse
@@ -29,6 +27,8 @@ from hil.report import render_report, summary_lines
 from hil.report.facts import read_facts
 from hil.robot.topic import state_topic
 from hil.spec import load_spec, spec_hash
+from hil.workflow.judging import judge_run
+from hil.workflow.resuming import open_unfinished
 
 ROOT = Path(__file__).parents[1]
 EVENTS = "events.jsonl"

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import hil
-from hil.campaign.run import RunReport
 from hil.core import notebook
 from hil.core.errors import DataError
 from hil.data.dataset import Conditions, Dataset
@@ -23,6 +22,7 @@ from hil.models.compare import Comparison
 from hil.models.registry import Registry
 from hil.models.version import ModelVersion
 from hil.studies.result import StudyResult, Table
+from hil.workflow.run import RunReport
 
 ROOT = Path(__file__).parents[1]
 NASTY = "<script>alert('1')</script>&"

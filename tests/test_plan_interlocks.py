@@ -10,12 +10,12 @@ import pytest
 from plan_parts import plan_of, spec_of
 
 from hil.arms import load_arm
-from hil.campaign.preview import preview_experiment
 from hil.core.errors import PlanError, SpecError
 from hil.dynamics import RobotModel
 from hil.planning.experiment import Experiment, mock_bench
 from hil.planning.interlocks import interlock_margins
 from hil.planning.plan import Plan
+from hil.workflow.preview import preview_experiment
 
 TIP_M = 0.12
 

@@ -16,7 +16,6 @@ from report_runs import dwell_plan, fourier_plan, write_run
 from study_parts import bars, result, six_panels
 from trial_parts import short_trial
 
-from hil.campaign.judging import judge_run
 from hil.report import colours
 from hil.report.blocks import Badge, Page, Panel, Plots, Section
 from hil.report.drift_figures import Along
@@ -31,6 +30,7 @@ from hil.report.study_sections import study_sections
 from hil.report.traces import axes, line
 from hil.report.trial_page import trial_page
 from hil.spec.load import load_spec
+from hil.workflow.judging import judge_run
 
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}
 registry = test_drift_page.registry

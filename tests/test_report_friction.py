@@ -18,7 +18,6 @@ from synthetic_motion import (
     nominal,
 )
 
-from hil.campaign.judging import judge_run
 from hil.estimators.diffnea.forms import FORMS
 from hil.estimators.rigid import RigidWls
 from hil.estimators.rigid_diffnea import RigidDiffnea
@@ -30,6 +29,7 @@ from hil.report.predictions import Shown, shown
 from hil.report.render import page_html
 from hil.report.report import run_page
 from hil.spec.load import load_spec
+from hil.workflow.judging import judge_run
 
 VELOCITIES = np.linspace(-1.5, 1.5, 31)[:, None] * np.ones(6)
 DEGREES = 180 / np.pi

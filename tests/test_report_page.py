@@ -9,7 +9,6 @@ import pytest
 from report_html import Page, array_of
 from report_runs import JOINTS, dwell_plan, fourier_plan, rows_of_plan, write_run
 
-from hil.campaign.judging import judge_run
 from hil.core.errors import DataError, RecordingError
 from hil.importers.load import load_source
 from hil.report import render_fit_report, render_report
@@ -18,6 +17,7 @@ from hil.report.measured import measured
 from hil.report.recording import read_recording
 from hil.report.report import run_page
 from hil.spec.load import load_spec
+from hil.workflow.judging import judge_run
 
 HOSTILE = "\"><script>alert('x')</script><img src=http://evil.example/x onerror=alert(1)>"
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}

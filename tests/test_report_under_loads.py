@@ -13,7 +13,6 @@ from report_html import Page
 from report_runs import fourier_plan, write_run
 from study_parts import result
 
-from hil.campaign.judging import judge_run
 from hil.report.background import timeline
 from hil.report.facts import RunFacts, read_facts
 from hil.report.fit_plots import bars
@@ -28,6 +27,7 @@ from hil.report.study_words import HONEST_MEANS, columns_of
 from hil.report.weighing import weighing_warnings, weighings
 from hil.spec.load import load_spec
 from hil.studies.result import Curve, Figure, Panel, Table
+from hil.workflow.judging import judge_run
 
 COUNTS = {"samples": 1, "gaps": 0, "missing": 0, "duplicates": 0}
 NAMES = ("rigid-wls", "rigid-irls", "rigid-linear")

@@ -20,7 +20,6 @@ from process_inspected import Inspected
 
 import hil
 from hil.arms.payload import Payload
-from hil.campaign.driver_check import check_driver
 from hil.core.errors import (
     CommandRefused,
     PluginError,
@@ -34,6 +33,7 @@ from hil.robot import HasChecks, HasResource, HasSpeedScaling, HasTopics, Robot
 from hil.robot.process import RobotProcess
 from hil.spec.station import StationRobot
 from hil.testing.moves import move
+from hil.workflow.driver_check import check_driver
 from hil_mock_robot.driver import MockRobot
 
 ROOT = Path(__file__).parent.parent

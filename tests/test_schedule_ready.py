@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.campaign import driver_check
 from hil.core.errors import RobotConnectionError, RobotFault, Stopped
 from hil.planning import robots
 from hil.planning.experiment import load_experiment
@@ -23,6 +22,7 @@ from hil.robot.lease import leased
 from hil.schedule.curfew import curfew
 from hil.schedule.loop import Interruption
 from hil.schedule.preconditions import RobotReady
+from hil.workflow import driver_check
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_fourier_2.yaml"
 

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from hil.campaign.series import Series, load_series, run_series
 from hil.cli.app import app
 from hil.cli.series import resume_series
 from hil.core.errors import DataError, FitError, HilError, InterlockTripped, Rejected, Stopped
@@ -20,6 +19,7 @@ from hil.report.series_page import side_by_side
 from hil.runs.series_folder import SeriesFolder
 from hil.studies.result import Part, StudyResult, Table
 from hil.studies.store import write_study
+from hil.workflow.series import Series, load_series, run_series
 
 SPEC = """
 hil: 1

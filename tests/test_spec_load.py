@@ -9,7 +9,6 @@ from pydantic import ValidationError
 
 from hil.arms import arm_names
 from hil.arms.payload import Payload
-from hil.campaign.bench import bench
 from hil.core.errors import SpecError
 from hil.planning.experiment import NOT_MOCKED, mock_bench
 from hil.planning.robots import opened
@@ -25,6 +24,7 @@ from hil.spec.experiment import Dwell, Fourier
 from hil.spec.schedule import is_schedule
 from hil.spec.series import is_series
 from hil.spec.station import StationRobot
+from hil.workflow.bench import bench
 from hil_drivers.cia402.options import options_of
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.campaign.series import load_series
 from hil.core.errors import SpecError
 from hil.spec import load_spec
 from hil.spec.series import is_series, load_series_spec
+from hil.workflow.series import load_series
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 

@@ -16,7 +16,6 @@ from synthetic_motion import nominal, raw
 from typer.testing import CliRunner
 
 from hil.arms.payload import Payload
-from hil.campaign import studies as campaign
 from hil.cli.app import app
 from hil.core.errors import DataError, FitError, PluginError, SpecError
 from hil.data.splits import assert_disjoint
@@ -30,6 +29,7 @@ from hil.studies.load_score import Scored, UnderLoads
 from hil.studies.load_words import warnings
 from hil.studies.result import StudyResult, Table
 from hil.studies.soundness import faults_of
+from hil.workflow import studies as campaign
 
 SMALL: dict[str, Any] = {
     "cutoff_hz": 20.0,

@@ -18,9 +18,6 @@ import pytest
 from starlette.requests import Request
 from starlette.testclient import TestClient
 
-from hil.campaign.control_files import waiting
-from hil.campaign.live_state import LIVE_FILE, LiveState, read_live
-from hil.campaign.steering import answer_run, question_of
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.recording.rundir import RunDirectory
@@ -29,6 +26,9 @@ from hil.web.app import create_app
 from hil.web.listeners import Listeners
 from hil.web.settings import Settings
 from hil.web.threads import AT_MOST
+from hil.workflow.control_files import waiting
+from hil.workflow.live_state import LIVE_FILE, LiveState, read_live
+from hil.workflow.steering import answer_run, question_of
 
 HOST = "127.0.0.1:8350"
 LINES = "Mount:\n\t- the 3\u00a0kg disc\r\n\t- four <M6> screws \x1b[2J"

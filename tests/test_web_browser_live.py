@@ -20,9 +20,9 @@ from browser.looking import until
 from live_run import live_run
 from live_run import until as wait
 
-from hil.campaign.detached import ticks_of
-from hil.campaign.starting import Started
 from hil.recording.rundir import RunDirectory
+from hil.workflow.detached import ticks_of
+from hil.workflow.starting import Started
 
 pytestmark = [pytest.mark.wire, pytest.mark.timeout(120)]
 

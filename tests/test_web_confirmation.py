@@ -14,10 +14,10 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from starlette.testclient import TestClient
 from web_parts import dashboard, plain, require_fit_for_all
 
-from hil.campaign.confirmation import Granted
 from hil.core.errors import NotConfirmed, RobotConnectionError
 from hil.robot import Address
 from hil.web import motions, plan_process, plan_shown, start_pages
+from hil.workflow.confirmation import Granted
 from hil_mock_robot.driver import MockRobot
 
 SPEC = """

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from hil.campaign.detached import ticks_of
-from hil.campaign.started import FOLDER, Started
 from hil.core.live_lock import hold_run
 from hil.runs import known_runs
 from hil.web.going import being_planned, going_on
 from hil.web.resume_pages import way_on
 from hil.web.settings import Settings
 from hil.web.streams import _LiveRuns
+from hil.workflow.detached import ticks_of
+from hil.workflow.started import FOLDER, Started
 
 
 @pytest.fixture

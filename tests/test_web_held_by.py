@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from hil.campaign.started import FOLDER, Started
 from hil.core.errors import RobotConnectionError
 from hil.robot.lease import leased
 from hil.web.app import create_app
 from hil.web.held_by import held_by
 from hil.web.settings import Settings
+from hil.workflow.started import FOLDER, Started
 
 
 @pytest.fixture

@@ -15,14 +15,14 @@ import pytest
 from interlock_parts import NAMES, made, rows
 from starlette.testclient import TestClient
 
-from hil.campaign.arm_view import ArmView
-from hil.campaign.live_state import LiveState
 from hil.core.live_lock import hold_run
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
 from hil.web.app import create_app
 from hil.web.live_facts import LiveRun, header_of
 from hil.web.settings import Settings
+from hil.workflow.arm_view import ArmView
+from hil.workflow.live_state import LiveState
 
 ROBOT = Capabilities(joint_names=NAMES, rate_hz=125.0, effort_kind="current")
 PAGE = {"accept": "text/html"}

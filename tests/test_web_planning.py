@@ -23,9 +23,9 @@ from live_run import until
 from started_parts import written
 from web_parts import dashboard, failing
 
-from hil.campaign.detached import ticks_of
 from hil.core.errors import PlanError
 from hil.web import plan_process, planning
+from hil.workflow.detached import ticks_of
 
 ENDLESS = "excitation.waypoints=100000"
 ASKED = {"spec": "", "station": "", "overrides": {}, "speed": "", "first": ""}

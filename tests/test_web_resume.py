@@ -16,14 +16,14 @@ from starlette.testclient import TestClient
 from started_parts import PROMPT, SPEC, WALL, begun
 from web_parts import dashboard, plain, seen
 
-from hil.campaign.live_state import read_live
-from hil.campaign.starting import Started, go_on_with, started_runs
-from hil.campaign.steering import answer_run
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
 from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.settings import Settings
+from hil.workflow.live_state import read_live
+from hil.workflow.starting import Started, go_on_with, started_runs
+from hil.workflow.steering import answer_run
 
 PAGE = {"accept": "text/html"}
 

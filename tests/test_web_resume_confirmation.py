@@ -21,11 +21,11 @@ from test_campaign_confirmation import AT, ELSEWHERE, SPEC, STATION, document, j
 from web_parts import address_of_run, dashboard, plain, require_fit_for_all, seen
 
 import hil
-from hil.campaign.confirmation import Granted
-from hil.campaign.starting import started_runs
 from hil.core.errors import RobotConnectionError
 from hil.robot import Address
 from hil.web import motions, plan_process, resume_pages
+from hil.workflow.confirmation import Granted
+from hil.workflow.starting import started_runs
 from hil_mock_robot.driver import MockRobot
 
 

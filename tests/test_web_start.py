@@ -15,12 +15,12 @@ from live_run import until
 from starlette.testclient import TestClient
 from started_parts import PROMPT, written
 
-from hil.campaign.starting import started_runs
 from hil.core.errors import RecordingError
 from hil.recording.rundir import RunDirectory
 from hil.web.app import create_app
 from hil.web.once import Once
 from hil.web.settings import Settings
+from hil.workflow.starting import started_runs
 
 PAGE = {"accept": "text/html"}
 

@@ -15,7 +15,6 @@ import pytest
 from typer.testing import CliRunner
 
 from hil.arms import load_arm
-from hil.campaign.answers import load_answers
 from hil.cli.app import app
 from hil.core.errors import SpecError
 from hil.core.quick_yaml import look_into
@@ -26,6 +25,7 @@ from hil.importers.import_map import load_map
 from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec
+from hil.workflow.answers import load_answers
 from hil_mock_robot.ur.faults import read_faults
 
 MOST_CPU_S = 0.05

@@ -11,9 +11,6 @@ from engine_parts import ListSink
 from plan_parts import spec_of, ur5
 
 from hil.arms.payload import Payload
-from hil.campaign.scales import gains_of, reading_of
-from hil.campaign.weighed_before import Readings
-from hil.campaign.weighing import Weighing
 from hil.core.typing import FloatArray, StructArray
 from hil.dynamics import RobotModel
 from hil.engine import Engine, RunResult
@@ -21,6 +18,9 @@ from hil.planning.build import build_plan
 from hil.planning.plan import Plan, Step
 from hil.robot import Capabilities, state_dtype
 from hil.spec.weigh import Weigh
+from hil.workflow.scales import gains_of, reading_of
+from hil.workflow.weighed_before import Readings
+from hil.workflow.weighing import Weighing
 from hil_mock_robot.driver import MockRobot
 
 UPRIGHT = (0.0, 0.0, -9.81)

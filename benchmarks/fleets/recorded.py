@@ -30,8 +30,8 @@ def recordings(folder: Path, count: int, executor: Executor) -> list[Path]:
 
 
 def _recorded(folder: Path, robot: str) -> Path:
-    from hil.campaign.run import run_experiment
     from hil.fleet.members import experiment_for
+    from hil.workflow.run import run_experiment
 
     text = SPEC.format(robot=robot)
     experiment = experiment_for(text, folder, folder / "station.yaml", folder / "spec.yaml")

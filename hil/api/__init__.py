@@ -17,10 +17,10 @@ from hil.api.models import estimate_payload, evaluate, fit
 from hil.api.recordings import dataset, export_data, import_recording
 from hil.api.upkeep import registry, reidentify
 from hil.api.uses import export_model, rest_poses, try_out
-from hil.campaign.run import RunReport
 from hil.planning.experiment import Experiment
 from hil.runs.summary import describe_run, list_runs
 from hil.runs.view import find_runs
+from hil.workflow.run import RunReport
 
 __all__ = [
     "AnyPath",

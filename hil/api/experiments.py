@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.api.arguments import AnyPath, mapping, path, waivers_of
-from hil.campaign.confirmation import Confirm, Granted, Unconfirmed
-from hil.campaign.desk import Desk, console_desk
-from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.core.errors import SpecError
 from hil.engine import Observer
 from hil.planning.experiment import Experiment, load_experiment
 from hil.planning.plan import Plan
+from hil.workflow.confirmation import Confirm, Granted, Unconfirmed
+from hil.workflow.desk import Desk, console_desk
+from hil.workflow.run import RunReport, resume_experiment, run_experiment
 
 if TYPE_CHECKING:
     from hil.studies.result import StudyResult
@@ -82,8 +82,8 @@ def plan(experiment: Experiment, *, connect: bool = False) -> Plan:
         PlanError: No safe plan follows from the spec.
         RobotError: The robot cannot be asked where it stands, or another process holds it.
     """
-    from hil.campaign.preview import planned
     from hil.report import plan_card  # noqa: F401  the card of a plan in a notebook has its picture
+    from hil.workflow.preview import planned
 
     with planned(_loaded(experiment), connect=connect) as (_, made, _):
         return made
@@ -200,8 +200,8 @@ def study(
         SpecError, PluginError: There is no such study or parameter.
         DataError, FitError: The run does not allow it; studies beside it have been made.
     """
-    from hil.campaign.studies import entries_for, run_studies, unwatched
     from hil.report import render_report
+    from hil.workflow.studies import entries_for, run_studies, unwatched
 
     folder = path(run)
     given = mapping(parameters, "parameters", "{'seed': 3}")

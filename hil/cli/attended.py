@@ -12,11 +12,11 @@ from hil.cli.live_view import live_view, recorded_capabilities
 from hil.core.errors import Rejected, SpecError
 
 if TYPE_CHECKING:
-    from hil.campaign.arming import Moves, Together
-    from hil.campaign.confirmation import Confirm
-    from hil.campaign.run import RunReport
     from hil.planning.experiment import Experiment
     from hil.robot import Capabilities
+    from hil.workflow.arming import Moves, Together
+    from hil.workflow.confirmation import Confirm
+    from hil.workflow.run import RunReport
 
 
 @dataclass(slots=True)
@@ -47,7 +47,7 @@ class Attended:
 
     def confirm_together(self, moves: Moves) -> None:
         """Confirm all robots of a series or a fleet at once; its runs do not ask again."""
-        from hil.campaign.arming import confirm_together
+        from hil.workflow.arming import confirm_together
 
         if self.confirmed is not None:  # it names robot and address itself
             moves.real()
@@ -57,7 +57,7 @@ class Attended:
     def run(self, experiment: Experiment, runs: Path) -> RunReport:
         """Run an experiment."""
         from hil import api
-        from hil.campaign.driver_check import check_driver
+        from hil.workflow.driver_check import check_driver
 
         robot = check_driver(experiment)
         confirm = self.together.begin(experiment) if self.together else self._confirm()
@@ -80,8 +80,8 @@ class Attended:
         move: Callable[..., RunReport],
         confirm: Confirm | None,
     ) -> RunReport:
-        from hil.campaign.desk import console_desk
         from hil.cli.progress import ProgressLines
+        from hil.workflow.desk import console_desk
 
         desk = console_desk(
             self.operator,
@@ -100,7 +100,7 @@ class Attended:
 
     def _confirm(self) -> Confirm | None:
         """Return the confirmation that replaces the console's; None for the console."""
-        from hil.campaign.confirmation import Granted, granted_in
+        from hil.workflow.confirmation import Granted, granted_in
 
         if self.confirmed is not None:
             return granted_in(self.confirmed)

@@ -57,9 +57,9 @@ def excite(
     json: JsonFlag = False,
 ) -> None:
     """Find the trajectories of a spec and show what they are worth; move nothing."""
-    from hil.campaign.excitation import appraise_excitation
     from hil.cli.excitation_line import ExcitationLine
     from hil.report.excite_page import write_excitation_page
+    from hil.workflow.excitation import appraise_excitation
 
     experiment = load_with(spec, station, set_)
     with ExcitationLine() as line:

@@ -16,11 +16,11 @@ from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_
 from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 
 if TYPE_CHECKING:
-    from hil.campaign.arming import Moves
-    from hil.campaign.series import Ended
     from hil.fleet.run import FleetReport
     from hil.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
+    from hil.workflow.arming import Moves
+    from hil.workflow.series import Ended
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -55,12 +55,12 @@ def run(
     json: JsonFlag = False,
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
-    from hil.campaign.arming import confirm_together
     from hil.core.executor import cores
     from hil.fleet.members import named_in, robots_like, spec_for
     from hil.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
     from hil.planning.experiment import find_station
+    from hil.workflow.arming import confirm_together
 
     waived = waivers_of(waive or ())
     bench, _, where = find_station(spec.resolve().parent, station)
@@ -85,12 +85,12 @@ def resume(
     json: JsonFlag = False,
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
-    from hil.campaign.arming import confirm_together
     from hil.core.executor import cores
     from hil.fleet.members import named_in
     from hil.fleet.run import left_of
     from hil.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
+    from hil.workflow.arming import confirm_together
 
     opened, members = FleetFolder.open(folder)
     head, naming = opened.head, opened.head.get("robots")
@@ -106,8 +106,8 @@ def _moves(
     specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
 ) -> Moves:
     """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
-    from hil.campaign.arming import Moves
     from hil.fleet.members import experiment_for
+    from hil.workflow.arming import Moves
 
     if not specs:
         return Moves(naming, named, {})

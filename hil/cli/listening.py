@@ -12,7 +12,7 @@ from hil.cli.runs import fail
 from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
-    from hil.campaign.listened import Listened
+    from hil.workflow.listened import Listened
 
 PROGRAM_STOPS = "program-stops"
 
@@ -44,10 +44,10 @@ def record(
     json: JsonFlag = False,
 ) -> None:
     """Record a robot that somebody else drives; Ctrl-C ends it, too. Nothing is commanded."""
-    from hil.campaign.listened import Wanted
-    from hil.campaign.listening import listen
     from hil.engine.signals import ignore_from_now_on
     from hil.evaluation.fitting import parse_payload
+    from hil.workflow.listened import Wanted
+    from hil.workflow.listening import listen
 
     wanted = Wanted(
         robot=robot,

@@ -13,8 +13,8 @@ from hil.cli.output import JsonFlag, RunsOption, duration, print_json, print_tab
 from hil.core.text import json_text
 
 if TYPE_CHECKING:
-    from hil.campaign.bench import BenchRobot
-    from hil.campaign.steering import Reaction
+    from hil.workflow.bench import BenchRobot
+    from hil.workflow.steering import Reaction
 
 RunChoice = Annotated[
     str,
@@ -48,7 +48,7 @@ def pause(
     json: JsonFlag = False,
 ) -> None:
     """Pause a live run at its next checkpoint; the arm holds, `hil resume` lets it go on."""
-    from hil.campaign.steering import pause_run
+    from hil.workflow.steering import pause_run
 
     path = _chosen(run, runs)
     _tell(pause_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
@@ -56,7 +56,7 @@ def pause(
 
 def let_go_on(run: Path, operator: str, json: bool) -> None:
     """`hil resume` for a run that is live: it is paused, or has taken no notice of a pause yet."""
-    from hil.campaign.steering import resume_live_run
+    from hil.workflow.steering import resume_live_run
 
     _tell(resume_live_run(run, who=operator or _user()), json)
 
@@ -70,7 +70,7 @@ def stop(
     json: JsonFlag = False,
 ) -> None:
     """Stop a live run now; what was recorded is kept, and `hil resume` can go on with it."""
-    from hil.campaign.steering import stop_run
+    from hil.workflow.steering import stop_run
 
     path = _chosen(run, runs)
     _tell(stop_run(path, who=operator or _user(), reason=reason, wait_s=wait), json)
@@ -87,7 +87,7 @@ def answer(
     json: JsonFlag = False,
 ) -> None:
     """Answer what a live run is asking, such as whether a load is mounted."""
-    from hil.campaign.steering import answer_run
+    from hil.workflow.steering import answer_run
 
     path = _chosen(run, runs)
     _tell(answer_run(path, word == "yes", who=operator or _user(), wait_s=wait), json)
@@ -110,9 +110,9 @@ def watch(
     ] = False,
 ) -> None:
     """Follow a live run to its end; Ctrl-C ends the watching, not the run."""
-    from hil.campaign.follow import follow, newest_live
     from hil.cli.watching import WatchLines
     from hil.runs.listing import find_run
+    from hil.workflow.follow import follow, newest_live
 
     path = find_run(run, runs) if run else newest_live(runs)
     lines = WatchLines(str(path), terminal=not json and sys.stdout.isatty())
@@ -143,7 +143,7 @@ def robots(
     json: JsonFlag = False,
 ) -> None:
     """List the robots of a station, and which process holds each of them."""
-    from hil.campaign.bench import bench
+    from hil.workflow.bench import bench
 
     found = bench(station)
     if json:
@@ -170,8 +170,8 @@ def _row(robot: BenchRobot) -> tuple[str, ...]:
 
 
 def _chosen(run: str, runs: Path) -> Path:
-    from hil.campaign.follow import only_live
     from hil.runs.listing import find_run
+    from hil.workflow.follow import only_live
 
     return find_run(run, runs) if run else only_live(runs)
 

@@ -20,7 +20,7 @@ from hil.cli.simulating import SimulateOption, simulate_schedule
 from hil.core.errors import SpecError
 
 if TYPE_CHECKING:
-    from hil.campaign.run import RunReport
+    from hil.workflow.run import RunReport
 
 OperatorOption = Annotated[str, typer.Option("--operator", help="Who is at the robot; recorded.")]
 WaiveOption = Annotated[

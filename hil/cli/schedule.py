@@ -55,8 +55,6 @@ def run(
     station: StationOption = None,
 ) -> None:
     """Do what is due whenever it is, until Ctrl-C or SIGTERM."""
-    from hil.campaign.arming import require_armed
-    from hil.campaign.extras import require_extras
     from hil.models.registry import Registry
     from hil.pipeline.bound import bind_file
     from hil.pipeline.reidentify import reidentification
@@ -67,6 +65,8 @@ def run(
     from hil.schedule.motions import Motions, motions, require_room
     from hil.schedule.notify import Command
     from hil.schedule.preconditions import RobotReady
+    from hil.workflow.arming import require_armed
+    from hil.workflow.extras import require_extras
 
     bound = bind_file(file, station)
     for experiment in bound.experiments:
@@ -117,8 +117,8 @@ def arm(
 
     Repeat it after a change of the file, an experiment, or the robot's entry in the station.
     """
-    from hil.campaign.arming import arm as arm_moves
     from hil.pipeline.bound import bind_file
+    from hil.workflow.arming import arm as arm_moves
 
     bound = bind_file(file, station)
     folder = _state(bound.spec, state)
@@ -187,10 +187,10 @@ def plan(
 @app.command()
 def show(file: FileArgument, state: StateOption = None, json: JsonFlag = False) -> None:
     """What was done, and what was not and why; what is due next."""
-    from hil.campaign.arming import read_armed
     from hil.core.held_file import holder_of
     from hil.schedule.holding import ahead
     from hil.schedule.ledger import LOCK
+    from hil.workflow.arming import read_armed
 
     spec, folder, ledger = _led(file, state)
     zone, now, standing = ZoneInfo(spec.timezone), datetime.now(UTC), ledger.standing
@@ -286,8 +286,8 @@ def _armed_words(armed: dict[str, Any]) -> str:
 
 def _armed_now(armed: dict[str, Any] | None, file: Path) -> str:
     """Return whether a schedule is armed, and what has changed since."""
-    from hil.campaign.arming import changed_since
     from hil.pipeline.bound import bind_file
+    from hil.workflow.arming import changed_since
 
     if armed is None:
         return f"not armed: hil schedule arm {file}"

@@ -14,12 +14,12 @@ from hil.cli.runs import fail, tell_run
 from hil.core.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.campaign.arming import Moves
-    from hil.campaign.run import RunReport
-    from hil.campaign.series import Series, SeriesReport
     from hil.planning.commissioning import Commissioning
     from hil.planning.experiment import Experiment
     from hil.runs.series_folder import SeriesFolder
+    from hil.workflow.arming import Moves
+    from hil.workflow.run import RunReport
+    from hil.workflow.series import Series, SeriesReport
 
 Document = dict[str, Any]
 Outcome = tuple[Document, HilError | None]
@@ -30,10 +30,10 @@ Resume = Callable[[Path], "RunReport"]
 
 def validate_series(path: Path, station: Path | None, json: bool) -> None:
     """Check a series with everything it names; all problems at once."""
-    from hil.campaign.arming import Moves
-    from hil.campaign.driver_check import check_driver
-    from hil.campaign.extras import missing_extras
-    from hil.campaign.series import load_series
+    from hil.workflow.arming import Moves
+    from hil.workflow.driver_check import check_driver
+    from hil.workflow.extras import missing_extras
+    from hil.workflow.series import load_series
 
     series = load_series(path, station)
     for experiment in series.experiments:
@@ -58,9 +58,9 @@ def plan_series(
     path: Path, station: Path | None, part: Commissioning | None, connect: bool, json: bool
 ) -> None:
     """What each experiment of a series would do, and how long all of them take."""
-    from hil.campaign.preview import preview_experiment
-    from hil.campaign.series import load_series
     from hil.cli.excitation_line import ExcitationLine
+    from hil.workflow.preview import preview_experiment
+    from hil.workflow.series import load_series
 
     told = []
     for each in load_series(path, station).experiments:
@@ -107,11 +107,11 @@ def run_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots at once.
     """
-    from hil.campaign.arming import Moves
-    from hil.campaign.driver_check import check_driver
-    from hil.campaign.extras import require_extras
-    from hil.campaign.series import load_series
     from hil.runs.series_folder import SeriesFolder
+    from hil.workflow.arming import Moves
+    from hil.workflow.driver_check import check_driver
+    from hil.workflow.extras import require_extras
+    from hil.workflow.series import load_series
 
     series = load_series(path, station)
     for experiment in series.experiments:
@@ -142,9 +142,9 @@ def resume_series(
         json: Whether to print one document and nothing else.
         confirm: Confirms all robots that are left at once.
     """
-    from hil.campaign.arming import Moves
-    from hil.campaign.series import load_series, not_begun, nothing_left
     from hil.runs.series_folder import SeriesFolder
+    from hil.workflow.arming import Moves
+    from hil.workflow.series import load_series, not_begun, nothing_left
 
     folder, before = SeriesFolder.open(path)
     station = folder.head.get("station")
@@ -175,7 +175,7 @@ def _places(experiments: Iterable[Experiment]) -> dict[str, Experiment]:
 def _tell_done(
     series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
 ) -> None:
-    from hil.campaign.series import run_series
+    from hil.workflow.series import run_series
 
     report = run_series(series, folder, execute, before)
     if json:
@@ -187,8 +187,8 @@ def _tell_done(
 def _run(
     series: Series, folder: SeriesFolder, before: list[Document], execute: Execute, json: bool
 ) -> None:
-    from hil.campaign.series import run_series
     from hil.engine.signals import ignore_from_now_on
+    from hil.workflow.series import run_series
 
     number = {each.spec.name: i for i, each in enumerate(series.experiments, 1)}
 

@@ -37,7 +37,6 @@ def simulate_schedule(
         lasting: How long, as people write it.
         json: Whether to print one document and nothing else.
     """
-    from hil.campaign.extras import require_extras
     from hil.core.files import new_folder
     from hil.engine.signals import ignore_from_now_on
     from hil.pipeline.bound import bind
@@ -45,6 +44,7 @@ def simulate_schedule(
     from hil.recording.numbering import name_for_path
     from hil.report.simulation_page import render_simulation
     from hil.spec.schedule import load_schedule_spec
+    from hil.workflow.extras import require_extras
 
     spec, duration = load_schedule_spec(path), _duration(lasting)
     bound = bind(spec, station, path)

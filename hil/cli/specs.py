@@ -37,10 +37,10 @@ def validate(
     json: JsonFlag = False,
 ) -> None:
     """Check a spec, series or schedule and its station; all problems at once, with their places."""
-    from hil.campaign.driver_check import check_driver
-    from hil.campaign.extras import missing_extras
     from hil.spec.schedule import is_schedule
     from hil.spec.series import is_series
+    from hil.workflow.driver_check import check_driver
+    from hil.workflow.extras import missing_extras
 
     if is_schedule(spec):
         refuse_set(set_, "a schedule")
@@ -98,13 +98,13 @@ def plan(
 ) -> None:
     """Show what `hil run` would do with the same options: steps, ranges, margins; move nothing."""
     _require_svg(picture)
-    from hil.campaign.driver_check import check_driver
-    from hil.campaign.preview import preview_experiment
     from hil.cli.excitation_line import ExcitationLine
     from hil.core.files import json_document, write_replacing
     from hil.planning.commissioning import commissioning_of
     from hil.report.plan_picture import plan_picture
     from hil.spec.series import is_series
+    from hil.workflow.driver_check import check_driver
+    from hil.workflow.preview import preview_experiment
 
     part = commissioning_of(speed, first)
     if is_series(spec):

@@ -13,7 +13,7 @@ from hil.cli.runs import RunArgument, fail
 from hil.core.errors import Stopped
 
 if TYPE_CHECKING:
-    from hil.campaign.studies import Studied
+    from hil.workflow.studies import Studied
 
 
 def register(app: typer.Typer) -> None:
@@ -43,10 +43,10 @@ def study(
 
 def make(path: Path, name: str, parameters: Mapping[str, Any], json: bool) -> None:
     """Make the studies of a run directory, or one by name, and tell what they found."""
-    from hil.campaign.studies import entries_for, run_studies
-    from hil.campaign.under_loads import STUDY
     from hil.cli.study_progress import StudyBar
     from hil.report import render_report
+    from hil.workflow.studies import entries_for, run_studies
+    from hil.workflow.under_loads import STUDY
 
     bar = StudyBar()
     entries = entries_for(path, name or None, parameters)

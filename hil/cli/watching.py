@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.campaign.live_state import standing_in
 from hil.cli.output import duration, fold
 from hil.core.holder import plain
 from hil.engine.live.log_words import MOST, words_of
 from hil.engine.live.standing import ENDING, Standing
 from hil.engine.live.words import share_words, state_words, step_words
+from hil.workflow.live_state import standing_in
 
 PIPED_EVERY_S = 10.0
 SILENT_AFTER_S = 5.0
@@ -24,7 +24,7 @@ QUIET = frozenset({"checkpoint", "dwell", "state", "payload"})
 
 
 class WatchLines:
-    """Prints the items of `hil.campaign.follow.follow`.
+    """Prints the items of `hil.workflow.follow.follow`.
 
     Args:
         run: What to call the run in commands.

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.series import Ended
 from hil.core import errors
 from hil.core.errors import HilError, Rejected, RobotError, Stopped, exit_code_of
 from hil.estimators.model_folder import models_below
@@ -16,6 +15,7 @@ from hil.evaluation.verdict_document import verdict_word
 from hil.fleet.workers import Manner, Workers
 from hil.models.fleet_folder import FleetFolder
 from hil.recording.rundir import RunDirectory
+from hil.workflow.series import Ended
 
 Document = dict[str, Any]
 Tell = Callable[[Ended, int, int], object]

@@ -16,11 +16,11 @@ from hil.core.errors import HilError
 from hil.core.executor import one_thread
 
 if TYPE_CHECKING:
-    from hil.campaign.arming import Together
-    from hil.campaign.confirmation import Confirm
-    from hil.campaign.desk import Desk
-    from hil.campaign.run import RunReport
     from hil.planning.experiment import Experiment
+    from hil.workflow.arming import Together
+    from hil.workflow.confirmation import Confirm
+    from hil.workflow.desk import Desk
+    from hil.workflow.run import RunReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +76,12 @@ def _told(error: HilError) -> dict[str, Any]:
 
 
 def _run(job: Job) -> RunReport:
-    from hil.campaign.confirmation import Unconfirmed
-    from hil.campaign.desk import console_desk
-    from hil.campaign.driver_check import check_driver
-    from hil.campaign.run import resume_experiment, run_experiment
     from hil.engine.pausing import nobody_goes_on
     from hil.recording.rundir import RunDirectory
+    from hil.workflow.confirmation import Unconfirmed
+    from hil.workflow.desk import console_desk
+    from hil.workflow.driver_check import check_driver
+    from hil.workflow.run import resume_experiment, run_experiment
 
     def desk(confirm: Confirm | None) -> Desk:
         refused = Unconfirmed("start it with: hil fleet run")

@@ -14,11 +14,11 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.arming import Together
-from hil.campaign.series import Ended
 from hil.engine.signals import WATCHED
 from hil.fleet.worker import Job, work
 from hil.models.fleet_folder import FleetFolder
+from hil.workflow.arming import Together
+from hil.workflow.series import Ended
 
 Document = dict[str, Any]
 

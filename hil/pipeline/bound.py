@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.campaign.arming import Moves
-from hil.campaign.driver_check import check_driver
 from hil.core.errors import SpecError
 from hil.core.source import Path as SourcePath
 from hil.core.source import Problem, Source, dotted
@@ -16,6 +14,8 @@ from hil.pipeline.fitting_together import wanted
 from hil.planning.experiment import Experiment, load_experiment
 from hil.spec.experiment import Fit
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
+from hil.workflow.arming import Moves
+from hil.workflow.driver_check import check_driver
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.arming import require_armed
-from hil.campaign.extras import require_extras
 from hil.engine import Observer
 from hil.models.registry import Registry
 from hil.pipeline.bound import bind_file
@@ -16,6 +14,8 @@ from hil.pipeline.reidentify import reidentification
 from hil.pipeline.stages import kept_document
 from hil.schedule.ledger import kept, occasion_of
 from hil.schedule.occasion import Job, Occasion
+from hil.workflow.arming import require_armed
+from hil.workflow.extras import require_extras
 
 STATES = Path("schedules")
 """Where schedules keep their state, a folder each, unless somebody names another."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import gcd
 
-from hil.campaign.driver_check import check_driver
 from hil.core.errors import PluginError, SpecError
 from hil.core.source import Path as SourcePath
 from hil.estimators.base import HONEST, estimator
@@ -15,6 +14,7 @@ from hil.models.drift.features import BLOCK_S, FEWEST_BLOCKS
 from hil.planning.experiment import Experiment
 from hil.spec.experiment import ExperimentSpec, Fit, Fourier
 from hil.spec.schedule import ScheduleSpec
+from hil.workflow.driver_check import check_driver
 
 Finding = tuple[SourcePath, str]
 """Where in the schedule, and what is wrong there."""

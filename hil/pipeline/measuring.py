@@ -13,13 +13,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.beginning import describe_robot, whole
-from hil.campaign.confirmation import Confirm, Unconfirmed
-from hil.campaign.console import Console
-from hil.campaign.desk import Desk
-from hil.campaign.operator import ConsoleOperator
-from hil.campaign.resuming import require_same_robot
-from hil.campaign.run import RunReport, resume_experiment, run_experiment
 from hil.core.errors import HilError, RobotError, Stopped, exit_code_of
 from hil.engine import Observer
 from hil.engine.pausing import nobody_goes_on
@@ -30,6 +23,13 @@ from hil.recording.rundir import RunDirectory
 from hil.robot import address_of
 from hil.spec.experiment import StudyEntry
 from hil.spec.hashing import spec_hash
+from hil.workflow.beginning import describe_robot, whole
+from hil.workflow.confirmation import Confirm, Unconfirmed
+from hil.workflow.console import Console
+from hil.workflow.desk import Desk
+from hil.workflow.operator import ConsoleOperator
+from hil.workflow.resuming import require_same_robot
+from hil.workflow.run import RunReport, resume_experiment, run_experiment
 
 BY_SIGNAL = exit_code_of(Stopped("", by_signal=True))
 
@@ -146,8 +146,8 @@ def _complete_views(run: Path, entries: Sequence[StudyEntry]) -> None:
     """Make the missing studies and report of a run whose process died after its verdict."""
     if RunDirectory(run).is_reported:
         return
-    from hil.campaign.studies import missing_studies, run_studies
     from hil.report import render_report
+    from hil.workflow.studies import missing_studies, run_studies
 
     with contextlib.suppress(HilError):  # a study that fails does not invalidate the run
         run_studies(run, missing_studies(run, entries))

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.campaign.confirmation import Confirm, Unconfirmed
 from hil.engine import Observer
 from hil.models.registry import Registry
 from hil.pipeline.bound import Bound, bind
@@ -16,6 +15,7 @@ from hil.pipeline.stages import Document, run_stages
 from hil.planning.experiment import Experiment
 from hil.schedule.occasion import Occasion, Work
 from hil.spec.schedule import ScheduleSpec
+from hil.workflow.confirmation import Confirm, Unconfirmed
 
 
 def as_it_is(experiment: Experiment, occasion: Occasion, stage: str) -> Experiment:

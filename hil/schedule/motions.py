@@ -51,7 +51,7 @@ def motions(spec: ScheduleSpec, probe: Experiment | None, campaign: Experiment) 
     Raises:
         PlanError: No safe plan follows from one of them.
     """
-    from hil.campaign.preview import preview_experiment
+    from hil.workflow.preview import preview_experiment
 
     short, full = (
         timedelta(seconds=round(preview_experiment(each)[1].duration_s)) if each else timedelta()

@@ -33,8 +33,8 @@ class RobotReady:
 
     def __call__(self) -> str:
         """Ask."""
-        from hil.campaign.driver_check import check_driver
         from hil.planning.robots import held
+        from hil.workflow.driver_check import check_driver
 
         try:
             if check_driver(self.experiment).clock == "virtual":

@@ -8,7 +8,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.starting import Started, started_runs
 from hil.core.errors import HilError
 from hil.core.live_lock import is_live
 from hil.core.text import name_text
@@ -16,6 +15,7 @@ from hil.spec.series import load_series_spec
 from hil.web.live_facts import header_of
 from hil.web.places import address_of, live_runs, name_of
 from hil.web.settings import Settings
+from hil.workflow.starting import Started, started_runs
 
 
 def going_on(settings: Settings, within_s: float = 0.0) -> list[dict[str, Any]]:

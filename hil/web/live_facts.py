@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.follow import EventTail, how_it_ended
-from hil.campaign.live_state import read_live, standing_in
 from hil.core.errors import HilError
 from hil.core.holder import plain
 from hil.core.live_lock import is_live
@@ -26,6 +24,8 @@ from hil.report.measures import measures
 from hil.report.words import duration
 from hil.web.places import address_of, name_of
 from hil.web.settings import Settings
+from hil.workflow.follow import EventTail, how_it_ended
+from hil.workflow.live_state import read_live, standing_in
 
 SILENT_AFTER_S = 5.0
 FIRST_LINES = 30

@@ -10,14 +10,6 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.steering import (
-    Reaction,
-    answer_run,
-    pause_run,
-    question_of,
-    resume_live_run,
-    stop_run,
-)
 from hil.core.errors import DataError
 from hil.core.live_lock import is_live
 from hil.web.live_facts import FIRST_LINES, LiveRun, question_words
@@ -29,6 +21,14 @@ from hil.web.run_files import require_run
 from hil.web.security import form_of
 from hil.web.streams import events, run_events
 from hil.web.threads import in_thread
+from hil.workflow.steering import (
+    Reaction,
+    answer_run,
+    pause_run,
+    question_of,
+    resume_live_run,
+    stop_run,
+)
 
 LISTENS_WITHIN_S = 3.0
 """A run that has just begun hears nothing for a moment."""

@@ -7,10 +7,10 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from hil.campaign.confirmation import digest_of, together
 from hil.core.errors import HilError, NotConfirmed, SpecError
 from hil.web.planning import plan_apart
 from hil.web.threads import PLANS
+from hil.workflow.confirmation import digest_of, together
 
 MOST_MOTIONS = 200
 """Plans of real robots whose facts are remembered until they are confirmed."""

@@ -47,11 +47,11 @@ def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _planned(asked: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.campaign.resuming import open_unfinished
-    from hil.campaign.starting import check_start
     from hil.planning.commissioning import commissioning_of
     from hil.web.checked import digest_of
     from hil.web.plan_shown import PICTURES, shown_plan, shown_rest
+    from hil.workflow.resuming import open_unfinished
+    from hil.workflow.starting import check_start
 
     if "run" in asked:
         unfinished = open_unfinished(Path(asked["run"]))

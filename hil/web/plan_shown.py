@@ -8,10 +8,6 @@ from dataclasses import replace
 from itertools import starmap
 from typing import Any
 
-from hil.campaign.confirmation import MotionFacts, motion_facts
-from hil.campaign.operator import prompts_of
-from hil.campaign.preview import WITHOUT_THE_ROBOT, preview_experiment
-from hil.campaign.resuming import Unfinished, remaining_motion
 from hil.core.errors import RobotError
 from hil.planning.commissioning import Commissioning
 from hil.planning.experiment import Experiment
@@ -21,6 +17,10 @@ from hil.planning.robots import moves_for_real, opened
 from hil.report.measures import measure, named, size
 from hil.report.plan_picture import picture_of
 from hil.report.words import duration
+from hil.workflow.confirmation import MotionFacts, motion_facts
+from hil.workflow.operator import prompts_of
+from hil.workflow.preview import WITHOUT_THE_ROBOT, preview_experiment
+from hil.workflow.resuming import Unfinished, remaining_motion
 
 PICTURES = 3
 """Of a long series so many plans are drawn: a picture is some hundred kilobytes."""

@@ -14,8 +14,6 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.resuming import require_resumable
-from hil.campaign.starting import check_resume, go_on_with, started_runs
 from hil.planning.experiment import load_experiment
 from hil.planning.robots import moves_for_real
 from hil.report.judgement import RESUMABLE
@@ -31,6 +29,8 @@ from hil.web.security import form_of
 from hil.web.settings import Settings
 from hil.web.threads import in_thread
 from hil.web.wanted import require_text
+from hil.workflow.resuming import require_resumable
+from hil.workflow.starting import check_resume, go_on_with, started_runs
 
 ONCE = Once()
 

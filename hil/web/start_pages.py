@@ -14,7 +14,6 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from hil.campaign.starting import Started, start_run, started_runs
 from hil.core.errors import DataError, HilError
 from hil.core.text import name_text
 from hil.web.going import words_of
@@ -29,6 +28,7 @@ from hil.web.security import form_of
 from hil.web.settings import Settings
 from hil.web.threads import in_thread
 from hil.web.wanted import Wanted, wanted_in
+from hil.workflow.starting import Started, start_run, started_runs
 
 FIELDS = ("spec", "station", "overrides", "operator", "speed", "first")
 """What a form says, and with that what a run is."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.campaign.starting import check_start
 from hil.core.errors import SpecError
 from hil.planning.commissioning import commissioning_of
 from hil.planning.robots import moves_for_real
@@ -16,6 +15,7 @@ from hil.web.checked import digest_of
 from hil.web.given_files import require_files_offered
 from hil.web.offered import file_offered
 from hil.web.settings import Settings
+from hil.workflow.starting import check_start
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import hil
-from hil.campaign import recording, run
-from hil.campaign.desk import Desk
 from hil.cli.app import _end_like_ctrl_c
 from hil.core.errors import HilError, exit_code_of
 from hil.engine import Reply
 from hil.planning.plan_file import read_plan
 from hil.recording import recorder as recorder_module
 from hil.recording.writer import McapWriter
+from hil.workflow import recording, run
+from hil.workflow.desk import Desk
 
 STALL_S = 6.0
 CLOCK_JUMP_S = 3600.0

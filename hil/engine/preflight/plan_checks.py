@@ -55,7 +55,7 @@ def load(situation: Situation) -> CheckResult:
 def weighing(situation: Situation) -> CheckResult:
     """Says whether loads are going to be weighed; what comes of it is judged when they are.
 
-    A waiver of this name is for that judgement (`hil.campaign.weighing`).
+    A waiver of this name is for that judgement (`hil.workflow.weighing`).
     """
     reason = why_plan_not_weighed(situation.plan, situation.robot.capabilities)
     poses = len({step.pose for step in situation.plan if step.kind == "weigh"})

@@ -1,0 +1,43 @@
+"""Does the driver accept what the station says about its robot, and can its arm do what is asked?
+
+Asked before anything connects.
+"""
+
+from __future__ import annotations
+
+from hil.core.errors import SpecError
+from hil.planning.experiment import Experiment
+from hil.robot import Capabilities
+from hil.workflow.arm_check import require_within_reach
+
+
+def check_driver(experiment: Experiment) -> Capabilities:
+    """Construct the robot's driver, and nothing more: no connection, no motion.
+
+    Returns:
+        What the robot offers.
+
+    Raises:
+        SpecError: The driver refuses its options; the message names the station's file and robot.
+            Or the arm cannot do what the spec asks; the message names every place in its file.
+        PluginError: There is no such driver, or it does not load.
+    """
+    from hil.planning.robots import opened
+
+    name = experiment.spec.robot
+    place = f"{experiment.station_source}: robots.{name}"
+    try:
+        with opened(name, experiment.robot) as robot:
+            can = robot.capabilities
+    except SpecError as error:
+        raise SpecError(f"{place}: {error.message}", hint=error.hint) from error
+    except (TypeError, ValueError) as error:
+        # What Python itself says when a constructor is called with an option it does not have.
+        given = ", ".join(experiment.robot.options) or "none"
+        raise SpecError(
+            f"{place}: the driver {experiment.robot.driver!r} does not accept its options "
+            f"({given}): {error}",
+            hint="see the driver's documentation for its options",
+        ) from error
+    require_within_reach(experiment, can)
+    return can

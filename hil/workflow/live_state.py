@@ -1,0 +1,171 @@
+"""The live view of a run: a small file others may look at while it is going on.
+
+`RUN/.live.json` is replaced whole, at most four times a second for progress and for how the arm
+is, and at once when the state changes or something is asked. It is a view: nothing depends on it,
+and it goes when the run ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import DataError, RecordingError
+from hil.core.files import json_line, read_json, write_replacing
+from hil.core.live_lock import run_holder
+from hil.core.typing import StructArray
+from hil.engine.live.standing import ENDING, Standing
+from hil.recording.provenance import utc_now
+from hil.workflow.arm_view import FIELDS, ArmView
+
+LIVE_FILE = ".live.json"
+LIVE_VERSION = 1
+EVERY_S = 0.25
+"""Wall time between two views while nothing special happens [s]."""
+
+LARGEST = 2.0**53
+"""What is larger is no count and no time of a run."""
+
+_TEXTS = {field.name for field in fields(Standing) if isinstance(field.default, str)}
+_NUMBERS = {field.name for field in fields(Standing)} - _TEXTS | {"t", "percent", "left_s"}
+_NEWS = frozenset({"stage", "state", "prompt"})
+_PROGRESS = frozenset({"step", "progress"})
+
+
+class LiveState:
+    """An observer that keeps the live view of one run.
+
+    Args:
+        run: The run directory.
+        arm: Tells how the arm is; None where nobody can.
+    """
+
+    wants_rows = True
+    rows_every_s = EVERY_S
+
+    def __init__(self, run: Path, arm: ArmView | None = None) -> None:
+        self._path = run / LIVE_FILE
+        holder = run_holder(run)
+        self._holder = holder.id if holder else ""
+        self._arm, self._shown = arm, dict[str, Any]()
+        self._standing = Standing()
+        self._next = 0.0
+        self._writing = threading.Lock()
+        self._closed = False
+
+    def notify(self, event: Mapping[str, Any]) -> None:
+        """See `hil.engine.Observer`."""
+        kind = event.get("kind")
+        if kind == "rows":
+            if self._arm is not None:
+                self._shown = self._looked_at(event["rows"])
+                self._write()
+            return
+        self._standing.take(event)
+        if self._standing.state in ENDING:
+            self._shown = {}  # the arm is not read any more
+        if kind in _NEWS or (kind in _PROGRESS and time.monotonic() >= self._next):
+            self._write()
+
+    def close(self) -> None:
+        """Remove the view; what comes after is not written any more. Idempotent."""
+        with self._writing:
+            self._closed = True
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+
+    def _looked_at(self, rows: StructArray) -> dict[str, Any]:
+        """How the arm is; where that cannot be told, prompts and progress still are."""
+        assert self._arm is not None
+        try:
+            return self._arm.of(rows)
+        except Exception:  # a driver's rows may be odd in any way
+            return {}
+
+    def _write(self) -> None:
+        self._next = time.monotonic() + EVERY_S
+        about = {"holder": self._holder, "pid": os.getpid(), "updated": utc_now(), "t": time.time()}
+        view = {"hil_live": LIVE_VERSION, **self._standing.snapshot(), **self._shown, **about}
+        with self._writing, contextlib.suppress(RecordingError):  # a full disk spoils no run here
+            if not self._closed:
+                write_replacing(self._path, json_line(view).encode() + b"\n")
+
+
+def forget_live(run: Path) -> None:
+    """Take away the view that an attempt has left which died: it is not how the run stands."""
+    with contextlib.suppress(OSError):
+        (run / LIVE_FILE).unlink()
+
+
+def read_live(run: Path) -> dict[str, Any]:
+    """The live view of a run, or the last one of a run that died; empty when there is none.
+
+    Runs may come from elsewhere: what is not of the kind that is written there is left out.
+    """
+    try:
+        view = read_json(run / LIVE_FILE)
+    except DataError:
+        return {}
+    plain = {key: value for key, value in view.items() if _is_plain(value) and _fits(key, value)}
+    if isinstance(view.get("arm"), dict) and isinstance(view["arm"].get("joints"), list):
+        plain["arm"] = _arm(view["arm"])
+    if isinstance(view.get("interlocks"), list):
+        plain["interlocks"] = [_flat(one) for one in view["interlocks"] if isinstance(one, dict)]
+    return plain
+
+
+def standing_in(view: Mapping[str, Any]) -> Standing:
+    """Where a run stands, from its live view; what the view does not say keeps its default."""
+    standing = Standing()
+    for field in fields(Standing):
+        value, default = view.get(field.name), getattr(standing, field.name)
+        if _is_number(value) and not isinstance(default, str):
+            setattr(standing, field.name, type(default)(value))
+        elif isinstance(value, str) and isinstance(default, str):
+            setattr(standing, field.name, value)
+    return standing
+
+
+def _fits(key: str, value: Any) -> bool:
+    """Whether a value is of the kind that its key has."""
+    if key in _NUMBERS:
+        return _is_number(value)
+    return isinstance(value, str) or key not in _TEXTS
+
+
+def _arm(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Of every joint all that is told of joints; null where it is not known."""
+    arm = _flat(told)
+    count = len(arm["joints"])
+    for key in FIELDS:
+        values = arm[key] if isinstance(arm.get(key), list) else []
+        known = [value if _is_number(value) else None for value in values]
+        arm[key] = (known + [None] * count)[:count]
+    return arm
+
+
+def _flat(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values, and lists of such; odd ones in a list are null, for their places count."""
+    kept: dict[str, Any] = {}
+    for key, value in told.items():
+        if _is_plain(value):
+            kept[key] = value
+        elif isinstance(value, list):
+            kept[key] = [one if _is_plain(one) else None for one in value]
+    return kept
+
+
+def _is_plain(value: Any) -> bool:
+    return value is None or isinstance(value, str | bool) or _is_number(value)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number to calculate with: neither NaN nor endless nor longer than a float."""
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    return known and -LARGEST < value < LARGEST

@@ -1,0 +1,372 @@
+"""Going on with a run that ended early: what is measured stays, the rest is measured."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.arms import require_same_arm
+from hil.core.errors import DataError, PreflightFailed
+from hil.core.files import read_json
+from hil.engine import Outcome, RunResult
+from hil.importers.completeness import Completeness, completeness_of, rows_of
+from hil.planning.approach import Approach
+from hil.planning.experiment import Experiment, load_experiment
+from hil.planning.plan import Plan
+from hil.planning.plan_file import read_plan
+from hil.planning.robots import held, standing_at
+from hil.recording.continuity import Counts
+from hil.recording.parts import attempt_of, name_of_attempt
+from hil.recording.provenance import started_as, utc_now
+from hil.recording.reader import read_topic
+from hil.recording.rundir import RunDirectory
+from hil.robot import Robot, Status
+from hil.spec.load import spec_hash
+from hil.workflow.attempt import NOTHING, Attempt, Before, Recorded
+from hil.workflow.beginning import describe_robot
+from hil.workflow.confirmation import Gate, Granted, MotionFacts, shown_by
+from hil.workflow.execute import Attendance, execute
+from hil.workflow.operator import prompt_on, require_attended
+from hil.workflow.recording import require_usable
+from hil.workflow.remaining import connected_steps, remaining_steps
+from hil.workflow.sink import COUNTED, counts_of
+from hil.workflow.trainings import forget
+from hil.workflow.weighed_before import Readings, is_whole, weighed_before
+
+COLD_AFTER_S = 600.0
+"""An arm that has stood still for longer is warmed up again before it measures on [s]."""
+
+DIED_AFTER = "the process died after the last measurement; the end was written later"
+
+SAME_IDENTITY = ("model", "serial", "firmware", "driver")
+SAME_ROBOT = ("model", "gravity_m_s2", "joint_names", "rate_hz", "effort_kind", "drive_gains")
+"""What of `start.json:robot` must be as it was."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unfinished:
+    """A run as it lies on the disk, with something left to do.
+
+    Attributes:
+        directory: The run.
+        experiment: Its own copies of spec and station.
+        plan: Its own plan.
+        complete: What of it was measured, by the data.
+    """
+
+    directory: RunDirectory
+    experiment: Experiment
+    plan: Plan
+    complete: Completeness
+
+
+def require_resumable(path: Path) -> RunDirectory:
+    """A run that may be gone on with, as far as its documents say; its recordings are not read.
+
+    Raises:
+        DataError: It is no run, one of a kind that has no program to go on with, or lacks a file.
+    """
+    directory = RunDirectory.open(path)
+    start = directory.start
+    if start.get("passive"):
+        raise DataError(
+            f"{path} is a passive recording: there is no plan to go on with",
+            hint=f"use what there is (hil fit {path}), or record again",
+        )
+    if "commissioning" in start:
+        raise DataError(
+            f"{path} is a commissioning run: its way back would be at full speed",
+            hint="run the experiment again with --speed and --first",
+        )
+    if directory.pruned:
+        raise DataError(
+            f"{path} lacks recordings that were deleted (pruned.json)",
+            hint="run the experiment again",
+        )
+    for name in ("spec.yaml", "station.yaml", "plan.json"):
+        if not (path / name).is_file():
+            raise DataError(
+                f"{path} has no {name}: it ended before anything moved",
+                hint="there is nothing to go on with; run the experiment again",
+            )
+    return directory
+
+
+def open_unfinished(path: Path) -> Unfinished:
+    """Open a run for going on with it.
+
+    Raises:
+        DataError: See `require_resumable`; or its plan or spec is not the one it was begun with,
+            or it was judged and reported already.
+    """
+    directory = require_resumable(path)
+    start = directory.start
+    plan = read_plan(path / "plan.json")
+    experiment = load_experiment(path / "spec.yaml", path / "station.yaml")
+    # The copy of the station in the run is the same station, and its robots the same robots.
+    experiment = replace(experiment, station_source=str(start.get("station", "")))
+    require_same_arm(start.get("robot", {}), path, "run the experiment again")
+    _require_same("plan.json", "plan_hash", start, plan.hash)
+    _require_same("spec.yaml", "spec_hash", start, spec_hash(experiment.spec))
+    complete = completeness_of(plan, directory.recordings)
+    _require_something_left(directory, complete)
+    return Unfinished(directory, experiment, plan, complete)
+
+
+def resume_recording(unfinished: Unfinished, attendance: Attendance) -> Recorded:
+    """Measure what is missing, in a new attempt of the same run, which this process holds.
+
+    Raises:
+        SpecError, PluginError, RobotError: The robot cannot be reached or used.
+        PlanError: No clear way leads from where the arm stands back to the plan.
+        PreflightFailed: It is another robot.
+        NotConfirmed: Address or payload differs from the confirmed one, or the motion goes
+            further or is faster, and was not confirmed.
+        RecordingError: The run directory cannot be written to.
+    """
+    experiment, plan = unfinished.experiment, unfinished.plan
+    directory = unfinished.directory
+    gate = Gate(experiment, attendance.confirm, _confirmed_before(directory))
+    with held(experiment, wait_s=attendance.wait_s, report=attendance.stage, admit=gate.admit) as (
+        robot,
+        lease,
+    ):
+        attendance.stage("planning the way back")
+        todo, weighed, cold = _remaining(unfinished, robot)
+        require_attended(todo, prompt_on(robot, attendance.prompt), resumed=True)
+        confirmed = gate.confirmation(robot, todo)
+        if not shown_by(confirmed):
+            attendance.planned(todo)
+        before = replace(_before(directory, plan.rate_hz), first_load=weighed)
+        with attendance.signals.guard():
+            lease.note_run(directory.path)
+            number = directory.next_attempt()
+            directory.write_resume(
+                number,
+                _document(unfinished, robot, todo, attendance, cold=cold)
+                | ({"confirmation": confirmed} if confirmed else {}),
+            )
+            attendance.stage(
+                f"going on with {plan.name} ({unfinished.complete}) → {directory.path}"
+            )
+            for text in _repeated(unfinished, todo, cold=cold):
+                attendance.stage(text)
+            attempt = Attempt(directory, number, experiment, plan, todo, before)
+            return execute(attempt, robot, attendance)
+
+
+def remaining_motion(unfinished: Unfinished) -> MotionFacts | None:
+    """Return what has to be confirmed before a run goes on; None where nothing has to be.
+
+    The robot is leased and connected to meanwhile: the way back begins where it stands.
+
+    Raises:
+        SpecError, PluginError, RobotError, PlanError, PreflightFailed: See `resume_recording`.
+    """
+    if not unfinished.complete.missing:
+        return None
+    experiment = unfinished.experiment
+    # Nothing moves here, so that any robot is admitted.
+    gate = Gate(experiment, Granted("preview"), _confirmed_before(unfinished.directory))
+    with held(experiment, report=lambda text: None, admit=gate.admit) as (robot, _):
+        todo, _, _ = _remaining(unfinished, robot)
+        return gate.facts(robot, todo)
+
+
+def _remaining(unfinished: Unfinished, robot: Robot) -> tuple[Plan, Readings, bool]:
+    """Return what is left to execute, what the first load weighed, and whether the arm is cold."""
+    directory, plan = unfinished.directory, unfinished.plan
+    require_same_robot(directory, describe_robot(robot, unfinished.experiment.robot))
+    require_usable(unfinished.experiment, robot)
+    cold = _is_cold(unfinished, robot)
+    weighed = weighed_before(plan, directory.recordings, robot.capabilities)
+    todo = _confirmed(_todo(unfinished, robot, weighed, cold=cold), directory)
+    return todo, weighed, cold
+
+
+def _confirmed_before(directory: RunDirectory) -> Mapping[str, Any] | None:
+    """Return the facts that were confirmed last; None for a run without a confirmation."""
+    names = [name_of_attempt("resume.json", n) for n in range(directory.attempts - 1, 0, -1)]
+    documents = [read_json(path) for name in names if (path := directory.path / name).is_file()]
+    for document in (*documents, directory.start):
+        if isinstance(answer := document.get("confirmation"), dict):
+            facts = answer.get("facts")
+            return facts if isinstance(facts, dict) else None
+    return None
+
+
+def _todo(unfinished: Unfinished, robot: Robot, weighed: Readings, *, cold: bool) -> Plan:
+    """What is left, as a plan that begins where the robot stands."""
+    plan, experiment = unfinished.plan, unfinished.experiment
+    here = standing_at(robot.read()[-1])
+    approach = Approach(
+        experiment.spec,
+        experiment.robot,
+        rate_hz=robot.capabilities.rate_hz,
+        here=here,
+        targets=np.array([motion.q_end for motion in plan.motions]),
+    )
+    again = bool(weighed) and not is_whole(weighed)
+    left = remaining_steps(plan, unfinished.complete.done, cold=cold, weigh_first=again)
+    return replace(plan, steps=tuple(connected_steps(left, here, approach.way)))
+
+
+def _repeated(unfinished: Unfinished, todo: Plan, *, cold: bool) -> Iterator[str]:
+    """What is done once more, and why: a program that seems to begin anew worries people."""
+    kinds = {step.kind for step in todo}
+    weighs = {step.load for step in todo if step.kind == "weigh"}
+    events = unfinished.directory.events()
+    if any(e.get("kind") == "weighing" and e.get("load") in weighs for e in events):
+        yield "weighing again, on purpose: nobody knows what was done to the load meanwhile"
+    if cold and "warmup" in kinds and unfinished.complete.done:
+        yield "warming up again, on purpose: the arm may have cooled down meanwhile"
+
+
+def _require_something_left(directory: RunDirectory, complete: Completeness) -> None:
+    """Raise if a run is judged and reported, or judged and no longer complete.
+
+    A verdict holds for the recording that was judged: nothing is added to it afterwards.
+    """
+    if not directory.is_judged:
+        return
+    forget(directory.path)  # a kill between the verdict and this left it
+    if complete.missing:
+        raise DataError(
+            f"{directory.path} was judged when it was complete, but now only {complete} are whole",
+            hint="the recording was damaged since: restore it from a copy, or run the experiment "
+            "again",
+        )
+    if directory.is_reported:
+        raise DataError(
+            f"{directory.path} is complete ({complete}), judged and reported",
+            hint=f"look at it: hil show {directory.path}",
+        )
+
+
+def _require_same(name: str, key: str, start: Mapping[str, Any], found: str) -> None:
+    if start.get(key) != found:
+        raise DataError(
+            f"{name} is not what the run was begun with: its hash is {found[:12]}…, "
+            f"start.json says {str(start.get(key))[:12]}…",
+            hint="put the original file back, or run the experiment again",
+        )
+
+
+def require_same_robot(directory: RunDirectory, robot: Mapping[str, Any]) -> None:
+    """Two robots in one dataset would be identified as one that does not exist."""
+    recorded = directory.start.get("robot", {})
+    pairs = {key: (recorded.get(key), robot[key]) for key in SAME_ROBOT}
+    was, now = recorded.get("identity", {}), robot["identity"]
+    pairs |= {key: (was.get(key), now[key]) for key in SAME_IDENTITY}
+    differs = [f"{key} was {old!r}, is {new!r}" for key, (old, new) in pairs.items() if old != new]
+    if differs:
+        raise PreflightFailed(
+            f"this is not the robot of {directory.path}: {'; '.join(differs)}",
+            hint="connect the robot that began the run, or run the experiment again on this one",
+        )
+
+
+def _is_cold(unfinished: Unfinished, robot: Robot) -> bool:
+    """Whether the arm has stood still too long; a simulated one is switched on cold each time."""
+    if robot.capabilities.clock == "virtual":
+        return True
+    directory = unfinished.directory
+    moved, last = 0.0, -1
+    for path in directory.recordings:
+        rows = rows_of(path)
+        if rows is not None and (moving := (rows["status"] & int(Status.MOVING)) != 0).any():
+            moved, last = float(np.nanmax(rows["host_time"][moving])), attempt_of(path)
+    if time.time() - moved > COLD_AFTER_S:
+        return True
+    # A warm-up that was cut short has warmed nothing: it is over once something was measured.
+    own = [path for path in directory.recordings if attempt_of(path) == last]
+    return last > 0 and not completeness_of(unfinished.plan, own).done
+
+
+def _confirmed(plan: Plan, directory: RunDirectory) -> Plan:
+    """The plan with a question for a load that may not be the one that hangs there.
+
+    A plan asks for a load when it comes to it; whoever goes back to an earlier one has to ask, too.
+    """
+    declared = [e.get("load") for e in directory.events() if e.get("kind") == "payload"]
+    first = next((step.load for step in plan if step.kind == "payload"), 0)
+    by_hand = any(load.prompt for load in plan.loads)
+    if not (by_hand and declared and declared[-1] != first) or plan.loads[first].prompt:
+        return plan
+    mass = plan.loads[first].payload.mass
+    what = f"Mount load {first} ({mass:g} kg) again" if mass else "Take the load off again"
+    asked = replace(plan.loads[first], prompt=f"{what}: the run goes back to it")
+    loads = (*plan.loads[:first], asked, *plan.loads[first + 1 :])
+    return replace(plan, loads=loads)
+
+
+def _before(directory: RunDirectory, rate_hz: float) -> Before:
+    """What the recordings so far hold; their gaps and duplicates count for the whole run."""
+    total, device_s = dict(NOTHING), 0.0
+    for _, parts in groupby(directory.recordings, attempt_of):
+        counts = Counts()
+        for path in parts:
+            with contextlib.suppress(DataError):  # torn before its first samples
+                counts = counts.after(read_topic(path, salvage=True), rate_hz)
+        own = counts_of(counts)
+        total = {name: total[name] + own[name] for name in COUNTED}
+        device_s += counts.last_time - counts.first_time if counts.samples else 0.0
+    return Before(total, device_s)
+
+
+def _document(
+    unfinished: Unfinished, robot: Robot, todo: Plan, attendance: Attendance, *, cold: bool
+) -> dict[str, Any]:
+    """What `resume-NN.json` says."""
+    return {
+        "resumed": utc_now(),
+        "operator": attendance.operator,
+        "host": socket.gethostname(),
+        "pid": os.getpid(),
+        **started_as(),
+        "status_before": unfinished.directory.status,
+        "complete_before": unfinished.complete.to_dict(),
+        "plan_hash": unfinished.plan.hash,
+        "robot": asdict(robot.identity),
+        "warmed_up_again": cold,
+        "waivers": dict(attendance.waivers),
+        "steps": [step.index for step in todo],
+        "approach": [step.to_dict() for step in todo if step.index < 0],
+    }
+
+
+def recorded_before(unfinished: Unfinished) -> Recorded:
+    """Return a run whose measuring steps are all complete, as if its motion had just ended.
+
+    A process that died after its last measurement wrote no stop document: it is written now.
+
+    Raises:
+        RecordingError: The disk refuses.
+    """
+    directory = unfinished.directory
+    before = _before(directory, unfinished.plan.rate_hz)
+    steps = len(unfinished.plan)
+    unsettled = tuple(sorted(unfinished.complete.unsettled))
+    samples = before.counts["samples"]
+    if directory.stop is None:
+        document = {
+            **before.counts,
+            "steps_done": steps,
+            "unsettled": list(unsettled),
+            "complete": unfinished.complete.to_dict(),
+            "device_s": before.device_s,
+            "exit_code": 0,
+            "problems": [DIED_AFTER],
+        }
+        directory.write_stop("completed", "", document, attempt=directory.attempts - 1)
+    result = RunResult(Outcome.COMPLETED, "", None, steps, unsettled, samples, before.device_s, 0.0)
+    return Recorded(directory, result, before.counts)

@@ -1,0 +1,241 @@
+"""The studies of a run: each by itself on the whole recording, its result beside the fits."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.core import plugins
+from hil.core.errors import DataError, FitError, HilError, SpecError
+from hil.core.executor import cores
+from hil.core.live_lock import is_live
+from hil.core.throttle import Throttle
+from hil.dynamics import RobotModel, load_model
+from hil.estimators.model_file import plain
+from hil.importers.load import load_source
+from hil.recording.rundir import RunDirectory
+from hil.spec.experiment import ExperimentSpec, StudyEntry
+from hil.spec.load import load_spec
+from hil.studies.base import GROUP, Ended, Study, study
+from hil.studies.result import StudyResult
+from hil.studies.store import (
+    PROBLEM_FILE,
+    STUDIES,
+    STUDY_FILE,
+    folder_of,
+    write_problem,
+    write_study,
+)
+from hil.workflow.under_loads import STUDY, as_in_spec, of_other_arms, under_loads
+
+if TYPE_CHECKING:
+    from hil.data.dataset import Dataset
+
+EVERY_S = 0.1
+"""Progress within one thing that is done is told no more often than this [s]."""
+
+Watch = Callable[[str, str, int, int], None]
+"""Told the study, what it is doing, and how many of how many steps of that are done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Studied:
+    """What came of the studies of a run.
+
+    Attributes:
+        run: The run directory.
+        made: Folder of each study that was made, and what it found.
+        problems: Name of each study that failed, and why.
+    """
+
+    run: Path
+    made: tuple[tuple[Path, StudyResult], ...]
+    problems: tuple[tuple[str, HilError], ...]
+
+    @property
+    def error(self) -> HilError | None:
+        """One error for all studies that are missing; the data are at fault only if they alone."""
+        if not self.problems:
+            return None
+        errors = [error for _, error in self.problems]
+        kind = DataError if all(isinstance(error, DataError) for error in errors) else FitError
+        told = "; ".join(f"the study {name}: {error.message}" for name, error in self.problems)
+        hints = list(dict.fromkeys(error.hint for error in errors if error.hint))
+        out = kind(told, hint="; ".join(hints) or f"hil study {self.run}")
+        out.__cause__ = errors[0]
+        return out
+
+
+def unwatched(name: str, what: str, done: int, total: int) -> None:
+    """Studies that nobody watches."""
+
+
+Told = Callable[[str, Ended], None]
+"""Told the study, and which of its fits is done."""
+
+
+def unheard(name: str, ended: Ended) -> None:
+    """Fits that nobody is told of."""
+
+
+def entries_for(
+    run: Path, name: str | None = None, parameters: Mapping[str, Any] | None = None
+) -> tuple[StudyEntry, ...]:
+    """The studies to make: those of the run's spec, or one by name.
+
+    Args:
+        run: The run directory.
+        name: Which study; by default all of the spec.
+        parameters: Laid over those the spec gives it.
+
+    Raises:
+        DataError: It is no run directory, or still recording.
+        SpecError: There is no study in the spec, or several that the parameters could be for.
+    """
+    RunDirectory.open(run)
+    if is_live(run):
+        raise DataError(f"{run} is still recording", hint=f"wait for its end: hil watch {run}")
+    wanted = [entry for entry in _written(run) if name in (None, entry.study)]
+    if name is not None and not wanted:
+        wanted = [StudyEntry(study=name)]
+    if not wanted:
+        known = ", ".join(plugins.names(GROUP)) or "none is installed"
+        raise SpecError(
+            f"the spec of {run} names no study", hint=f"choose one with --study: {known}"
+        )
+    if not parameters:
+        return tuple(wanted)
+    if len(wanted) > 1:
+        told = ", ".join(entry.study for entry in wanted)
+        raise SpecError(f"the parameters could be for any of {told}", hint="choose with --study")
+    (entry,) = wanted
+    asked = {**entry.parameters, **parameters}
+    spec = _spec(run)
+    if entry.study == STUDY and spec is not None:
+        asked = as_in_spec(spec, asked)
+    return (StudyEntry(study=entry.study, **asked),)
+
+
+def missing_studies(run: Path, entries: Sequence[StudyEntry]) -> tuple[StudyEntry, ...]:
+    """Return the studies with neither a result nor a recorded problem, as after a kill.
+
+    Raises:
+        SpecError, PluginError: A study or a parameter does not exist.
+    """
+
+    def folder(entry: StudyEntry) -> Path:
+        made = study(entry.study, **entry.parameters)
+        return run / STUDIES / folder_of(entry.study, made.get_params())
+
+    folders = [(entry, folder(entry)) for entry in entries]
+    return tuple(
+        entry
+        for entry, at in folders
+        if not ((at / STUDY_FILE).is_file() or (at / PROBLEM_FILE).is_file())
+    )
+
+
+def run_studies(
+    run: Path, entries: Sequence[StudyEntry], watch: Watch = unwatched, told: Told = unheard
+) -> Studied:
+    """Make studies of a run; one that fails leaves the run and the others as they are.
+
+    The recording is read once, moves included. Writes `study/<name>-<digest>/study.json` each, or
+    `problem.json` beside it where the run's spec asks for just that study: what somebody tries
+    with other parameters is told to them, and is no fault of the run.
+
+    Args:
+        run: The run directory.
+        entries: Which studies, with their parameters.
+        watch: Told how far they are.
+        told: Told every fit that is done, of studies that spread theirs.
+
+    Raises:
+        SpecError, PluginError: A study or a parameter does not exist; nothing has been done.
+        KeyboardInterrupt: As it came; what was made before is kept.
+    """
+    studies = [(entry, study(entry.study, **entry.parameters)) for entry in entries]
+    made: list[tuple[Path, StudyResult]] = []
+    problems: list[tuple[str, HilError]] = []
+    of: tuple[Dataset, RobotModel] | None = None
+    for entry, one in studies:
+        name = entry.study
+        folder = run / STUDIES / folder_of(name, one.get_params())
+        try:
+            of = of or _loaded(run)
+            made.append((folder, _make(one, folder, of, _Throttled(name, watch, told))))
+        except HilError as error:
+            problems.append((name, error))
+            if entry in _written(run):
+                write_problem(name, error.message, error.hint, folder)
+    return Studied(run, tuple(made), tuple(problems))
+
+
+def _written(run: Path) -> tuple[StudyEntry, ...]:
+    """The studies of the run's spec; a recording of somebody else's program has none."""
+    spec = _spec(run)
+    return () if spec is None else (*spec.study, *under_loads(run, spec))
+
+
+def _spec(run: Path) -> ExperimentSpec | None:
+    file = run / "spec.yaml"
+    return load_spec(file, look_up=False) if file.is_file() else None
+
+
+def _loaded(run: Path) -> tuple[Dataset, RobotModel]:
+    data = load_source(run)
+    return data, load_model(data.robot, gravity=data.gravity)
+
+
+def _make(
+    one: Study, folder: Path, of: tuple[Dataset, RobotModel], progress: _Throttled
+) -> StudyResult:
+    from threadpoolctl import threadpool_limits
+
+    begin = time.perf_counter()
+    try:
+        with threadpool_limits(_blas_threads()):
+            found = one.run(*of, progress)
+        seconds = time.perf_counter() - begin
+        asked: dict[str, Any] = plain(one.get_params())
+        found = replace(found, study=progress.name, parameters=asked, seconds=seconds)
+        if progress.name == STUDY:
+            others = of_other_arms(folder.parent.parent, asked.get("models") or ())
+            found = replace(found, warnings=(*others, *found.warnings))
+        write_study(found, folder)
+    except (HilError, OSError):
+        raise
+    # Studies are plug-ins: whatever one of them raises must not cost the others.
+    except Exception as error:
+        raise FitError(
+            f"{progress.name} broke down: {type(error).__name__}: {error}",
+            hint="this is a fault of the study: report it to whoever wrote it",
+        ) from error
+    return found
+
+
+def _blas_threads() -> int:
+    """As many as there are, but no more than cores: threads beyond those only spin."""
+    from threadpoolctl import threadpool_info
+
+    return min(cores(), max((pool["num_threads"] for pool in threadpool_info()), default=1))
+
+
+class _Throttled:
+    """Progress of one study, without the thousands of steps between two looks at a screen."""
+
+    def __init__(self, name: str, watch: Watch, told: Told) -> None:
+        self.name, self._watch, self._told = name, watch, told
+        self._what, self._often = "", Throttle(EVERY_S)
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._often.due(anyway=what != self._what or done >= total):
+            self._what = what
+            self._watch(self.name, what, done, total)
+
+    def ended(self, ended: Ended) -> None:
+        """A fit that is done: none of them is left out."""
+        self._told(self.name, ended)
