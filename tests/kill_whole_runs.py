@@ -358,8 +358,8 @@ def after_registry(folder: Path, again: list[str]) -> str:
 
 def after_schedule(folder: Path, again: list[str]) -> str:
     """Look after a step of a schedule that was killed; every other time its run is gone on with."""
+    from hil.maintenance.schedule.ledger import Ledger
     from hil.models.log import read_log
-    from hil.schedule.ledger import Ledger
 
     told = "left to the schedule"
     if int(folder.name) % 2:

@@ -10,8 +10,8 @@ import numpy as np
 from hil import api
 from hil.estimators.model_file import load_model_file
 from hil.evaluation.fitting import load_source, usable_part
+from hil.maintenance.pipeline.adapted import with_options
 from hil.models.drift.features import Features, features_of
-from hil.pipeline.adapted import with_options
 from hil.planning.experiment import Experiment, load_experiment
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

@@ -16,10 +16,10 @@ from pipeline_parts import occasion
 from hil.core.typing import FloatArray
 from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
+from hil.maintenance.pipeline.stages import FOLDER
+from hil.maintenance.schedule.ledger import Ledger
 from hil.models.registry import Registry
-from hil.pipeline.stages import FOLDER
 from hil.recording.rundir import RunDirectory
-from hil.schedule.ledger import Ledger
 
 SCRIPT = Path(__file__).with_name("pipeline_dies.py")
 SECOND = occasion(1, "campaign").id

@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 from pipeline_parts import SCHEDULE, occasion, write_schedule
 
+from hil.maintenance.pipeline.adapted import with_options
+from hil.maintenance.pipeline.bound import bind
+from hil.maintenance.pipeline.reidentify import reidentification
+from hil.maintenance.schedule.clocks import VirtualClock
+from hil.maintenance.schedule.ledger import kept
+from hil.maintenance.schedule.loop import Scheduler
+from hil.maintenance.schedule.occasion import Occasion
 from hil.models.registry import Registry
-from hil.pipeline.adapted import with_options
-from hil.pipeline.bound import bind
-from hil.pipeline.reidentify import reidentification
 from hil.planning.experiment import Experiment
-from hil.schedule.clocks import VirtualClock
-from hil.schedule.ledger import kept
-from hil.schedule.loop import Scheduler
-from hil.schedule.occasion import Occasion
 from hil.spec.schedule import load_schedule_spec
 from hil.workflow.driver_check import check_driver
 

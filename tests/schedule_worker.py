@@ -17,9 +17,9 @@ from typing import Any
 
 from schedule_parts import MONDAY, schedule
 
-from hil.schedule.ledger import kept
-from hil.schedule.loop import Scheduler
-from hil.schedule.occasion import Occasion
+from hil.maintenance.schedule.ledger import kept
+from hil.maintenance.schedule.loop import Scheduler
+from hil.maintenance.schedule.occasion import Occasion
 
 QUICKER = 3000.0
 """The clock's minute takes 20 ms."""

@@ -21,8 +21,8 @@ import hil.arms
 from hil.arms import description
 from hil.cli.app import app
 from hil.core.errors import NotConfirmed, SpecError, exit_code_of
-from hil.pipeline import measuring
-from hil.pipeline.bound import bind_file
+from hil.maintenance.pipeline import measuring
+from hil.maintenance.pipeline.bound import bind_file
 from hil.planning.experiment import Experiment, load_experiment
 from hil.planning.robots import opened
 from hil.robot import Address

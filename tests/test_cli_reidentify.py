@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 import hil
 from hil.cli.app import app
 from hil.core.errors import DataError
-from hil.pipeline.stages import Stage, run_stages
-from hil.schedule.ledger import kept
-from hil.schedule.occasion import Occasion
+from hil.maintenance.pipeline.stages import Stage, run_stages
+from hil.maintenance.schedule.ledger import kept
+from hil.maintenance.schedule.occasion import Occasion
 
 
 def test_it_is_done_once_and_gone_on_with_where_it_was_cut_off(
@@ -65,7 +65,7 @@ def test_what_was_cut_off_too_long_ago_is_begun_anew(
             "name": "ur5", "text": "", "errors": None, "runs": {}
         }  # fmt: skip
 
-    monkeypatch.setattr("hil.pipeline.by_hand.reidentification", work)
+    monkeypatch.setattr("hil.maintenance.pipeline.by_hand.reidentification", work)
     file = write_schedule(tmp_path)
     told = CliRunner().invoke(app, ["run", str(file), "--state", str(tmp_path / "state")])
     assert told.exit_code == 0, told.output
@@ -85,8 +85,10 @@ def test_what_is_asked_again_within_a_second_is_done_again(
 
         return do
 
-    monkeypatch.setattr("hil.pipeline.by_hand.reidentification", work)
-    monkeypatch.setattr("hil.pipeline.by_hand.datetime", SimpleNamespace(now=lambda zone: now))
+    monkeypatch.setattr("hil.maintenance.pipeline.by_hand.reidentification", work)
+    monkeypatch.setattr(
+        "hil.maintenance.pipeline.by_hand.datetime", SimpleNamespace(now=lambda zone: now)
+    )
     file = write_schedule(tmp_path)
     monkeypatch.chdir(tmp_path)
     told = [hil.reidentify(file) for _ in range(3)]

@@ -20,14 +20,14 @@ import pytest
 from schedule_parts import at
 from typer.testing import CliRunner
 
-import hil.pipeline.reidentify
+import hil.maintenance.pipeline.reidentify
 import hil.workflow.preview
 from hil.cli.app import app
 from hil.core.errors import FitError, HilError, InterlockTripped
+from hil.maintenance.schedule.ledger import Ledger, kept
+from hil.maintenance.schedule.motions import motions
+from hil.maintenance.schedule.occasion import Occasion
 from hil.planning.experiment import Experiment, load_experiment
-from hil.schedule.ledger import Ledger, kept
-from hil.schedule.motions import motions
-from hil.schedule.occasion import Occasion
 from hil.spec.schedule import load_schedule_spec
 from hil.workflow.preview import preview_experiment
 
@@ -88,7 +88,9 @@ def working(monkeypatch: pytest.MonkeyPatch, error: HilError | None = None) -> l
             raise error
         return {"outcome": "quiet", "text": "nothing has changed"}
 
-    monkeypatch.setattr(hil.pipeline.reidentify, "reidentification", lambda *a, **k: work)
+    monkeypatch.setattr(
+        hil.maintenance.pipeline.reidentify, "reidentification", lambda *a, **k: work
+    )
     return done
 
 

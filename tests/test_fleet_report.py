@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from hil.cli.app import app
 from hil.core.errors import DataError
 from hil.core.executor import one_thread
-from hil.fleet.members import experiment_for, spec_for
-from hil.fleet.probing import probe_fleet
+from hil.maintenance.fleet.members import experiment_for, spec_for
+from hil.maintenance.fleet.probing import probe_fleet
 from hil.models.drift.features import Features, feature_names
 from hil.models.drift.history import Probe
 from hil.models.fleet_fit_task import FitResult

@@ -13,9 +13,9 @@ import pytest
 
 from hil.core.errors import HilError
 from hil.engine.pausing import nobody_goes_on
-from hil.fleet import worker, workers
-from hil.fleet.worker import Job
-from hil.fleet.workers import Manner, Workers
+from hil.maintenance.fleet import worker, workers
+from hil.maintenance.fleet.worker import Job
+from hil.maintenance.fleet.workers import Manner, Workers
 from hil.models.fleet_folder import FleetFolder
 from hil.workflow.desk import Desk
 from hil.workflow.series import Ended

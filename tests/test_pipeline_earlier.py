@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.maintenance.pipeline import earlier
+from hil.maintenance.pipeline.earlier import MOST, earlier_probes
 from hil.models.drift.features import Features
 from hil.models.drift.history import Probe
 from hil.models.registry import Registry
-from hil.pipeline import earlier
-from hil.pipeline.earlier import MOST, earlier_probes
 
 
 def probe(folder: Path, day: int, champion: int = 1, *, changed: bool = False) -> Probe:

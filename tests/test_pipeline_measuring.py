@@ -14,9 +14,9 @@ from synthetic_motion import moving, nominal
 
 from hil.core.errors import PreflightFailed, RobotError
 from hil.estimators import estimator
+from hil.maintenance.pipeline.adapted import with_options
+from hil.maintenance.pipeline.measuring import Measuring, run_of
 from hil.models.facts import facts_of
-from hil.pipeline.adapted import with_options
-from hil.pipeline.measuring import Measuring, run_of
 from hil.planning.experiment import Experiment, load_experiment
 from hil.recording.rundir import RunDirectory
 

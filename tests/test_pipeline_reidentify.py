@@ -15,16 +15,16 @@ import pytest
 from pipeline_parts import CAMPAIGN, PROBE, occasion, write_schedule
 
 from hil.core.errors import FitError, HilError
+from hil.maintenance.pipeline.adapted import with_options
+from hil.maintenance.pipeline.bound import bind
+from hil.maintenance.pipeline.measuring import Measuring
+from hil.maintenance.pipeline.reidentify import Reidentification, as_it_is, reidentification
+from hil.maintenance.pipeline.stages import FOLDER
+from hil.maintenance.schedule.occasion import Job
 from hil.models.drift import history
 from hil.models.drift.bands import banded
 from hil.models.registry import Registry
-from hil.pipeline.adapted import with_options
-from hil.pipeline.bound import bind
-from hil.pipeline.measuring import Measuring
-from hil.pipeline.reidentify import Reidentification, as_it_is, reidentification
-from hil.pipeline.stages import FOLDER
 from hil.planning.experiment import Experiment
-from hil.schedule.occasion import Job
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 
 WORN = {"wear": [1.0, 1.6, 1.0, 1.0, 1.0, 1.0]}

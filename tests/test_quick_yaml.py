@@ -13,7 +13,7 @@ from hil.arms import load_arm
 from hil.cli import candidates
 from hil.core.errors import SpecError
 from hil.core.quick_yaml import DEEPEST, look_into
-from hil.fleet.members import spec_for
+from hil.maintenance.fleet.members import spec_for
 from hil.spec.new import as_scalar
 from hil_mock_robot.ur.faults import read_faults
 

@@ -13,11 +13,11 @@ from pipeline_parts import PROBE, write_schedule
 from schedule_parts import at, events, schedule, scheduler
 
 from hil.core.errors import Stopped
-from hil.pipeline.measuring import Measuring
+from hil.maintenance.pipeline.measuring import Measuring
+from hil.maintenance.schedule.ledger import Ledger
+from hil.maintenance.schedule.loop import Scheduler
+from hil.maintenance.schedule.occasion import Occasion
 from hil.planning.experiment import load_experiment
-from hil.schedule.ledger import Ledger
-from hil.schedule.loop import Scheduler
-from hil.schedule.occasion import Occasion
 
 MON = "20261123T030000Z-probe"
 

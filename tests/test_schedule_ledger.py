@@ -10,8 +10,8 @@ import pytest
 from schedule_parts import MONDAY, at
 
 from hil.core.errors import DataError, RecordingError
-from hil.schedule.ledger import LEDGER_FILE, Ledger, kept, occasion_of
-from hil.schedule.occasion import Occasion
+from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept, occasion_of
+from hil.maintenance.schedule.occasion import Occasion
 
 
 def three_lines(folder: Path) -> Path:

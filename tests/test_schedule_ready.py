@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from hil.core.errors import RobotConnectionError, RobotFault, Stopped
+from hil.maintenance.schedule.curfew import curfew
+from hil.maintenance.schedule.loop import Interruption
+from hil.maintenance.schedule.preconditions import RobotReady
 from hil.planning import robots
 from hil.planning.experiment import load_experiment
 from hil.robot import Finding, Status, state_dtype
 from hil.robot.lease import leased
-from hil.schedule.curfew import curfew
-from hil.schedule.loop import Interruption
-from hil.schedule.preconditions import RobotReady
 from hil.workflow import driver_check
 
 SPEC = Path(__file__).parent.parent / "experiments" / "ci_fourier_2.yaml"

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from schedule_parts import HOUR, MINUTE, MONDAY, at, never_due, schedule
 
-from hil.schedule import times
-from hil.schedule.times import moment_of, next_free, occasions, window_in
+from hil.maintenance.schedule import times
+from hil.maintenance.schedule.times import moment_of, next_free, occasions, window_in
 
 BERLIN = ZoneInfo("Europe/Berlin")
 ZONES = ("Europe/Berlin", "America/New_York", "Australia/Lord_Howe", "Asia/Kolkata", "UTC")

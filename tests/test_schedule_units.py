@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from hil.core.errors import RecordingError, SpecError
-from hil.schedule.notify import Command
-from hil.schedule.systemd import next_words, units_of, write_units
+from hil.maintenance.schedule.notify import Command
+from hil.maintenance.schedule.systemd import next_words, units_of, write_units
 
 ANALYZE = shutil.which("systemd-analyze")
 ODD = 'a b/100 % of "$HOME"\\x/nightly.yaml'

@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 
 from hil.cli.app import app
 from hil.core.errors import SpecError
+from hil.maintenance.pipeline.simulation import STAGES, conditions, noise_day
+from hil.maintenance.schedule.ledger import Ledger
+from hil.maintenance.schedule.occasion import Occasion
 from hil.models.registry import Registry
-from hil.pipeline.simulation import STAGES, conditions, noise_day
 from hil.report.simulation_page import simulation_page
-from hil.schedule.ledger import Ledger
-from hil.schedule.occasion import Occasion
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec
 
 BEGIN = datetime(2026, 11, 28, 3, tzinfo=UTC)

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from web_parts import SLY, dashboard, plain, seen
 
 from hil.core.errors import FitError
-from hil.schedule.ledger import LEDGER_FILE, Ledger, kept
+from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept
 from hil.spec.schedule import load_schedule_spec
 from hil.web.schedules_known import coming
 from hil.web.settings import Settings

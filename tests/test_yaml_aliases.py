@@ -20,8 +20,8 @@ from hil.core.errors import SpecError
 from hil.core.quick_yaml import look_into
 from hil.core.yaml_source import parse
 from hil.estimators.gains_file import read_gains
-from hil.fleet.members import spec_for
 from hil.importers.import_map import load_map
+from hil.maintenance.fleet.members import spec_for
 from hil.spec.load import load_spec, load_station
 from hil.spec.schedule import load_schedule_spec
 from hil.spec.series import load_series_spec

@@ -30,7 +30,7 @@ def recordings(folder: Path, count: int, executor: Executor) -> list[Path]:
 
 
 def _recorded(folder: Path, robot: str) -> Path:
-    from hil.fleet.members import experiment_for
+    from hil.maintenance.fleet.members import experiment_for
     from hil.workflow.run import run_experiment
 
     text = SPEC.format(robot=robot)

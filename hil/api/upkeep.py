@@ -55,7 +55,7 @@ def reidentify(
         DataError: Another process does the same now.
         HilError: What keeps a stage from its end; the next call goes on there.
     """
-    from hil.pipeline.by_hand import run_once
+    from hil.maintenance.pipeline.by_hand import run_once
 
     return run_once(
         path(schedule),

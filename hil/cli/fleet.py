@@ -16,8 +16,8 @@ from hil.cli.output import JsonFlag, RunsOption, SpecPath, StationOption, print_
 from hil.cli.running import OperatorOption, WaiveOption, YesFlag
 
 if TYPE_CHECKING:
-    from hil.fleet.run import FleetReport
-    from hil.fleet.workers import Manner
+    from hil.maintenance.fleet.run import FleetReport
+    from hil.maintenance.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
     from hil.workflow.arming import Moves
     from hil.workflow.series import Ended
@@ -56,8 +56,8 @@ def run(
 ) -> None:
     """Run an experiment on many robots of a station; its own `robot` is replaced by each."""
     from hil.core.executor import cores
-    from hil.fleet.members import named_in, robots_like, spec_for
-    from hil.fleet.workers import Manner
+    from hil.maintenance.fleet.members import named_in, robots_like, spec_for
+    from hil.maintenance.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
     from hil.planning.experiment import find_station
     from hil.workflow.arming import confirm_together
@@ -86,9 +86,9 @@ def resume(
 ) -> None:
     """Go on with a fleet: with runs that ended early, and robots that were not begun."""
     from hil.core.executor import cores
-    from hil.fleet.members import named_in
-    from hil.fleet.run import left_of
-    from hil.fleet.workers import Manner
+    from hil.maintenance.fleet.members import named_in
+    from hil.maintenance.fleet.run import left_of
+    from hil.maintenance.fleet.workers import Manner
     from hil.models.fleet_folder import FleetFolder
     from hil.workflow.arming import confirm_together
 
@@ -106,7 +106,7 @@ def _moves(
     specs: Mapping[str, str], spec: Path, station: str, naming: Path, named: Mapping[str, str]
 ) -> Moves:
     """Return what a fleet moves: the spec as each robot runs it, and the file that names robots."""
-    from hil.fleet.members import experiment_for
+    from hil.maintenance.fleet.members import experiment_for
     from hil.workflow.arming import Moves
 
     if not specs:
@@ -124,7 +124,7 @@ def _moves(
 
 def _run(folder: FleetFolder, members: list[dict[str, Any]], manner: Manner, json: bool) -> None:
     from hil.engine.signals import ignore_from_now_on
-    from hil.fleet.run import run_fleet
+    from hil.maintenance.fleet.run import run_fleet
 
     def tell(ended: Ended, number: int, total: int) -> None:
         why = f": {ended.error.message}" if ended.error else ""

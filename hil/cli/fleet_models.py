@@ -12,7 +12,7 @@ from hil.cli.output import JsonFlag, RunsOption, print_json, print_table
 from hil.cli.registry import HERE, RegistryOption
 
 if TYPE_CHECKING:
-    from hil.fleet.probing import Probed
+    from hil.maintenance.fleet.probing import Probed
     from hil.models.fleet_robot_fit import RobotFit
 
 FolderArgument = Annotated[
@@ -105,7 +105,7 @@ def drift(
     """Judge the runs of a fleet as probes, each against its robot's champion."""
     from hil.cli.runs import fail
     from hil.core.errors import DataError
-    from hil.fleet.probing import probe_fleet
+    from hil.maintenance.fleet.probing import probe_fleet
     from hil.models.registry import Registry
 
     told = probe_fleet(folder, Registry(registry), false_alarm)

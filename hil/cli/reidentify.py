@@ -12,7 +12,7 @@ from hil.cli.output import print_json, print_table, print_warnings, say
 
 def validate_schedule(path: Path, station: Path | None, json: bool) -> None:
     """Check a schedule with everything it names; all problems at once."""
-    from hil.pipeline.bound import bind_file
+    from hil.maintenance.pipeline.bound import bind_file
     from hil.workflow.extras import missing_extras
 
     bound = bind_file(path, station)

@@ -10,8 +10,8 @@ from zoneinfo import ZoneInfo
 from hil.cli.output import duration, print_table, say
 
 if TYPE_CHECKING:
-    from hil.schedule.forecast import Expected
-    from hil.schedule.ledger import Line
+    from hil.maintenance.schedule.forecast import Expected
+    from hil.maintenance.schedule.ledger import Line
     from hil.spec.schedule import ScheduleSpec
 
 

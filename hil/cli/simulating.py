@@ -39,8 +39,8 @@ def simulate_schedule(
     """
     from hil.core.files import new_folder
     from hil.engine.signals import ignore_from_now_on
-    from hil.pipeline.bound import bind
-    from hil.pipeline.simulation import require_mock, simulate
+    from hil.maintenance.pipeline.bound import bind
+    from hil.maintenance.pipeline.simulation import require_mock, simulate
     from hil.recording.numbering import name_for_path
     from hil.report.simulation_page import render_simulation
     from hil.spec.schedule import load_schedule_spec

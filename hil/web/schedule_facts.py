@@ -9,10 +9,10 @@ from typing import Any
 from hil.core.durations import duration_text
 from hil.core.errors import HilError
 from hil.core.text import shell_word
-from hil.schedule.forecast import Expected, forecast
-from hil.schedule.ledger import Line, occasion_of
-from hil.schedule.motions import Motions
-from hil.schedule.times import occasions
+from hil.maintenance.schedule.forecast import Expected, forecast
+from hil.maintenance.schedule.ledger import Line, occasion_of
+from hil.maintenance.schedule.motions import Motions
+from hil.maintenance.schedule.times import occasions
 from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
 from hil.web.registered import run_link
 from hil.web.schedules_known import Known, moment_words

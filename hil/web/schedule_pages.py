@@ -13,8 +13,8 @@ from starlette.routing import Route
 
 from hil.core.errors import DataError, SpecError
 from hil.core.suggest import did_you_mean
-from hil.schedule.holding import hold, release
-from hil.schedule.ledger import Ledger, Line
+from hil.maintenance.schedule.holding import hold, release
+from hil.maintenance.schedule.ledger import Ledger, Line
 from hil.web.rendering import page, settings_of, who_of
 from hil.web.schedule_facts import (
     blackouts_of,

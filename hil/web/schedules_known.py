@@ -18,10 +18,10 @@ from hil.core.held_file import holder_of
 from hil.core.text import quoted
 from hil.core.yaml_nodes import MOST_BYTES
 from hil.core.yaml_source import read_source
+from hil.maintenance.schedule.holding import ahead
+from hil.maintenance.schedule.ledger import LEDGER_FILE, LOCK, Ledger
+from hil.maintenance.schedule.times import occasions
 from hil.recording.numbering import folders_in
-from hil.schedule.holding import ahead
-from hil.schedule.ledger import LEDGER_FILE, LOCK, Ledger
-from hil.schedule.times import occasions
 from hil.spec.schedule import KEY, ScheduleSpec, load_schedule_spec
 from hil.web.settings import Settings
 

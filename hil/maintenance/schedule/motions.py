@@ -7,9 +7,9 @@ from datetime import datetime, timedelta
 
 from hil.core.durations import duration_text
 from hil.core.errors import SpecError
+from hil.maintenance.schedule.occasion import Job
+from hil.maintenance.schedule.times import next_free
 from hil.planning.experiment import Experiment
-from hil.schedule.occasion import Job
-from hil.schedule.times import next_free
 from hil.spec.schedule import ScheduleSpec
 
 ALLOWANCE = 1.1

@@ -16,7 +16,7 @@ from itertools import groupby
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from hil.schedule.occasion import Job, Occasion
+from hil.maintenance.schedule.occasion import Job, Occasion
 from hil.spec.schedule import Blackout, ScheduleSpec, Trigger
 
 _DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")

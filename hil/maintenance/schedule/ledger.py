@@ -30,8 +30,8 @@ from hil.core.files import json_line
 from hil.core.held_file import hold
 from hil.core.holder import Holder, this_process
 from hil.core.text import json_text
+from hil.maintenance.schedule.occasion import Job, Occasion
 from hil.models.log import append_line, read_lines
-from hil.schedule.occasion import Job, Occasion
 
 LEDGER_FILE, OCCASIONS, LOCK = "ledger.jsonl", "occasions", ".lock"
 

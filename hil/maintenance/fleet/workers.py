@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.engine.signals import WATCHED
-from hil.fleet.worker import Job, work
+from hil.maintenance.fleet.worker import Job, work
 from hil.models.fleet_folder import FleetFolder
 from hil.workflow.arming import Together
 from hil.workflow.series import Ended

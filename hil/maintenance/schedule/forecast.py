@@ -10,13 +10,13 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from hil.core.durations import duration_text
-from hil.schedule.clocks import VirtualClock
-from hil.schedule.holding import ahead, release
-from hil.schedule.ledger import Ledger, Line, occasion_of
-from hil.schedule.loop import Scheduler
-from hil.schedule.motions import Motions
-from hil.schedule.occasion import Occasion
-from hil.schedule.times import begin_of, dues
+from hil.maintenance.schedule.clocks import VirtualClock
+from hil.maintenance.schedule.holding import ahead, release
+from hil.maintenance.schedule.ledger import Ledger, Line, occasion_of
+from hil.maintenance.schedule.loop import Scheduler
+from hil.maintenance.schedule.motions import Motions
+from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.schedule.times import begin_of, dues
 from hil.spec.schedule import ScheduleSpec
 
 

@@ -13,9 +13,9 @@ from datetime import datetime, timedelta
 from itertools import takewhile
 
 from hil.core.durations import duration_text
-from hil.schedule.ledger import Standing
-from hil.schedule.occasion import Occasion
-from hil.schedule.times import occasions
+from hil.maintenance.schedule.ledger import Standing
+from hil.maintenance.schedule.occasion import Occasion
+from hil.maintenance.schedule.times import occasions
 from hil.spec.schedule import ScheduleSpec
 
 PUNCTUAL = timedelta(minutes=10)

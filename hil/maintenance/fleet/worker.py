@@ -103,7 +103,7 @@ def _run(job: Job) -> RunReport:
 
 
 def _experiment(job: Job) -> Experiment:
-    from hil.fleet.members import experiment_for
+    from hil.maintenance.fleet.members import experiment_for
 
     station = Path(job.station) if job.station else None
     return experiment_for(job.spec.read_text("utf-8"), job.folder, station, job.spec)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from hil.engine import Observer
+from hil.maintenance.pipeline.bound import bind_file
+from hil.maintenance.pipeline.reidentify import reidentification
+from hil.maintenance.pipeline.stages import kept_document
+from hil.maintenance.schedule.ledger import kept, occasion_of
+from hil.maintenance.schedule.occasion import Job, Occasion
 from hil.models.registry import Registry
-from hil.pipeline.bound import bind_file
-from hil.pipeline.reidentify import reidentification
-from hil.pipeline.stages import kept_document
-from hil.schedule.ledger import kept, occasion_of
-from hil.schedule.occasion import Job, Occasion
 from hil.workflow.arming import require_armed
 from hil.workflow.extras import require_extras
 

@@ -16,16 +16,16 @@ from hil.core.errors import FitError
 from hil.core.files import read_json
 from hil.estimators.base import HONEST
 from hil.estimators.model_folder import models_below
+from hil.maintenance.pipeline.bound import Bound
+from hil.maintenance.pipeline.deciding import Decision, decided
+from hil.maintenance.pipeline.fitting_together import not_honest
+from hil.maintenance.pipeline.measuring import Measuring
+from hil.maintenance.pipeline.outcome import errors_on, summary
+from hil.maintenance.pipeline.stages import Document, Stage
+from hil.maintenance.schedule.occasion import Occasion
 from hil.models.registry import Registry
-from hil.pipeline.bound import Bound
-from hil.pipeline.deciding import Decision, decided
-from hil.pipeline.fitting_together import not_honest
-from hil.pipeline.measuring import Measuring
-from hil.pipeline.outcome import errors_on, summary
-from hil.pipeline.stages import Document, Stage
 from hil.planning.experiment import Experiment
 from hil.recording.provenance import utc_now
-from hil.schedule.occasion import Occasion
 from hil.spec.hashing import spec_hash
 
 Adapt = Callable[[Experiment, Occasion, str], Experiment]

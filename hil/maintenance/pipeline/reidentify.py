@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.engine import Observer
+from hil.maintenance.pipeline.bound import Bound, bind
+from hil.maintenance.pipeline.due import Adapt, Due
+from hil.maintenance.pipeline.measuring import Measuring
+from hil.maintenance.pipeline.stages import Document, run_stages
+from hil.maintenance.schedule.occasion import Occasion, Work
 from hil.models.registry import Registry
-from hil.pipeline.bound import Bound, bind
-from hil.pipeline.due import Adapt, Due
-from hil.pipeline.measuring import Measuring
-from hil.pipeline.stages import Document, run_stages
 from hil.planning.experiment import Experiment
-from hil.schedule.occasion import Occasion, Work
 from hil.spec.schedule import ScheduleSpec
 from hil.workflow.confirmation import Confirm, Unconfirmed
 
@@ -79,6 +79,6 @@ class Reidentification:
     tell: Callable[[str], object]
 
     def __call__(self, occasion: Occasion, folder: Path) -> Document:
-        """Do what is due, or what is left of it; see `hil.schedule.occasion.Work`."""
+        """Do what is due, or what is left of it; see `hil.maintenance.schedule.occasion.Work`."""
         due = Due(self.bound, self.registry, self.measuring, self.adapt, occasion, self.tell)
         return run_stages(due.stages(), folder)["summary"]

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil.maintenance.pipeline.stages import Document
 from hil.models.registry import Registry
-from hil.pipeline.stages import Document
 
 if TYPE_CHECKING:
     from hil.evaluation import Evaluation

@@ -24,20 +24,20 @@ from hil.core.files import json_document, write_replacing
 from hil.core.typing import FloatArray
 from hil.evaluation.fitting import usable_part
 from hil.importers.load import load_source
+from hil.maintenance.pipeline.adapted import with_options
+from hil.maintenance.pipeline.bound import Bound, bind
+from hil.maintenance.pipeline.measuring import run_of
+from hil.maintenance.pipeline.reidentify import reidentification
+from hil.maintenance.schedule.clocks import VirtualClock
+from hil.maintenance.schedule.ledger import kept, occasion_of
+from hil.maintenance.schedule.loop import Line, Scheduler
+from hil.maintenance.schedule.motions import Motions, motions, require_room
+from hil.maintenance.schedule.occasion import Occasion, Work
+from hil.maintenance.schedule.times import begin_of
 from hil.models.drift.warmth import friction_change
 from hil.models.registry import Registry
-from hil.pipeline.adapted import with_options
-from hil.pipeline.bound import Bound, bind
-from hil.pipeline.measuring import run_of
-from hil.pipeline.reidentify import reidentification
 from hil.planning.experiment import Experiment
 from hil.planning.robots import opened
-from hil.schedule.clocks import VirtualClock
-from hil.schedule.ledger import kept, occasion_of
-from hil.schedule.loop import Line, Scheduler
-from hil.schedule.motions import Motions, motions, require_room
-from hil.schedule.occasion import Occasion, Work
-from hil.schedule.times import begin_of
 from hil.spec.schedule import ScheduleSpec
 
 DOCUMENT, PAGE = "simulation.json", "report.html"

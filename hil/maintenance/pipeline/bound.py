@@ -9,8 +9,8 @@ from hil.core.errors import SpecError
 from hil.core.source import Path as SourcePath
 from hil.core.source import Problem, Source, dotted
 from hil.core.yaml_source import read_source
-from hil.pipeline.fitting_together import problems as problems_of
-from hil.pipeline.fitting_together import wanted
+from hil.maintenance.pipeline.fitting_together import problems as problems_of
+from hil.maintenance.pipeline.fitting_together import wanted
 from hil.planning.experiment import Experiment, load_experiment
 from hil.spec.experiment import Fit
 from hil.spec.schedule import ScheduleSpec, load_schedule_spec

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from datetime import UTC, datetime
 
-from hil.schedule.loop import Interruption
+from hil.maintenance.schedule.loop import Interruption
 
 _LOOK_EVERY_S = 1.0
 

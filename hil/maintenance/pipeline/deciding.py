@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.maintenance.pipeline.earlier import earlier_probes
+from hil.maintenance.pipeline.stages import Document
 from hil.models.log import Entry
 from hil.models.registry import Registry
-from hil.pipeline.earlier import earlier_probes
-from hil.pipeline.stages import Document
 
 
 def decided(registry: Registry, name: str, key: str, number: int) -> Entry | None:

@@ -1,0 +1,1 @@
+"""Models kept up to date: schedules, stages of a re-identification, runs of a whole fleet."""
