@@ -285,10 +285,10 @@ def confirmed_in_the_dashboard(folder: Path) -> str:
     from starlette.testclient import TestClient
 
     from hil.api import load, run
+    from hil.dashboard import motions, plan_process, resume_pages, start_pages
+    from hil.dashboard.app import create_app
+    from hil.dashboard.settings import Settings
     from hil.robot import Address
-    from hil.web import motions, plan_process, resume_pages, start_pages
-    from hil.web.app import create_app
-    from hil.web.settings import Settings
     from hil.workflow.confirmation import Granted
     from hil.workflow.desk import console_desk
     from hil_mock_robot.driver import MockRobot
@@ -629,8 +629,8 @@ def odd_names(folder: Path) -> str:
     """Run and list a spec, a folder of runs and a run whose names have a byte 0xff."""
     from starlette.testclient import TestClient
 
-    from hil.web.app import create_app
-    from hil.web.settings import Settings
+    from hil.dashboard.app import create_app
+    from hil.dashboard.settings import Settings
 
     spec, runs = folder / os.fsdecode(b"d\xff.yaml"), folder / os.fsdecode(b"runs-\xff")
     spec.write_bytes((REPOSITORY / "experiments" / "ci_dwell_12.yaml").read_bytes())

@@ -20,12 +20,12 @@ from starlette.testclient import TestClient
 
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
+from hil.dashboard import live_pages, motions, resume_pages, start_pages, streams, wanted
+from hil.dashboard.app import create_app
+from hil.dashboard.listeners import Listeners
+from hil.dashboard.settings import Settings
+from hil.dashboard.threads import AT_MOST
 from hil.recording.rundir import RunDirectory
-from hil.web import live_pages, motions, resume_pages, start_pages, streams, wanted
-from hil.web.app import create_app
-from hil.web.listeners import Listeners
-from hil.web.settings import Settings
-from hil.web.threads import AT_MOST
 from hil.workflow.control_files import waiting
 from hil.workflow.live_state import LIVE_FILE, LiveState, read_live
 from hil.workflow.steering import answer_run, question_of

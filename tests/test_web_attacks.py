@@ -28,10 +28,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from hil.core.live_lock import hold_run
 from hil.core.throttle import OncePerMinute
+from hil.dashboard.app import create_app
+from hil.dashboard.protocol import LimitedProtocol, Limits
+from hil.dashboard.settings import Settings
 from hil.recording.rundir import RunDirectory
-from hil.web.app import create_app
-from hil.web.protocol import LimitedProtocol, Limits
-from hil.web.settings import Settings
 
 HERE = "http://127.0.0.1:8350"
 TOKEN = "correct horse battery staple"

@@ -14,9 +14,9 @@ from starlette.testclient import TestClient
 from started_parts import written
 from web_parts import dashboard
 
+from hil.dashboard import motions, start_pages
+from hil.dashboard.checked import digest_of
 from hil.planning.experiment import Experiment, load_experiment
-from hil.web import motions, start_pages
-from hil.web.checked import digest_of
 
 POSES = "0, -90, 90, 0, 0, 0\n10, -80, 80, 0, 0, 0\n"
 

@@ -15,8 +15,8 @@ from starlette.testclient import TestClient
 from web_parts import dashboard, plain, require_fit_for_all
 
 from hil.core.errors import NotConfirmed, RobotConnectionError
+from hil.dashboard import motions, plan_process, plan_shown, start_pages
 from hil.robot import Address
-from hil.web import motions, plan_process, plan_shown, start_pages
 from hil.workflow.confirmation import Granted
 from hil_mock_robot.driver import MockRobot
 

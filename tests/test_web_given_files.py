@@ -13,10 +13,10 @@ from started_parts import written
 from web_parts import dashboard
 
 from hil.core.errors import SpecError
+from hil.dashboard.given_files import FILE_KEYS
 from hil.excitation.waypoint_file import MOST_QUOTED, read_waypoints
 from hil.spec.experiment import ExperimentSpec
 from hil.spec.model_tree import tree
-from hil.web.given_files import FILE_KEYS
 
 SECRET = "root:x:0:0:of:one:line,only"
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from hil.core.live_lock import hold_run
+from hil.dashboard.going import being_planned, going_on
+from hil.dashboard.resume_pages import way_on
+from hil.dashboard.settings import Settings
+from hil.dashboard.streams import _LiveRuns
 from hil.runs import known_runs
-from hil.web.going import being_planned, going_on
-from hil.web.resume_pages import way_on
-from hil.web.settings import Settings
-from hil.web.streams import _LiveRuns
 from hil.workflow.detached import ticks_of
 from hil.workflow.started import FOLDER, Started
 

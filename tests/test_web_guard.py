@@ -15,11 +15,11 @@ from starlette.testclient import TestClient
 
 from hil.cli.serving import _offered, serve
 from hil.core.errors import SpecError
-from hil.web.app import create_app
-from hil.web.listeners import Listeners
-from hil.web.security import MOST_BYTES, POLICY
-from hil.web.serving import address
-from hil.web.settings import Settings
+from hil.dashboard.app import create_app
+from hil.dashboard.listeners import Listeners
+from hil.dashboard.security import MOST_BYTES, POLICY
+from hil.dashboard.serving import address
+from hil.dashboard.settings import Settings
 
 HERE = "http://127.0.0.1:8350"
 TOKEN = "correct horse battery staple"
@@ -254,7 +254,7 @@ def test_so_many_may_listen_and_no_more() -> None:
 
 def test_as_many_files_may_be_open_as_are_allowed() -> None:
     told = (
-        "import resource as r; from hil.web import serving\n"
+        "import resource as r; from hil.dashboard import serving\n"
         "r.setrlimit(r.RLIMIT_NOFILE, (64, 128)); serving._allow_many_files()\n"
         "print(*r.getrlimit(r.RLIMIT_NOFILE))"
     )

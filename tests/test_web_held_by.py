@@ -13,10 +13,10 @@ import pytest
 from starlette.testclient import TestClient
 
 from hil.core.errors import RobotConnectionError
+from hil.dashboard.app import create_app
+from hil.dashboard.held_by import held_by
+from hil.dashboard.settings import Settings
 from hil.robot.lease import leased
-from hil.web.app import create_app
-from hil.web.held_by import held_by
-from hil.web.settings import Settings
 from hil.workflow.started import FOLDER, Started
 
 

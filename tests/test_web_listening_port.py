@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from hil.core.errors import RobotConnectionError
-from hil.web import serving
+from hil.dashboard import serving
 
 
 def test_a_port_that_is_taken_is_told_once() -> None:

@@ -13,10 +13,10 @@ from live_run import until
 from starlette.testclient import TestClient
 from started_parts import PROMPT, begun
 
+from hil.dashboard.app import create_app
+from hil.dashboard.settings import Settings
 from hil.recording.events import read_events
 from hil.recording.rundir import RunDirectory
-from hil.web.app import create_app
-from hil.web.settings import Settings
 from hil.workflow.live_state import read_live
 
 pytestmark = pytest.mark.wire

@@ -16,11 +16,11 @@ from interlock_parts import NAMES, made, rows
 from starlette.testclient import TestClient
 
 from hil.core.live_lock import hold_run
+from hil.dashboard.app import create_app
+from hil.dashboard.live_facts import LiveRun, header_of
+from hil.dashboard.settings import Settings
 from hil.recording.rundir import RunDirectory
 from hil.robot import Capabilities
-from hil.web.app import create_app
-from hil.web.live_facts import LiveRun, header_of
-from hil.web.settings import Settings
 from hil.workflow.arm_view import ArmView
 from hil.workflow.live_state import LiveState
 

@@ -12,11 +12,11 @@ pytest.importorskip("starlette", reason='the dashboard: pip install "hil[web]"')
 from drift_parts import probe
 from web_parts import SLY, dashboard, plain, seen
 
+from hil.dashboard.drawing import LEFT, RIGHT, WIDTH, timeline
 from hil.evaluation.fitting import fit_sources
 from hil.models.drift.history import PROBES_FILE, assess
 from hil.models.log import Entry
 from hil.models.registry import Registry
-from hil.web.drawing import LEFT, RIGHT, WIDTH, timeline
 
 MOTION = 30
 

@@ -10,10 +10,10 @@ import pytest
 from starlette.testclient import TestClient
 from web_parts import failing
 
-from hil.web.app import create_app
-from hil.web.security import POLICY
-from hil.web.serving import address
-from hil.web.settings import Settings
+from hil.dashboard.app import create_app
+from hil.dashboard.security import POLICY
+from hil.dashboard.serving import address
+from hil.dashboard.settings import Settings
 
 TOKEN = "correct horse battery staple"
 
@@ -82,7 +82,7 @@ def test_headers_that_no_browser_sends_are_refused_without_a_page(
 def test_a_guard_that_fails_lets_nobody_in_and_shows_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.web.security.Guard._unknown", failing(RuntimeError("a mistake")))
+    monkeypatch.setattr("hil.dashboard.security.Guard._unknown", failing(RuntimeError("a mistake")))
     made = settings(tmp_path, token=TOKEN)
     visitor = TestClient(
         create_app(made), base_url="http://127.0.0.1:8350", raise_server_exceptions=False

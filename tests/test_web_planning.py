@@ -24,7 +24,7 @@ from started_parts import written
 from web_parts import dashboard, failing
 
 from hil.core.errors import PlanError
-from hil.web import plan_process, planning
+from hil.dashboard import plan_process, planning
 from hil.workflow.detached import ticks_of
 
 ENDLESS = "excitation.waypoints=100000"
@@ -146,7 +146,7 @@ def test_a_plan_ends_with_whoever_asked_for_it(tmp_path: Path) -> None:
     spec, _ = written(tmp_path)
     asked = {**ASKED, "spec": str(spec), "overrides": dict([ENDLESS.split("=")]), "bytes": 2**32}
     with subprocess.Popen(
-        [sys.executable, "-m", "hil.web.plan_process"],
+        [sys.executable, "-m", "hil.dashboard.plan_process"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
     ) as process:  # fmt: skip
         try:
@@ -192,9 +192,9 @@ STUCK = """
 import sys, time
 from pathlib import Path
 from starlette.routing import Route
-from hil.web import serving
-from hil.web.app import create_app
-from hil.web.settings import Settings
+from hil.dashboard import serving
+from hil.dashboard.app import create_app
+from hil.dashboard.settings import Settings
 
 def stuck(request):
     print("here", flush=True)

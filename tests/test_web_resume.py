@@ -18,9 +18,9 @@ from web_parts import dashboard, plain, seen
 
 from hil.core.errors import DataError
 from hil.core.live_lock import hold_run
+from hil.dashboard.app import create_app
+from hil.dashboard.settings import Settings
 from hil.recording.rundir import RunDirectory
-from hil.web.app import create_app
-from hil.web.settings import Settings
 from hil.workflow.live_state import read_live
 from hil.workflow.starting import Started, go_on_with, started_runs
 from hil.workflow.steering import answer_run
@@ -67,7 +67,7 @@ class Starts:
 @pytest.fixture
 def starts(monkeypatch: pytest.MonkeyPatch) -> Iterator[Starts]:
     made = Starts()
-    monkeypatch.setattr("hil.web.resume_pages.go_on_with", made)
+    monkeypatch.setattr("hil.dashboard.resume_pages.go_on_with", made)
     return made
 
 

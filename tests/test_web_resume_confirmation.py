@@ -22,8 +22,8 @@ from web_parts import address_of_run, dashboard, plain, require_fit_for_all, see
 
 import hil
 from hil.core.errors import RobotConnectionError
+from hil.dashboard import motions, plan_process, resume_pages
 from hil.robot import Address
-from hil.web import motions, plan_process, resume_pages
 from hil.workflow.confirmation import Granted
 from hil.workflow.starting import started_runs
 from hil_mock_robot.driver import MockRobot

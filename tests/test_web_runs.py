@@ -15,7 +15,7 @@ from web_parts import SLY, dashboard, plain, run_in, seen
 from web_parts import address_of_run as address
 
 from hil.core.live_lock import hold_run
-from hil.web.run_files import SHUT_IN
+from hil.dashboard.run_files import SHUT_IN
 
 
 @pytest.fixture

@@ -17,10 +17,10 @@ from starlette.testclient import TestClient
 from web_parts import SLY, dashboard, plain, seen
 
 from hil.core.errors import FitError
+from hil.dashboard.schedules_known import coming
+from hil.dashboard.settings import Settings
 from hil.maintenance.schedule.ledger import LEDGER_FILE, Ledger, kept
 from hil.spec.schedule import load_schedule_spec
-from hil.web.schedules_known import coming
-from hil.web.settings import Settings
 
 # Nights to come, whatever day it is: none of the three that are over was kept from its probe.
 DAYS = [f"{datetime.now(UTC) + timedelta(days=ahead):%a}".lower() for ahead in (2, 3)]

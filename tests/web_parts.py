@@ -11,10 +11,10 @@ from typing import Any
 from starlette.testclient import TestClient
 
 import hil
+from hil.dashboard.app import create_app
+from hil.dashboard.settings import Settings
 from hil.models.facts import facts_of
 from hil.models.registry import Registry
-from hil.web.app import create_app
-from hil.web.settings import Settings
 
 DWELL = Path(__file__).parents[1] / "experiments" / "ci_dwell_12.yaml"
 SLY = "<img src=x onerror=alert(1)>"

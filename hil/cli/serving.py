@@ -67,9 +67,9 @@ def serve(
 
     if missing := plugins.absent_modules("web"):
         raise plugins.not_installed("the dashboard", missing, "web")
-    from hil.web.serving import listen
-    from hil.web.serving import serve as serve_there
-    from hil.web.settings import Settings, is_loopback
+    from hil.dashboard.serving import listen
+    from hil.dashboard.serving import serve as serve_there
+    from hil.dashboard.settings import Settings, is_loopback
 
     given = os.environ.get("HIL_TOKEN", "")
     token = given if is_loopback(host) else _token_for_all(given)
