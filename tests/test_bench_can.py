@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil import benchmarking
+from hil.cli import benchmarking
 
 pytestmark = [pytest.mark.wire, pytest.mark.proof]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil import benchmarking
+from hil.cli import benchmarking
 
 
 def test_the_quick_run_tells_of_everybody_from_the_same_starts(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil import benchmarking
+from hil.cli import benchmarking
 from hil.cli.bench import TABLE_WIDTH
 from hil.data.dataset import Conditions, Dataset
 

@@ -7,7 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed")
 
-from hil import benchmarking  # noqa: E402
+from hil.cli import benchmarking  # noqa: E402
 from hil.core.errors import FitError  # noqa: E402
 
 ROOT = Path(__file__).parents[1]

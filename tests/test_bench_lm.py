@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from hil import benchmarking
+from hil.cli import benchmarking
 from hil.networks.lm.network import Mlp
 
 ROOT = Path(__file__).parents[1]

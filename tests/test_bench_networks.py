@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil import benchmarking
+from hil.cli import benchmarking
 from hil.data.prediction import Prediction
 from hil.dynamics import load_model
 from hil.studies.inverse_score import nothing

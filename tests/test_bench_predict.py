@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.benchmarking import measure
+from hil.cli.benchmarking import measure
 from hil.core.errors import FitError
 from hil.export.c_build import compiler
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil import benchmarking
+from hil.cli import benchmarking
 
 
 def test_the_default_set_is_far_cheaper_than_computing_every_sample() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil import benchmarking
+from hil.cli import benchmarking
 from hil.importers.load import load_source
 from hil.recording.reader import read_topic
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from hil import benchmarking
+from hil.cli import benchmarking
 
 pytestmark = pytest.mark.proof
 

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from ur_mock import MockUr, mock_ur
 
-from hil import benchmarking
+from hil.cli import benchmarking
 from hil.core.errors import RobotConnectionError, SpecError
 from hil.core.typing import StructArray
 from hil.evaluation.fitting import fit_sources

@@ -40,7 +40,7 @@ def bench(
     json: JsonFlag = False,
 ) -> None:
     """Measure; every ratio is against its peer in the same run."""
-    from hil import benchmarking
+    from hil.cli import benchmarking
 
     if name == "list":
         _list(benchmarking.describe(), json)

@@ -104,7 +104,7 @@ def plugins(group: str, begun: str) -> list[str]:
 
 def benchmarks(given: Given, begun: str) -> list[str]:
     """Benchmarks of a checkout."""
-    from hil.benchmarking import FOLDER
+    from hil.cli.benchmarking import FOLDER
 
     files = (path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_"))
     return _beginning(["list", "all", *files], begun)

@@ -1,5 +1,4 @@
-"""`python -m hil.dashboard.plan_process`: one plan, made apart from the dashboard, which may end
-it.
+"""One plan, made in a process that the dashboard may end: `python -m hil.dashboard.plan_process`.
 
 It is asked by one line of JSON and answers with one document. It ends with whoever asked: its input
 is closed then, also where they were killed.

@@ -64,7 +64,7 @@ def page(request: Request, template: str, *, status: int = 200, **context: Any) 
 
     Args:
         request: What is answered.
-        template: Name of a template in `hil/web/templates`; extends `base.html.j2`.
+        template: Name of a template in `hil/dashboard/templates`; extends `base.html.j2`.
         status: HTTP status.
         **context: What the template shows; `title` is wanted by the base.
     """

@@ -12,7 +12,7 @@ from typing import Any
 
 from hil.core.errors import PluginError
 
-FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 def names() -> list[str]:
