@@ -1,0 +1,89 @@
+"""The frozen sample, commands in it, and comparisons of what they make."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hil.cli import main
+
+HERE = Path(__file__).parent
+SAMPLE = HERE / "sample.tar.xz"
+
+
+def entered(unpacked: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy the sample into a folder and make the copy the working directory."""
+    lab = Path(shutil.copytree(unpacked, folder / "lab"))  # with its times: locks are old
+    monkeypatch.chdir(lab)
+    monkeypatch.setenv("HIL_LEASES", str(folder / "leases"))
+    monkeypatch.delenv("HIL_STATION", raising=False)
+    monkeypatch.delenv("HIL_REGISTRY", raising=False)
+    return lab
+
+
+def command(*words: object) -> tuple[int, str]:
+    """Exit code and standard output of a command, in this process."""
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+        patch.setattr(sys, "argv", ["hil", *map(str, words)])
+        try:
+            main()
+            code: Any = 0
+        except SystemExit as ending:
+            code = ending.code or 0
+    return code, out.getvalue()
+
+
+def told(*words: object) -> Any:
+    """The document of a command that succeeds."""
+    code, out = command(*words, "--json")
+    assert code == 0, out
+    return json.loads(out)
+
+
+def run_of(lab: Path, name: str) -> Path:
+    """The newest run of an experiment."""
+    return max(lab.glob(f"runs/*/*/[0-9]*-{name}"), key=lambda run: run.name)
+
+
+def layout(recording: Path) -> dict[str, Any]:
+    """Everything about an MCAP file but what was measured."""
+    from mcap.reader import make_reader
+
+    with recording.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        topics = {}
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            topics[channel.topic] = (
+                channel.message_encoding, dict(channel.metadata).keys(),
+                schema.name, schema.encoding, schema.data,
+            )  # fmt: skip
+        header = reader.get_header()
+        metadata = {record.name: set(record.metadata) for record in reader.iter_metadata()}
+        attached = sorted((a.name, a.media_type) for a in reader.iter_attachments())
+    return {
+        "profile": header.profile, "topics": topics, "metadata": metadata, "attached": attached,
+    }  # fmt: skip
+
+
+def differences(old: Any, new: Any, where: str = "") -> list[str]:
+    """Where two documents differ by more than rounding."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = sorted(set(old) | set(new))
+        return [line for k in keys for line in differences(old.get(k), new.get(k), f"{where}.{k}")]
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        pairs = enumerate(zip(old, new, strict=True))
+        return [line for i, pair in pairs for line in differences(*pair, f"{where}[{i}]")]
+    if isinstance(old, float) and isinstance(new, float | int):
+        return [] if new == pytest.approx(old, rel=1e-9, abs=1e-12) else [where]
+    return [] if old == new else [where]

@@ -1,0 +1,1 @@
+"""Plug-ins of a laboratory, written by the how-to pages alone."""
