@@ -76,6 +76,51 @@ def layout(recording: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def parsed(text: str) -> Any:
+    """Return a document, or a list of them where there is one a line."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return [json.loads(line) for line in text.splitlines()]
+
+
+def missing(old: Any, new: Any, where: str = "$") -> list[str]:
+    """Keys that are gone, and values that are of another kind; null may stand for anything."""
+    if old is None or new is None:
+        return []
+    if isinstance(old, dict) and isinstance(new, dict):
+        old = {key: value for key, value in old.items() if key != "packages"}  # of this computer
+        gone = [f"{where}.{key} is gone" for key in old if key not in new]
+        return gone + [
+            line for key in old if key in new
+            for line in missing(old[key], new[key], f"{where}.{key}")
+        ]  # fmt: skip
+    if isinstance(old, list) and isinstance(new, list):
+        if old and not new:
+            return [f"{where} is empty"]
+        return missing(merged(old), merged(new), f"{where}[]")
+    if kind_of(old) != kind_of(new):
+        return [f"{where} is {kind_of(new)}, not {kind_of(old)}"]
+    return []
+
+
+def merged(items: list[Any]) -> Any:
+    """One item with the keys of all."""
+    known = [item for item in items if item is not None]
+    if known and all(isinstance(item, dict) for item in known):
+        keys = {key for item in known for key in item}
+        return {key: merged([item.get(key) for item in known]) for key in keys}
+    if known and all(isinstance(item, list) for item in known):
+        return [one for item in known for one in item]
+    return known[0] if known else None
+
+
+def kind_of(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true or false"
+    return {dict: "a mapping", list: "a list", str: "text"}.get(type(value), "a number")
+
+
 def differences(old: Any, new: Any, where: str = "") -> list[str]:
     """Where two documents differ by more than rounding."""
     if isinstance(old, dict) and isinstance(new, dict):

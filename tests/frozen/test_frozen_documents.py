@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
-from frozen_parts import HERE, command, entered
+from frozen_parts import HERE, command, entered, missing, parsed
 
 pytestmark = pytest.mark.timeout(300)  # all commands count as the set-up of the first test
 
@@ -59,47 +58,3 @@ def compare(name: str, code: int, out: str, frozen: Path) -> None:
     assert code == codes[name] or (name, code) == ("doctor", 1), out  # of this computer
     old = (frozen / f"json/{name}.json").read_text("utf-8")
     assert missing(parsed(old), parsed(out)) == []
-
-
-def parsed(text: str) -> Any:
-    """A document, or a list of them where there is one a line."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return [json.loads(line) for line in text.splitlines()]
-
-
-def missing(old: Any, new: Any, where: str = "$") -> list[str]:
-    """Keys that are gone, and values that are of another kind; null may stand for anything."""
-    if old is None or new is None:
-        return []
-    if isinstance(old, dict) and isinstance(new, dict):
-        gone = [f"{where}.{key} is gone" for key in old if key not in new]
-        return gone + [
-            line for key in old if key in new
-            for line in missing(old[key], new[key], f"{where}.{key}")
-        ]  # fmt: skip
-    if isinstance(old, list) and isinstance(new, list):
-        if old and not new:
-            return [f"{where} is empty"]
-        return missing(merged(old), merged(new), f"{where}[]")
-    if kind_of(old) != kind_of(new):
-        return [f"{where} is {kind_of(new)}, not {kind_of(old)}"]
-    return []
-
-
-def merged(items: list[Any]) -> Any:
-    """One item with the keys of all."""
-    known = [item for item in items if item is not None]
-    if known and all(isinstance(item, dict) for item in known):
-        keys = {key for item in known for key in item}
-        return {key: merged([item.get(key) for item in known]) for key in keys}
-    if known and all(isinstance(item, list) for item in known):
-        return [one for item in known for one in item]
-    return known[0] if known else None
-
-
-def kind_of(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true or false"
-    return {dict: "a mapping", list: "a list", str: "text"}.get(type(value), "a number")

@@ -15,10 +15,11 @@ import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from frozen_parts import HERE, command, differences, layout, run_of, told
+from frozen_parts import HERE, command, differences, layout, missing, parsed, run_of, told
 from safetensors.numpy import load_file
 
 import hil
@@ -147,6 +148,35 @@ def test_a_new_recording_has_the_topics_and_schemas_of_the_old_one(lab: Path) ->
     assert {f.name for f in now.iterdir()} - {"report.html"} == {f.name for f in was.iterdir()}
 
 
+@pytest.mark.parametrize("name", ["fourier", "loads"])
+def test_a_new_run_directory_has_the_files_and_keys_of_the_old_one(name: str, lab: Path) -> None:
+    was = run_of(lab, f"frozen-{name}")
+    told("run", f"specs/{name}.yaml", "--station", "specs/bench.yaml")
+    now = run_of(lab, f"frozen-{name}")
+    assert was != now
+    old, new = documents_in(was), documents_in(now)
+    assert set(old) <= set(new)
+    for file in old:
+        assert missing(by_kind(old[file]), by_kind(new[file]), file) == []
+
+
+def documents_in(run: Path) -> dict[str, Path]:
+    """The documents of a run directory; digests of models and studies hang on rounding."""
+    found = (f for f in files(run) if f.suffix in (".json", ".jsonl"))
+    return {re.sub(r"-[0-9a-f]{12}", "", str(f.relative_to(run))): f for f in found}
+
+
+def by_kind(path: Path) -> Any:
+    """The document of a file; of lines all those of a kind together."""
+    document = parsed(path.read_text("utf-8"))
+    if path.suffix == ".json":
+        return document
+    kinds: dict[str, list[Any]] = {}
+    for line in document:
+        kinds.setdefault(str(line.get("kind", line.get("event"))), []).append(line)
+    return kinds
+
+
 # --- models ---
 
 
@@ -212,6 +242,16 @@ def test_the_challenger_is_promoted_and_taken_back(lab: Path) -> None:
     )
     back = told("models", "rollback", "ur5", "--reason", "as it was")
     assert back["champion"] == 1
+
+
+def test_a_new_version_and_its_log_have_the_keys_of_old_ones(lab: Path) -> None:
+    home = lab / "registry/ur5"
+    old_log, old = by_kind(home / "log.jsonl"), by_kind(home / "v0003/version.json")
+    shutil.rmtree(home)
+    told("models", "register", lab / "models/rigid-lmi", "--name", "ur5", "--challenger")
+    assert missing(old, by_kind(home / "v0001/version.json")) == []
+    for event, lines in by_kind(home / "log.jsonl").items():
+        assert missing(old_log[event], lines) == []
 
 
 def test_a_schedule_goes_on_in_the_middle_of_its_occasion(lab: Path) -> None:
